@@ -180,7 +180,7 @@ def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
     found = select(arm, q, 10, "O1", sigma=1e-4)
-    rows = 1e-4 * build_candidates(arm, as_poses(found.joints), 1e-4).found.rows  # whitened by 0.1 mm
+    rows = 1e-4 * build_candidates(arm, as_poses(found.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
     # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
     values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: found.rank_of_poses.rank]
     stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)
@@ -262,7 +262,7 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
     inside = select(medrue, Q, 40, index)
     monkeypatch.setattr("calib.base.memory.free_memory", lambda: 1e5)
     monkeypatch.setattr("calib.planning.selection_problem._PART", 50)
-    rows = build_candidates(medrue, as_poses(Q)).found
+    rows = build_candidates(medrue, as_poses(Q)).pose_rows
     assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
     outside = select(medrue, Q, 40, index)
     assert outside.after[index] == pytest.approx(inside.after[index], rel=1e-9)

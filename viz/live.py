@@ -135,7 +135,7 @@ class LiveViewer:
         (start, first), (end, last) = self._pace[0], self._pace[-1]
         left, each = told.poses_left, (end - start) / (last - first) if last > first else None
         return told.to_dict() | {
-            "words": "\n".join(told.judged()),
+            "words": "\n".join(told.error_lines()),
             "history": self._history,
             "seconds_left": None if left is None or each is None else left * each,
         }

@@ -179,9 +179,9 @@ class Orientation(FrameInstrument):
             return (Guess({names[0]: first, names[1]: second}),)
         guesses = []
         for frame, sensor in _level(links, _directions(values), first[:3, :3], second[:3, :3], known):
-            one, other = first.copy(), second.copy()
-            one[:3, :3], other[:3, :3] = frame, sensor
-            guesses.append(Guess({names[0]: one, names[1]: other}))
+            first_guess, second_guess = first.copy(), second.copy()
+            first_guess[:3, :3], second_guess[:3, :3] = frame, sensor
+            guesses.append(Guess({names[0]: first_guess, names[1]: second_guess}))
         return tuple(guesses)
 
 

@@ -80,8 +80,8 @@ class Touch(FrameInstrument):
         """Return the instrument that an entry of a robot description means."""
         piece, part = section.artefact, _PARTS[section.surface]
         places = section.places.items() if piece is None else ()
-        own = tuple(one.place(key, section.surface) for key, one in places)
-        radii = [(key, one.radius) for key, one in places] if piece is None else [(name, piece.radius)]
+        own = tuple(place.place(key, section.surface) for key, place in places)
+        radii = [(key, place.radius) for key, place in places] if piece is None else [(name, piece.radius)]
         unknowns = () if piece is None else _tolerances(name, piece.points, piece.tolerance)
         for key, radius in radii:
             unknowns += () if radius is None else radius.parameters(f"{key}.radius", _RADIUS)

@@ -127,7 +127,7 @@ class TouchSection(InstrumentSection):
             raise ValueError("an artefact has sockets or spheres; give planes as `places`")
         if self.surface == "socket" and self.radius:
             raise ValueError("radius is for planes and spheres; a socket holds the centre of the ball")
-        for where, touched in ((f"places.{name}: ", one) for name, one in self.places.items()):
+        for where, touched in ((f"places.{name}: ", place) for name, place in self.places.items()):
             if self.surface != "plane" and (any(touched.rpy) or touched.orientation == "unknown"):
                 raise ValueError(f"{where}rpy and orientation are for planes; a {self.surface} has a position only")
             self._check_radius(where, touched.radius)

@@ -138,8 +138,8 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
     """
     having = [names for names in _WAYS if any(name in conditions for name in names)]
     if len(having) > 1:
-        one, other = (sensor + next(name for name in names if name in conditions) for names in having[:2])
-        raise DataError(f"{path}: columns '{one}' and '{other}' both say where gravity points; leave one out")
+        first, second = (sensor + next(name for name in names if name in conditions) for names in having[:2])
+        raise DataError(f"{path}: columns '{first}' and '{second}' both say where gravity points; leave one out")
     for names in having:
         missing = next((name for name in names if name not in conditions), None)
         every = [sensor + name for name in names]

@@ -164,53 +164,55 @@ def learn(told: Sequence[Told], kinds: IntArray, start: FloatArray | None = None
         variance * freedom / (freedom - 2.0),
         freedom,
         estimates + mean,
-        np.sqrt(np.array([_with_mean(one, variance, covariance) for one in told])),
-        np.sum([1.0 - np.diag(_inner(one, variance)) / variance for one in told], axis=0),
+        np.sqrt(np.array([_with_mean(result, variance, covariance) for result in told])),
+        np.sum([1.0 - np.diag(_inner(result, variance)) / variance for result in told], axis=0),
     )
 
 
 def _given(told: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
     n = len(variance)
-    inner = [_inner(one, variance) for one in told]
-    through = [a @ one.precision for a, one in zip(inner, told, strict=True)]
-    precision = np.eye(n) + sum(one.precision - one.precision @ t for one, t in zip(told, through, strict=True))
+    inner = [_inner(result, variance) for result in told]
+    through = [a @ result.precision for a, result in zip(inner, told, strict=True)]
+    precision = np.eye(n) + sum(
+        result.precision - result.precision @ t for result, t in zip(told, through, strict=True)
+    )
     covariance = np.linalg.inv((precision + precision.T) / 2)
-    mean = covariance @ sum(one.pull - t.T @ one.pull for one, t in zip(told, through, strict=True))
-    estimates = np.array([a @ (one.pull - one.precision @ mean) for a, one in zip(inner, told, strict=True)])
+    mean = covariance @ sum(result.pull - t.T @ result.pull for result, t in zip(told, through, strict=True))
+    estimates = np.array([a @ (result.pull - result.precision @ mean) for a, result in zip(inner, told, strict=True)])
     spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
     return mean, covariance, estimates, spreads
 
 
-def _inner(one: Told, variance: FloatArray) -> FloatArray:
+def _inner(result: Told, variance: FloatArray) -> FloatArray:
     """A of the module docstring, (n, n)."""
-    return np.asarray(np.linalg.inv(one.precision + np.diag(1.0 / variance)))
+    return np.asarray(np.linalg.inv(result.precision + np.diag(1.0 / variance)))
 
 
-def _with_mean(one: Told, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+def _with_mean(result: Told, variance: FloatArray, covariance: FloatArray) -> FloatArray:
     """Variance of m + d_i given the variances t^2, (n,)."""
-    inner = _inner(one, variance)
+    inner = _inner(result, variance)
     left = inner / variance  # I - A H
     return np.asarray(np.diag(inner) + np.sum((left @ covariance) * left, axis=1))
 
 
-def likeness(one: Told, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
+def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
     """Compare a result with what others, learned without it, lead to expect.
 
     Args:
-        one: What it tells.
+        result: What it tells.
         mean: What is expected, (n,).
         expected: Covariance of that, (n, n).
         freedom: f of the module docstring, (n,).
     """
-    pull = one.pull - one.precision @ mean
+    pull = result.pull - result.precision @ mean
     before = np.linalg.inv(expected)
-    score = np.linalg.inv(before + one.precision) @ pull
-    known = np.diag(before - before @ np.linalg.inv(before + one.precision) @ before)
+    score = np.linalg.inv(before + result.precision) @ pull
+    known = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
     shown = known > _SHOWN * np.diag(before)
     distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
     p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances))
-    sizes, axes = np.linalg.eigh(one.precision)
+    sizes, axes = np.linalg.eigh(result.precision)
     kept = sizes > _NOTHING
     root = axes[:, kept] * np.sqrt(sizes[kept])
     ratios, turned = np.linalg.eigh(root.T @ expected @ root)
@@ -223,8 +225,8 @@ def likeness(one: Told, mean: FloatArray, expected: FloatArray, freedom: FloatAr
     return Likeness(distances, p_values, float(np.sqrt(together)), chance)
 
 
-def _compared(one: Told, others: Hierarchy) -> Likeness:
-    return likeness(one, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
+def _compared(result: Told, others: Hierarchy) -> Likeness:
+    return likeness(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
 
 
 def learn_without_odd(
@@ -249,7 +251,7 @@ def learn_without_odd(
         for i in every:
             rest = [told[k] for k in kept if k != i]
             compared.append(_compared(told[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
-        p = np.array([np.nan if one is None else one.p_value() for one in compared])
+        p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
         if worst < 0 or p[worst] * len(told) >= FALSE_ALARM or len(odd) + 1 > (len(told) - 1) // 2:

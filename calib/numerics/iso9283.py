@@ -128,11 +128,11 @@ def direction_variation(groups: Sequence[FloatArray]) -> Figure:
     """
     pairs = list(combinations(groups, 2))
     lengths = []
-    for one, other in pairs:
-        spread = [np.cov(group.T) / len(group) for group in (one, other)]
-        freedom = min(len(one), len(other)) - 1
+    for first, second in pairs:
+        spread = [np.cov(group.T) / len(group) for group in (first, second)]
+        freedom = min(len(first), len(second)) - 1
         lengths.append(
-            _length(one.mean(axis=0) - other.mean(axis=0), spread[0] + spread[1], freedom, _TAIL / len(pairs))
+            _length(first.mean(axis=0) - second.mean(axis=0), spread[0] + spread[1], freedom, _TAIL / len(pairs))
         )
     return Figure(max(f.value for f in lengths), max(f.low95 for f in lengths), max(f.high95 for f in lengths))
 
@@ -153,10 +153,12 @@ def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figur
 def _largest_change(figures: Sequence[Figure]) -> Figure:
     """The largest change from the first one; its limits from the limits of both."""
     first, changes = figures[0], []
-    for one in figures[1:]:
-        apart = max(one.low95 - first.high95, first.low95 - one.high95, 0.0)
+    for figure in figures[1:]:
+        apart = max(figure.low95 - first.high95, first.low95 - figure.high95, 0.0)
         changes.append(
-            Figure(abs(one.value - first.value), apart, max(one.high95 - first.low95, first.high95 - one.low95))
+            Figure(
+                abs(figure.value - first.value), apart, max(figure.high95 - first.low95, first.high95 - figure.low95)
+            )
         )
     return Figure(max(c.value for c in changes), max(c.low95 for c in changes), max(c.high95 for c in changes))
 

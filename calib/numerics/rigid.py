@@ -74,9 +74,13 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
         inside = right[:kept].T @ along[:kept]
         away = _across(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
         candidates += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
-    misses = [float(np.linalg.norm(np.linalg.norm(points - one, axis=1) - lengths)) for one in candidates]
-    good = [one for one, miss in zip(candidates, misses, strict=True) if miss <= _AS_GOOD * min(misses) + _SMALLEST]
-    return min(good, key=lambda one: float(np.linalg.norm(one - near)))
+    misses = [float(np.linalg.norm(np.linalg.norm(points - candidate, axis=1) - lengths)) for candidate in candidates]
+    good = [
+        candidate
+        for candidate, miss in zip(candidates, misses, strict=True)
+        if miss <= _AS_GOOD * min(misses) + _SMALLEST
+    ]
+    return min(good, key=lambda candidate: float(np.linalg.norm(candidate - near)))
 
 
 def _across(told: FloatArray, near: FloatArray, square: float) -> FloatArray:

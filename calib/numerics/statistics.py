@@ -283,5 +283,7 @@ def statistics(
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
-    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, poses, beyond)
-    return replace(found, half_width=found.coverage_factor * np.sqrt(std**2 + beyond))
+    without_width = Statistics(
+        factors, factors.total_freedom, covariance, std, std, decided, n_effective, poses, beyond
+    )
+    return replace(without_width, half_width=without_width.coverage_factor * np.sqrt(std**2 + beyond))

@@ -236,14 +236,14 @@ def found_components(
     return tried if earned and not exact else without
 
 
-def _rise(model: LinearModel, found: Components, columns: FloatArray, new: BoolArray, block: IntArray) -> float:
+def _rise(model: LinearModel, components: Components, columns: FloatArray, new: BoolArray, block: IntArray) -> float:
     """About how much new errors can raise twice the log-likelihood: the sum of squares of their positive scores.
 
     The score of tau_j^2 at zero is half of (h_j^T Q y)^2 - trace(Q h_j h_j^T); correlations of scores are not negative.
     """
     read = model.group >= 0
-    divisor = np.where(read, found.scales[np.where(read, model.group, 0)], 1.0)
-    shared = SharedError(columns * found.shared / divisor[:, None], block)
+    divisor = np.where(read, components.scales[np.where(read, model.group, 0)], 1.0)
+    shared = SharedError(columns * components.shared / divisor[:, None], block)
     n_free = model.jacobian.shape[1]
     white = shared.whiten(np.hstack([model.jacobian, model.residuals[:, None], columns[:, new]]) / divisor[:, None])
     known, step = _solved_fast(model, white[:, : n_free + 1])

@@ -113,10 +113,7 @@ class Assessment(ReadOnlyArrays):
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each free parameter with its predicted standard deviation, in the units of tables."""
         kept = zip(self.free_parameters, self.std, strict=True)
-        return [
-            {"name": one.name, "unit": one.unit, "sigma": one.sigma, "std": float(std) * one.per_si}
-            for one, std in kept
-        ]
+        return [{"name": p.name, "unit": p.unit, "sigma": p.sigma, "std": float(std) * p.per_si} for p, std in kept]
 
     def to_dataframe(self) -> Any:
         """Return `rows` as a pandas table; pandas missing is an `InputError`."""

@@ -56,7 +56,7 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     Raises:
         InputError: An unknown instrument, a group given twice, or groups said in two ways.
     """
-    every = tuple(one.name for one in robot.instruments)
+    every = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
         if instruments != ALL:
             raise InputError("count gives a number for each instrument already; leave out which instruments to choose")
@@ -141,11 +141,11 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
 
 def require_touches_said(robot: Robot, groups: Groups, poses: Poses) -> None:
     """Raise `InputError` where an instrument touches, and the poses do not say what: nobody can tell from a pose."""
-    for one in unsaid_touches(robot, poses):
-        if any(one.name in members for members in groups.members):
+    for instrument in unsaid_touches(robot, poses):
+        if any(instrument.name in members for members in groups.members):
             raise InputError(
-                f"{poses.path}: instrument '{one.name}' reads no numbers, and nothing says which poses touch what; add"
-                f" a column '{one.text_columns()[0]}' that names it, empty where nothing is touched"
+                f"{poses.path}: instrument '{instrument.name}' reads no numbers, and nothing says which poses touch"
+                f" what; add a column '{instrument.text_columns()[0]}' that names it, empty where nothing is touched"
             )
 
 

@@ -24,7 +24,7 @@ from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import ways
 from calib.planning.rank_three_scores import Determinant, Task
 from calib.planning.selection_problem import DETERMINED, TASK
-from calib.planning.selection_setting import Wanted, prepare
+from calib.planning.selection_setting import Request, prepare
 from calib.robots.robot import Robot
 
 ENOUGH = 0.8
@@ -79,8 +79,8 @@ def next_pose(
         DataError: A candidate is given twice.
         NotIdentifiableError: The candidates do not determine the positions at them.
     """
-    wanted = Wanted(TASK, 1, 0.0, False, groups_of(robot, ALL, 1))
-    setting = prepare(robot, candidates, wanted, measured, None, (), True, sigma)
+    request = Request(TASK, 1, 0.0, False, groups_of(robot, ALL, 1))
+    setting = prepare(robot, candidates, request, measured, None, (), True, sigma)
     problem, usable = setting.problem, setting.space.usable
     if not np.any(usable):
         return None
@@ -90,7 +90,7 @@ def next_pose(
     else:
         scores = Determinant.of(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
     gains = np.where(usable, scores.gains(), -np.inf)
-    way = ways(setting.found.joints, robot.home if present is None else present)[setting.pairs.pose]
+    way = ways(setting.candidates.joints, robot.home if present is None else present)[setting.pairs.pose]
     if drawn is None:
         best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
     else:
@@ -101,7 +101,7 @@ def next_pose(
     return NextPose(
         candidate=pose,
         name=setting.poses.names[pose],
-        joints=setting.found.joints[pose],
+        joints=setting.candidates.joints[pose],
         before=float(np.sqrt(before + problem.task_floor)),
         after=float(np.sqrt(max(after, 0.0) + problem.task_floor)),
         way=float(way[best]),

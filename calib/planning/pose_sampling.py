@@ -61,31 +61,34 @@ def sample(
         DataError: Not enough were found, even near home; or a sliding joint has no limits.
     """
     robot = as_robot(robot)
-    touches = [one for one in robot.instruments if one.touches]
+    touches = [instrument for instrument in robot.instruments if instrument.touches]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
     require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
     generator = random_numbers(seed)
     tried = _poses(robot, robot.sample(total, generator, within=spanned))
-    if all(one.may_see_nothing for one in robot.instruments):
+    if all(instrument.may_see_nothing for instrument in robot.instruments):
         return _seeing(robot, tried, generator, spanned)
     if not touches:
         return tried
-    looks = [(one, pair, detail) for one in touches for pair, detail in zip(*one.looks(), strict=True)]
-    wanted = {}
-    for one in touches:
-        visits = np.array([k for k in range(len(tried)) if looks[k % len(looks)][0] is one], dtype=np.intp)
+    looks = [
+        (instrument, pair, detail) for instrument in touches for pair, detail in zip(*instrument.looks(), strict=True)
+    ]
+    touched = {}
+    for instrument in touches:
+        visits = np.array([k for k in range(len(tried)) if looks[k % len(looks)][0] is instrument], dtype=np.intp)
         pairs, details = (np.array([looks[k % len(looks)][part] for k in visits]) for part in (1, 2))
-        wanted[one.name] = Readings(visits, pairs, np.zeros((len(visits), one.n_rows)), None, details)
-    commands, misses = at_contact(robot, tried, wanted)
-    there = np.flatnonzero(misses < MET)
-    if len(there) < count:
+        touched[instrument.name] = Readings(visits, pairs, np.zeros((len(visits), instrument.n_rows)), None, details)
+    commands, misses = at_contact(robot, tried, touched)
+    met = np.flatnonzero(misses < MET)
+    if len(met) < count:
         return _poses(robot, tried.joints[:count])
-    found = {name: of_visits(one, there[:count]) for name, one in wanted.items()}
+    kept = {name: of_visits(readings, met[:count]) for name, readings in touched.items()}
     said = {
-        name: Readings(one.visits, one.pairs, np.zeros((len(one), 0)), None, one.details) for name, one in found.items()
+        name: Readings(readings.visits, readings.pairs, np.zeros((len(readings), 0)), None, readings.details)
+        for name, readings in kept.items()
     }
-    return replace(_poses(robot, commands[there[:count]]), wanted=said)
+    return replace(_poses(robot, commands[met[:count]]), wanted=said)
 
 
 def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
@@ -95,7 +98,11 @@ def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
         robot: The robot at its present values.
         poses: The poses; at those that cannot be assembled nothing is read.
     """
-    result = {one.name: np.zeros(len(poses), dtype=bool) for one in robot.instruments if one.may_see_nothing}
+    result = {
+        instrument.name: np.zeros(len(poses), dtype=bool)
+        for instrument in robot.instruments
+        if instrument.may_see_nothing
+    }
     for start in range(0, len(poses) if result else 0, _AT_ONCE):
         part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
         columns = term_columns(robot, part.joints, part.conditions)
@@ -128,15 +135,15 @@ def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: 
     """As many poses as the first ones, at all of which something is seen if they are found."""
     count = len(first)
     tries = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED))
-    found, tried = np.zeros((0, first.joints.shape[1])), first.joints
+    seeing, tried = np.zeros((0, first.joints.shape[1])), first.joints
     while True:
         sees = np.any(list(seen_at(robot, _poses(robot, tried)).values()), axis=0)
-        found, tries = np.vstack([found, tried[sees]]), tries - len(tried)
-        if len(found) >= count or tries <= 0:
+        seeing, tries = np.vstack([seeing, tried[sees]]), tries - len(tried)
+        if len(seeing) >= count or tries <= 0:
             break
         tried = robot.sample(min(_AT_ONCE, tries), generator, within=within)
     blind = first.joints[~np.any(list(seen_at(robot, first).values()), axis=0)]
-    return _poses(robot, np.vstack([found, blind])[:count])
+    return _poses(robot, np.vstack([seeing, blind])[:count])
 
 
 def _poses(robot: Robot, joints: FloatArray) -> Poses:

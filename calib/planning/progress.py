@@ -126,9 +126,9 @@ class Progress(ReadOnlyArrays):
     def report(self) -> str:
         """Return it as text."""
         head = f"{counted(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
-        return "\n  ".join([head, *self.judged(), *self._next()])
+        return "\n  ".join([head, *self.error_lines(), *self._next()])
 
-    def judged(self) -> list[str]:
+    def error_lines(self) -> list[str]:
         """Return the lines about the errors and the goal."""
         if self.fit is None:
             lines = [f"not yet a calibration: {self.obstacle}"]
@@ -206,7 +206,7 @@ class Progress(ReadOnlyArrays):
 
 
 def _shown(error: RootMeanSquare) -> str:
-    value, low, high = (f"{millimetres(one):.3g}" for one in (error.value, error.low95, error.high95))
+    value, low, high = (f"{millimetres(length):.3g}" for length in (error.value, error.low95, error.high95))
     return f"{value} mm RMS (95 %: {low} to {high})"
 
 
@@ -220,7 +220,7 @@ def _as_data(error: RootMeanSquare) -> dict[str, object]:
 
 def reads_positions(robot: Robot) -> bool:
     """Whether an instrument reads positions of a target."""
-    return any(part.is_position for one in robot.instruments for part in one.parts)
+    return any(part.is_position for instrument in robot.instruments for part in instrument.parts)
 
 
 def squares_of(fit: Fit, data: Measurements) -> list[float]:
@@ -247,9 +247,9 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
 def _of_positions(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
     """Square of the error of each position that was read, (n,) [m^2], by instrument."""
     errors = errors_on(fit.placed, fit.robot, new)
-    for one, part, own in errors.parts():
+    for instrument, part, own in errors.parts():
         if part.is_position:
-            yield one.name, np.nansum(errors.after[one.name][:, own] ** 2, axis=1)
+            yield instrument.name, np.nansum(errors.after[instrument.name][:, own] ** 2, axis=1)
 
 
 def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
@@ -261,8 +261,8 @@ def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, Float
     robot = fit.robot
     configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
     for name, seen in seen_by(robot, configurations, new.readings).items():
-        readings, one = new.readings[name], robot.instrument(name)
-        compared = one.compare(seen, robot.values[robot.unknowns(name)], readings)
+        readings, instrument = new.readings[name], robot.instrument(name)
+        compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
         if not isinstance(compared, Comparison):
             continue
         read = np.isfinite(compared.residuals).all(axis=1)

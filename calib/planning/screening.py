@@ -70,8 +70,8 @@ def before_any_choice(setting: SelectionSetting, starts: IntArray) -> Searched:
         return Searched(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
     # without priors, K of all candidates is the identity
-    alike = problem.before + setting.wanted.count / len(problem) * np.eye(len(problem.strengths))
-    return _narrowed(setting, slopes(problem, setting.wanted.index, alike), starts)
+    alike = problem.before + setting.request.count / len(problem) * np.eye(len(problem.strengths))
+    return _narrowed(setting, slopes(problem, setting.request.index, alike), starts)
 
 
 def after_relaxation(setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray) -> Searched:
@@ -79,13 +79,13 @@ def after_relaxation(setting: SelectionSetting, relaxation: Relaxation, chosen: 
     if not _is_screened(setting):
         return Searched(setting, np.arange(len(setting.problem)), setting)
     problem = setting.problem
-    slope = slopes(problem, setting.wanted.index, problem.gathered(relaxation.weights))
+    slope = slopes(problem, setting.request.index, problem.gathered(relaxation.weights))
     return _narrowed(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
 
 
 def _is_screened(setting: SelectionSetting) -> bool:
-    wanted = setting.wanted
-    return wanted.index in CERTIFIED and wanted.minimum_distance == 0 and len(setting.problem) > SCREENED
+    request = setting.request
+    return request.index in CERTIFIED and request.minimum_distance == 0 and len(setting.problem) > SCREENED
 
 
 def _narrowed(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> Searched:

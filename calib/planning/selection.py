@@ -41,7 +41,7 @@ from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
-from calib.planning.selection_setting import SelectionSetting, Wanted, prepare, require_count
+from calib.planning.selection_setting import Request, SelectionSetting, prepare, require_count
 from calib.robots.loading import RobotLike, as_robot
 from calib.rows.candidates import WHITENED
 
@@ -106,22 +106,22 @@ def select(
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
-    wanted = Wanted(index, total, minimum_distance, off_grid, groups)
+    request = Request(index, total, minimum_distance, off_grid, groups)
     kinds = _start_kinds(random_start, starts)
     with Workers(executor, None if off_grid else starts) as workers:
-        setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
+        setting = prepare(robot, candidates, request, measured, task, exclude, skip_unreachable, sigma)
         require_count(setting)
         prepared = time.perf_counter()
         runs, best = _run_all(setting, kinds, rng, workers, progress)
         efficiency, bound = None, None
-        if wanted.index in CERTIFIED:
+        if request.index in CERTIFIED:
             runs, best, efficiency, bound = _certify(setting, runs, best)
         on_grid = index_values(setting.problem, best.chosen, setting.sigma)
         poses = _poses(setting, best, on_grid, rng, workers, progress)
     order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(
-        index=wanted.index,
+        index=request.index,
         chosen=setting.pairs.pose[poses.chosen[order]],
         instruments=tuple(groups.names[g] for g in setting.pairs.group[poses.chosen[order]] if groups.chosen),
         groups=groups.names if groups.chosen else (),
@@ -142,7 +142,7 @@ def select(
         rank_of_poses=setting.problem.known.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
-        skipped=setting.found.skipped,
+        skipped=setting.candidates.skipped,
         already_measured=setting.already_measured,
         seed=seed,
         seconds=time.perf_counter() - started,
@@ -173,7 +173,7 @@ def _run_all(
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
     searched = before_any_choice(setting, np.concatenate(starts))
     results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
-    return runs, max(results, key=lambda one: one.scores.value)
+    return runs, max(results, key=lambda exchange: exchange.scores.value)
 
 
 def _run(
@@ -184,21 +184,23 @@ def _run(
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
     """Run the exchange from some starts, each of a kind."""
-    setting, wanted = searched.setting, searched.setting.wanted
-    spread = [setting.space.spread(searched.inside(start), wanted.count) for start in starts]
+    setting, request = searched.setting, searched.setting.request
+    spread = [setting.space.spread(searched.inside(start), request.count) for start in starts]
     fewest = min(map(len, spread))
-    if fewest < wanted.count:
+    if fewest < request.count:
         raise InputError(
-            f"only {fewest} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
-            f" other, for {wanted.count} wanted; choose a smaller distance or count"
+            f"only {fewest} candidates were found that keep {millimetres(request.minimum_distance):g} mm from each"
+            f" other, for {request.count} wanted; choose a smaller distance or count"
         )
-    found = []
-    search = partial(_search, setting.problem, wanted.index, setting.space)
+    runs = []
+    search = partial(_search, setting.problem, request.index, setting.space)
     for kind, (inside, n_paper) in zip(kinds, in_order(search, spread, workers, progress), strict=True):
         result = searched.widened(inside)
-        history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
-        found.append((result, Run(kind, result.history[1:], tuple(history), n_paper)))
-    return found
+        history = [
+            index_of_score(setting.problem, request.index, v, request.count, setting.sigma) for v in result.values
+        ]
+        runs.append((result, Run(kind, result.history[1:], tuple(history), n_paper)))
+    return runs
 
 
 @one_blas_thread
@@ -212,7 +214,7 @@ def _certify(
     setting: SelectionSetting, runs: tuple[Run, ...], best: Exchange
 ) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
-    problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
+    problem, index, usable = setting.problem, setting.request.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
     searched = after_relaxation(setting, relaxation, best.chosen)
@@ -220,12 +222,12 @@ def _certify(
     if searched.is_part:
         starts["best"] = np.flatnonzero(best.chosen)
     for more, run in _run(searched, tuple(starts), tuple(starts.values())):
-        best, runs = max(best, more, key=lambda one: one.scores.value), (*runs, run)
+        best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
     gathered = problem.gathered(best.chosen.astype(float))
     if index == TASK:
         least = float(np.exp(-relaxation.log_bound))
-        bound = index_of_score(problem, index, -least, setting.wanted.count, setting.sigma)
-        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.wanted.count, setting.sigma)
+        bound = index_of_score(problem, index, -least, setting.request.count, setting.sigma)
+        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.request.count, setting.sigma)
         return runs, best, min(1.0, bound / value), bound
     efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
     return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
@@ -240,19 +242,23 @@ def _poses(
     progress: Progress | None,
 ) -> _Poses:
     """The chosen candidates, moved off the grid if that is wanted."""
-    chosen, candidates, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
-    if not setting.wanted.off_grid:
+    chosen, candidates, usable = np.flatnonzero(best.chosen), setting.candidates, setting.space.usable
+    if not setting.request.off_grid:
         pose, rows = setting.pairs.pose[chosen], setting.problem.rows[chosen]
-        joints, positions = candidates.joints[pose], candidates.found.positions[pose]
-        return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
-    distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
+        joints, positions = candidates.joints[pose], candidates.pose_rows.positions[pose]
+        return _Poses(chosen, joints, positions, rows, on_grid, setting.request.minimum_distance)
+    distance = setting.request.minimum_distance or _smallest_gap(setting.space.points[usable])
     region = region_of(
-        setting.robot, candidates.joints[usable], candidates.found.positions[usable], distance, setting.measured_points
+        setting.robot,
+        candidates.joints[usable],
+        candidates.pose_rows.positions[usable],
+        distance,
+        setting.measured_points,
     )
     moved = refine(
         setting.robot,
         setting.problem,
-        setting.wanted.index,
+        setting.request.index,
         candidates.joints[chosen],
         setting.poses.conditions.at(chosen),
         region,
@@ -269,7 +275,7 @@ def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
     """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
     setups = setting.poses.setups
     pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
-    return group if setups is None else setups[pose] * len(setting.wanted.groups.members) + group
+    return group if setups is None else setups[pose] * len(setting.request.groups.members) + group
 
 
 def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:

@@ -193,7 +193,7 @@ def _inner_weights(
     w = (totals / np.sum(member, axis=0))[own]
     slope, curvature = _derivatives(problem, index, rows, fixed, w)
     best = largest(slope, own, np.maximum(np.round(totals).astype(np.intp), 1))
-    level = np.array([np.min(slope[one]) for one in best])
+    level = np.array([np.min(slope[indices]) for indices in best])
     floor = 0.1 * float(np.mean(np.abs(slope)))
     lower, upper = np.maximum(level[own] - slope, 0) + floor, np.maximum(slope - level[own], 0) + floor
     for _ in range(_STEPS):

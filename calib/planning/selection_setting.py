@@ -35,8 +35,8 @@ from calib.rows.unknowns import Unknowns
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What was asked for.
+class Request:
+    """What to choose.
 
     Attributes:
         index: One of `CHOICES`.
@@ -59,9 +59,9 @@ class SelectionSetting:
 
     Attributes:
         robot: The robot.
-        wanted: What was asked for.
+        request: What to choose.
         poses: The poses to choose from.
-        found: The same, assembled.
+        candidates: The same, assembled.
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
         space: Which candidates may be chosen.
@@ -73,9 +73,9 @@ class SelectionSetting:
     """
 
     robot: Robot
-    wanted: Wanted
+    request: Request
     poses: Poses
-    found: Candidates
+    candidates: Candidates
     pairs: Pairs
     problem: SelectionProblem
     space: Spacing
@@ -98,7 +98,7 @@ class SelectionSetting:
     @property
     def counts(self) -> IntArray:
         """How many candidates of each kind are wanted, (n_kinds,)."""
-        return np.array(self.wanted.groups.counts or (self.wanted.count,))
+        return np.array(self.request.groups.counts or (self.request.count,))
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
         """Return so many of each kind (n_kinds,), those whose values (n_candidates,) are largest, a list by kind."""
@@ -106,16 +106,16 @@ class SelectionSetting:
 
     def by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
         """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
-        counts = self.wanted.groups.counts
+        counts = self.request.groups.counts
         if counts is None:
-            return [(candidates, self.wanted.count)]
+            return [(candidates, self.request.count)]
         return [(candidates[self.pairs.group[candidates] == g], count) for g, count in enumerate(counts)]
 
 
 def prepare(
     robot: Robot,
     candidates: PosesLike,
-    wanted: Wanted,
+    request: Request,
     measured: PosesLike | None,
     task: PosesLike | None,
     exclude: Sequence[int],
@@ -127,7 +127,7 @@ def prepare(
     Args:
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        wanted: What was asked for.
+        request: What to choose.
         measured: Poses that are measured already, as `candidates`.
         task: Poses whose accuracy counts, as `candidates`; the candidates themselves if None.
         exclude: Candidates not to choose, by their number.
@@ -140,20 +140,20 @@ def prepare(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines what the index is about.
     """
-    if wanted.index not in CHOICES:
-        raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")
+    if request.index not in CHOICES:
+        raise InputError(f"index '{request.index}'{nearest(request.index, CHOICES)}")
     require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = assumed_sigma(robot, sigma)
-    if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
-        raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
-    _require_on_grid(robot, wanted, poses)
-    if wanted.groups.chosen:
-        require_touches_said(robot, wanted.groups, poses)
+    if not (np.isfinite(request.minimum_distance) and request.minimum_distance >= 0):
+        raise InputError(f"minimum distance {request.minimum_distance:g} m: must be zero or positive")
+    _require_on_grid(robot, request, poses)
+    if request.groups.chosen:
+        require_touches_said(robot, request.groups, poses)
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
-    candidate_rows = assembled.found
-    pairs = pairs_of(wanted.groups, candidate_rows)
-    if wanted.index not in CERTIFIED or wanted.minimum_distance > 0:
+    candidate_rows = assembled.pose_rows
+    pairs = pairs_of(request.groups, candidate_rows)
+    if request.index not in CERTIFIED or request.minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
             "an index without a bound, or a least distance, looks at all at once; it",
@@ -161,20 +161,20 @@ def prepare(
         )
     done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
-    keeps_distance = wanted.minimum_distance > 0 or wanted.off_grid  # nobody else asks where poses are
+    keeps_distance = request.minimum_distance > 0 or request.off_grid  # nobody else asks where poses are
     pose_points = points_of(candidate_rows.positions) if keeps_distance else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
         n_before, points = done.n_poses, points_of(positions)
-        same = already_read(wanted.groups, poses, done)
+        same = already_read(request.groups, poses, done)
         again = int(np.sum(same & pairs.possible))
         usable &= ~same
-        if wanted.minimum_distance > 0:
+        if request.minimum_distance > 0:
             allowed = near_measured(poses.joints, done.joints)
             others = ~allowed & assembled.usable
             distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
-            allowed[others] = distance >= wanted.minimum_distance
+            allowed[others] = distance >= request.minimum_distance
             usable &= allowed[pairs.pose]
     task_rows = candidate_rows.position_rows
     n_task = int(np.sum(assembled.usable)) * len(robot.located)
@@ -184,19 +184,19 @@ def prepare(
     problem = build_problem(
         pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
     )
-    _require_answer(problem, wanted)
-    kind = None if wanted.groups.counts is None else pairs.group
-    space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
+    _require_answer(problem, request)
+    kind = None if request.groups.counts is None else pairs.group
+    space = Spacing(pose_points[pairs.pose], request.minimum_distance, usable, pairs.pose, kind)
     return SelectionSetting(
-        robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma
+        robot, request, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma
     )
 
 
-def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
+def _require_on_grid(robot: Robot, request: Request, poses: Poses) -> None:
     """Raise `InputError` where poses shall leave the grid, and it matters at which of its points they are."""
-    if not wanted.off_grid:
+    if not request.off_grid:
         return
-    if wanted.groups.chosen:
+    if request.groups.chosen:
         raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
     every = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
     for name, looks in looks_at(robot, poses).items():
@@ -223,26 +223,26 @@ def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
 
 def require_count(setting: SelectionSetting) -> None:
     """Raise `InputError` where more is wanted than there are candidates, of each kind, or too little to answer."""
-    wanted, pairs, usable = setting.wanted, setting.pairs, setting.space.usable
-    _require_candidates(wanted, usable, pairs)
+    request, pairs, usable = setting.request, setting.pairs, setting.space.usable
+    _require_candidates(request, usable, pairs)
     problem = setting.problem
     missing = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, pairs.n_read, 0)
     coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if coordinates < missing:
         raise InputError(
-            f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f"count {request.count}: {coordinates} coordinates cannot determine {missing} parameters;"
             f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
         )
 
 
-def _require_candidates(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
-    if wanted.count < 1:
-        raise InputError(f"count {wanted.count}: choose at least one pose")
-    counts = wanted.groups.counts
-    kinds = [("", wanted.count, np.ones(len(usable), dtype=bool))]
+def _require_candidates(request: Request, usable: BoolArray, pairs: Pairs) -> None:
+    if request.count < 1:
+        raise InputError(f"count {request.count}: choose at least one pose")
+    counts = request.groups.counts
+    kinds = [("", request.count, np.ones(len(usable), dtype=bool))]
     if counts is not None:
-        names = wanted.groups.names
+        names = request.groups.names
         kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(names)]
     for name, count, own in kinds:
         if count < 0:
@@ -255,12 +255,12 @@ def _require_candidates(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None
             )
 
 
-def _require_answer(problem: SelectionProblem, wanted: Wanted) -> None:
+def _require_answer(problem: SelectionProblem, request: Request) -> None:
     if problem.known.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets do not depend on any free one"
         )
-    if wanted.index == TASK and not np.isfinite(problem.task_floor):
+    if request.index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(
             "the candidates do not determine the positions at the task poses, so their error has no bound;"
             " add candidates like the task poses, or hold parameters (`calib check` says which)"

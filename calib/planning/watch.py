@@ -156,10 +156,10 @@ class Watch:
         reached = np.flatnonzero(closed.ok)
         if not len(reached):
             return UNKNOWN
-        found = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
+        linear = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
         uncertainty = fit.statistics
         return predicted_rms(
-            found.jacobian[:, fit.robot.located][..., fit.unknowns.index],
+            linear.jacobian[:, fit.robot.located][..., fit.unknowns.index],
             uncertainty.covariance,
             uncertainty.coverage_factor,
         )

@@ -19,21 +19,21 @@ from calib.robots.mechanism import Mechanism
 _MANY = 5000  # poses at once, for which loading numba is worth it
 _MANY_IN_ALL = 20_000  # poses of a task, for which each process may load it
 _AVAILABLE = find_spec("numba") is not None
-_wanted: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
+_requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 
 
 @contextmanager
-def compiled(wanted: bool = True) -> Iterator[None]:
+def compiled(use: bool = True) -> Iterator[None]:
     """Inside, compute kinematics by compiled code where numba is installed; or never.
 
     Args:
-        wanted: Whether.
+        use: Whether.
     """
-    before = _wanted.set(wanted)
+    before = _requested.set(use)
     try:
         yield
     finally:
-        _wanted.reset(before)
+        _requested.reset(before)
 
 
 def compiled_for(n_poses: int) -> AbstractContextManager[None]:
@@ -42,12 +42,12 @@ def compiled_for(n_poses: int) -> AbstractContextManager[None]:
     Args:
         n_poses: How many, one part after the other.
     """
-    return compiled() if _wanted.get() is None and n_poses >= _MANY_IN_ALL else nullcontext()
+    return compiled() if _requested.get() is None and n_poses >= _MANY_IN_ALL else nullcontext()
 
 
-def asked() -> bool:
+def compilation_requested() -> bool:
     """Whether compiled code was asked for: what starts other processes tells them."""
-    return _wanted.get() is True
+    return _requested.get() is True
 
 
 def kernels(mechanism: Mechanism, n_poses: int) -> Any:
@@ -57,8 +57,8 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
         mechanism: The robot; loops that constrain directions are left to the reference.
         n_poses: How many poses are computed at once.
     """
-    wanted = _wanted.get()
-    use = n_poses >= _MANY if wanted is None else wanted
+    requested = _requested.get()
+    use = n_poses >= _MANY if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
     return import_module("calib.robots.kernels")

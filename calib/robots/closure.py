@@ -161,12 +161,12 @@ def _matched(pattern: BoolArray) -> IntArray:
     """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
     row_of_column = np.full(len(pattern), -1)
 
-    def finds_place(row: int, asked: set[int]) -> bool:
+    def finds_place(row: int, visited: set[int]) -> bool:
         for column in np.flatnonzero(pattern[row]).tolist():
-            if column in asked:
+            if column in visited:
                 continue
-            asked.add(column)
-            if row_of_column[column] < 0 or finds_place(int(row_of_column[column]), asked):
+            visited.add(column)
+            if row_of_column[column] < 0 or finds_place(int(row_of_column[column]), visited):
                 row_of_column[column] = row
                 return True
         return False

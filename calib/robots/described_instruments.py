@@ -37,10 +37,11 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
         return tuple(Position(name, name, _TARGETS_GROUP, noise=noise) for name in description.targets)
     sections = description.instruments.items()
     instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)
-    for one in instruments:
-        if isinstance(one, FrameInstrument) and one.target not in description.targets:
+    for instrument in instruments:
+        if isinstance(instrument, FrameInstrument) and instrument.target not in description.targets:
             raise DescriptionError(
-                f"{where}: instruments.{one.name}: no target '{one.target}'{nearest(one.target, description.targets)}"
+                f"{where}: instruments.{instrument.name}: no target '{instrument.target}'"
+                f"{nearest(instrument.target, description.targets)}"
             )
     _check_columns(description, instruments, where)
     return instruments
@@ -49,15 +50,18 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
 def _check_columns(description: Description, instruments: tuple[Instrument, ...], where: str) -> None:
     """Raise `DescriptionError` if a column has two meanings."""
     owners: dict[str, Instrument] = {}
-    for one in instruments:
-        for name in [*(column.name for column in one.columns()), *one.text_columns()]:
-            other = owners.setdefault(name, one)
-            if other is not one and (one.label_column is None or one.label_column != other.label_column):
+    for instrument in instruments:
+        for name in [*(column.name for column in instrument.columns()), *instrument.text_columns()]:
+            other = owners.setdefault(name, instrument)
+            if other is not instrument and (
+                instrument.label_column is None or instrument.label_column != other.label_column
+            ):
                 raise DescriptionError(f"{where}: instruments: two of them have a column '{name}'; rename one")
             if name in (*description.name_mot, "pose", "setup", "instrument"):
                 whose = "of a joint" if name in description.name_mot else f"of {name}s"
                 raise DescriptionError(
-                    f"{where}: instruments.{one.name}: its column '{name}' is that {whose}; rename the instrument"
+                    f"{where}: instruments.{instrument.name}: its column '{name}' is that {whose}; rename the"
+                    " instrument"
                 )
 
 
@@ -74,8 +78,8 @@ def places_of(description: Description, instruments: tuple[Instrument, ...], whe
         components = LENGTH_COMPONENTS if target.position == "unknown" else ()
         components += ANGLE_COMPONENTS if target.orientation == "unknown" else ()
         places.append(Place(name, target.frame, target.xyz, target.rpy, components, target.sigma, target.sigma_angle))
-    for one in instruments:
-        places += one.places()
+    for instrument in instruments:
+        places += instrument.places()
     names = [place.name for place in places]
     again = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if again is not None:
@@ -96,11 +100,11 @@ def places_of(description: Description, instruments: tuple[Instrument, ...], whe
     return tuple(places)
 
 
-def pair_names(description: Description, one: Instrument) -> tuple[tuple[str, str], ...]:
+def pair_names(description: Description, instrument: Instrument) -> tuple[tuple[str, str], ...]:
     """Return the frames that an instrument looks from and at: all pairs of the first setup, then of the next."""
     result: list[tuple[str, str]] = []
     for setup in list(description.setups) or [""]:
-        for a, b in one.pairs(MEASUREMENT_FRAME):
+        for a, b in instrument.pairs(MEASUREMENT_FRAME):
             result.append((_in_setup(description, a, setup), _in_setup(description, b, setup)))
     return tuple(result)
 
@@ -117,7 +121,7 @@ def _in_setup(description: Description, place: str, setup: str) -> str:
     """The place as it is in a setup: its latest self."""
     current = place
     for name, moved in description.setups.items():
-        if place in [_key(one) for one in moved]:
+        if place in [_key(key) for key in moved]:
             current = _later(place, name)
         if name == setup:
             return current

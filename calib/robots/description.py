@@ -192,7 +192,7 @@ class Description(Section):
             if isinstance(section, OriginSection) and component in section.components:
                 if section.origin == origin:
                     unit = section.unit
-                    others = tuple(one for one in section.components if one != component)
+                    others = tuple(other for other in section.components if other != component)
                     listed += [section.model_copy(update={"components": others})] if others else []
                     continue
                 unit = section.unit if section.origin == "all" and unit is None else unit
@@ -326,5 +326,5 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
     for key in map(str, location[2:-1]):  # sections inside a section
         inner = section.model_fields.get(key)
         kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
-        section = next((one for one in kinds if isinstance(one, type) and issubclass(one, Section)), section)
+        section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), section)
     return list(section.model_fields)

@@ -58,11 +58,11 @@ class FleetSection(Section):
     @model_validator(mode="after")
     def _same_length(self) -> FleetSection:
         name, first = next(iter(self.parameters.items()))
-        for other, one in self.parameters.items():
-            if len(one.unsure) != len(first.unsure):
+        for other, parameter in self.parameters.items():
+            if len(parameter.unsure) != len(first.unsure):
                 raise ValueError(
-                    f"'unsure' has {len(one.unsure)} numbers for '{other}' and {len(first.unsure)} for '{name}'; every"
-                    " parameter has as many: let `calib fleet` write it again"
+                    f"'unsure' has {len(parameter.unsure)} numbers for '{other}' and {len(first.unsure)} for '{name}';"
+                    " every parameter has as many: let `calib fleet` write it again"
                 )
         return self
 
@@ -94,17 +94,19 @@ class FleetSection(Section):
         """
         return tuple(self._expected(p, where) if self.knows(p.name) else p for p in parameters)
 
-    def _expected(self, one: Parameter, where: str) -> Parameter:
-        own = self.parameters[one.name]
+    def _expected(self, parameter: Parameter, where: str) -> Parameter:
+        own = self.parameters[parameter.name]
         try:
-            offset = quantity(own.offset, one.dimension, f"{where}: fleet: {one.name}, offset")
-            spread = quantity(own.spread, one.dimension, f"{where}: fleet: {one.name}, spread")
+            offset = quantity(own.offset, parameter.dimension, f"{where}: fleet: {parameter.name}, offset")
+            spread = quantity(own.spread, parameter.dimension, f"{where}: fleet: {parameter.name}, spread")
         except InputError as error:
             raise DescriptionError(str(error)) from None
         if spread <= 0:
-            raise DescriptionError(f"{where}: fleet: {one.name}: spread must be positive; hold what is always the same")
+            raise DescriptionError(
+                f"{where}: fleet: {parameter.name}: spread must be positive; hold what is always the same"
+            )
         sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(own.unsure))))
-        return replace(one, sigma_si=sigma, prior=True, mean_si=one.nominal_si + offset)
+        return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widened(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
         """Return it with all that it says so many times as uncertain.
@@ -115,8 +117,8 @@ class FleetSection(Section):
         """
         dimension = {p.name: p.dimension for p in parameters}
         wide = {
-            name: one.model_copy(update={"spread": factor * quantity(one.spread, dimension[name], name)})
-            for name, one in self.parameters.items()
+            name: parameter.model_copy(update={"spread": factor * quantity(parameter.spread, dimension[name], name)})
+            for name, parameter in self.parameters.items()
             if name in dimension
         }
         return self.model_copy(update={"parameters": wide})

@@ -148,7 +148,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     columns = columns_of_terms(robot.terms, robot.mechanism, q, context)
     if not slopes:
         return columns
-    by_turn, values = tuple(torque(one) for one in slopes), robot.values[robot.coefficients]
+    by_turn, values = tuple(torque(turn_slope) for turn_slope in slopes), robot.values[robot.coefficients]
     return (*columns[:-1], turn_columns(robot.terms, robot.mechanism, q, context, by_turn, values))
 
 
@@ -178,13 +178,13 @@ def commands_for(robot: RobotData, actual: FloatArray, context: Context | None =
         context: Under which conditions.
     """
     n_actuated = len(robot.joint_names)
-    wanted = q = np.array(actual[:, :n_actuated])
+    goal = q = np.array(actual[:, :n_actuated])
     if not robot.terms:
         return q
     part, off = np.ones((len(q), 1)), np.full((len(q), 1), np.inf)
     best, step = q, np.zeros_like(q)
     for _ in range(_COMMAND_ROUNDS):
-        left = wanted - actual_joints(robot, q, term_columns(robot, q, context))[:, :n_actuated]
+        left = goal - actual_joints(robot, q, term_columns(robot, q, context))[:, :n_actuated]
         still = np.max(np.abs(left), axis=1, keepdims=True, initial=0.0)
         worse = (still > off) & (still > _COMMANDED)
         part, off = np.where(worse, part / 2, part), np.where(worse, off, still)

@@ -100,7 +100,7 @@ def spread(
     """
     lower, upper = box
     middle = np.clip(home, lower, upper)
-    found: list[FloatArray] = []
+    samples: list[FloatArray] = []
     missing = count
     size, rounds = 1.0, 0
     while missing > 0 and size > _SMALLEST_BOX and rounds < _ROUNDS:
@@ -108,7 +108,7 @@ def spread(
         left = TRIES * count
         while missing > 0 and left > 0:  # a part at a time: the same numbers, and no more memory than the result needs
             q = rng.uniform(low, high, (min(left, _AT_ONCE), len(low)))
-            found.append(q[taken(q)][:missing])
-            left, missing = left - len(q), missing - len(found[-1])
+            samples.append(q[taken(q)][:missing])
+            left, missing = left - len(q), missing - len(samples[-1])
         size, rounds = (_DRAWN_IN * size, rounds) if draw_in else (size, rounds + 1)
-    return np.vstack([np.zeros((0, len(home))), *found])
+    return np.vstack([np.zeros((0, len(home))), *samples])

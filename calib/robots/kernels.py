@@ -285,7 +285,7 @@ def poses(tree: Tree, q: FloatArray) -> FloatArray:
 def motion(
     tree: Tree,
     loops: Loops,
-    found: FloatArray,
+    joint_poses: FloatArray,
     mapping: FloatArray,
     signs: FloatArray,
     direct: FloatArray,
@@ -299,7 +299,7 @@ def motion(
     Args:
         tree: The model.
         loops: Its loops.
-        found: Of `poses`.
+        joint_poses: Of `poses`.
         mapping: From V_b - V_a to what is differentiated, (n, n_rows, 6).
         signs: What each joint moves: +1 only b, -1 only a, else 0, (n_joints,).
         direct: Its derivative by the passive joints beside that, (n_rows, n_passive).
@@ -327,7 +327,7 @@ def motion(
                 break
     follows, factor = _leads(select, np.ones((1, n_joints)))
     for k in range(n):
-        T, map_k = found[k], mapping[k]
+        T, map_k = joint_poses[k], mapping[k]
         for c in range(n_passive):
             for r in range(n_rows):
                 X[c, r] = direct[r, c]

@@ -79,12 +79,12 @@ class CompiledPoses:
     Attributes:
         functions: The compiled functions.
         tree: What counts of the model, as arrays.
-        found: `flat_poses` of the world and all joints that count, (n, n_reduced + 1, 12).
+        poses: `flat_poses` of the world and all joints that count, (n, n_reduced + 1, 12).
     """
 
     functions: Any
     tree: Any
-    found: FloatArray
+    poses: FloatArray
 
 
 def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
@@ -98,8 +98,8 @@ def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pai
     """
     reduced, _ = mechanism.around(pairs)
     tree = functions.tree(mechanism, reduced)
-    found = functions.poses(tree, joints[:, reduced.joints])
-    return Sweep(reduced, *_parts(found), np.empty(0), CompiledPoses(functions, tree, found))
+    poses = functions.poses(tree, joints[:, reduced.joints])
+    return Sweep(reduced, *_parts(poses), np.empty(0), CompiledPoses(functions, tree, poses))
 
 
 def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:

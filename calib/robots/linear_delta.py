@@ -96,11 +96,11 @@ class DeltaGeometry:
         ey = third - along[:, None] * ex
         across = np.linalg.norm(ey, axis=1)
         ey = ey / across[:, None]
-        one, two, three = (arm**2 for arm in self.arms)
-        x = (one - two + width**2) / (2 * width)
-        y = (one - three + along**2 + across**2 - 2 * along * x) / (2 * across)
+        first_square, second_square, third_square = (arm**2 for arm in self.arms)
+        x = (first_square - second_square + width**2) / (2 * width)
+        y = (first_square - third_square + along**2 + across**2 - 2 * along * x) / (2 * across)
         with np.errstate(invalid="ignore"):
-            z = np.sqrt(one - x**2 - y**2)
+            z = np.sqrt(first_square - x**2 - y**2)
         normal = np.cross(ex, ey)
         normal *= -np.sign(normal[:, 2:])
         return np.asarray(first + x[:, None] * ex + y[:, None] * ey + z[:, None] * normal)
@@ -222,7 +222,7 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, heights: Sequenc
         for height in heights or (0.0,)
     )
     calipers = "  caliper: {kind: distance, target: nozzle, end: {frame: platform_2}, sigma: 0.1 mm}\n" if twice else ""
-    pairs = ", ".join(f"[{one}, {other}]" for one, other in plan.loops)
+    pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
     return f"""\
 # Robot description of a linear delta: {title}.
 urdf: {json.dumps(urdf, ensure_ascii=False)}

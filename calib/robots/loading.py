@@ -150,11 +150,16 @@ def _check_columns(
 ) -> None:
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
-    dimensions |= {column.name: column.dimension for one in instruments for column in one.columns()}
+    dimensions |= {column.name: column.dimension for instrument in instruments for column in instrument.columns()}
     dimensions |= CONTEXT
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)
-    texts = {name for one in instruments for name in (*one.text_columns(), one.label_column) if name is not None}
+    texts = {
+        name
+        for instrument in instruments
+        for name in (*instrument.text_columns(), instrument.label_column)
+        if name is not None
+    }
     texts |= {"pose", "setup"}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
@@ -179,18 +184,20 @@ def _check_columns(
 
 def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
     """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
-    for one in instruments:
-        if not isinstance(one, JointInstrument):
+    for instrument in instruments:
+        if not isinstance(instrument, JointInstrument):
             continue
-        place = f"{where}: instruments.{one.name}.joint"
+        place = f"{where}: instruments.{instrument.name}.joint"
         moving = [
             name
             for k, name in enumerate(mechanism.origin_names)
             if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
         ]
-        if one.joint not in moving:
-            raise DescriptionError(f"{place}: no joint '{one.joint}' that moves{nearest(one.joint, moving)}")
-        own, dimension = one.parts[0].dimension, mechanism.dimensions[one.joint]
+        if instrument.joint not in moving:
+            raise DescriptionError(
+                f"{place}: no joint '{instrument.joint}' that moves{nearest(instrument.joint, moving)}"
+            )
+        own, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if own != dimension:
             moves = "slides" if dimension == "length" else "turns"
-            raise DescriptionError(f"{place}: joint '{one.joint}' {moves}; set dimension: {dimension}")
+            raise DescriptionError(f"{place}: joint '{instrument.joint}' {moves}; set dimension: {dimension}")

@@ -83,8 +83,8 @@ def close(
         ok &= within_limits(mechanism, passive)
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        found, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-        passive[todo] = wrapped(mechanism, mode, found)
+        followed, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
+        passive[todo] = wrapped(mechanism, mode, followed)
         ok &= within_limits(mechanism, passive)
         passive[~ok], slope[~ok] = np.nan, np.nan
     return Closed(passive, ok, slope)

@@ -59,11 +59,11 @@ def build_mechanism(
             frames.setdefault(place.name, indices[place.name])
     base = indices[MEASUREMENT_FRAME]
     targets = [RelativeFrame(name, base, indices[name], False, (0, 1, 2)) for name in description.targets]
-    views = dict.fromkeys(pair for one in instruments for pair in pair_names(description, one))
+    views = dict.fromkeys(pair for instrument in instruments for pair in pair_names(description, instrument))
     seen = tuple(view(indices, a, b) for a, b in views)
     support = _support(model)
     loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
-    between = np.array([support[one.b] != support[one.a] for one in (*targets, *seen, *loops)])
+    between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *seen, *loops)])
     names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
     require_supported([joint for joint in urdf.joints if joint.name in names], where)
     groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)

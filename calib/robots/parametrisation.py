@@ -194,15 +194,15 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str)
         raise ParameterError(f"{robot.path}: says that priors do not count (priors: false); leave that out")
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)
-        one = robot.parameters[place]
+        parameter = robot.parameters[place]
         origin, _, component = name.rpartition(".")
         listed = place < robot.n_origin_parameters and component in COMPONENTS and bool(description.origins)
-        if not listed or one.placement:
+        if not listed or parameter.placement:
             raise ParameterError(
                 f"parameter '{name}' is no component of an origin in the list 'parametrisation'; its sigma stands"
                 " in the robot description"
             )
-        if quantity(sigma, one.dimension, f"prior of '{name}'") <= 0:
+        if quantity(sigma, parameter.dimension, f"prior of '{name}'") <= 0:
             raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
         description = description.with_sigma(origin, cast(Component, component), sigma)
     places = places_of(description, robot.instruments, robot.path)

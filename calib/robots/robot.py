@@ -54,7 +54,7 @@ class Robot(RobotData):
     def _repr_html_(self) -> str:
         told = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
         rows = zip(self.parameters, self.values, self.is_free, strict=True)
-        return titled_html(self.name, (repr(self)[1:-1], told), [one.row(value, free) for one, value, free in rows])
+        return titled_html(self.name, (repr(self)[1:-1], told), [p.row(value, free) for p, value, free in rows])
 
     def fix(self, *names: str | Sequence[str]) -> Robot:
         """Return a robot of which a fit leaves these parameters, too, as they are.
@@ -228,8 +228,8 @@ class Robot(RobotData):
             DescriptionError: Unknown frame.
             UnreachablePoseError: A loop cannot be closed.
         """
-        found, pair = self.assemble(q), self._seen(frame)
-        by_joint = actuated_jacobian(self.mechanism, pair, found.actuated, found.passive)[2]
+        configurations, pair = self.assemble(q), self._seen(frame)
+        by_joint = actuated_jacobian(self.mechanism, pair, configurations.actuated, configurations.passive)[2]
         own = by_joint[:, :, : len(self.joint_names)]
         return own[0] if np.ndim(q) == 1 else own
 
@@ -296,16 +296,16 @@ class Robot(RobotData):
             return good[np.all((points >= low) & (points <= high), axis=1)]
 
         with compiled_for(TRIES * count if self.mechanism.loops else 0):
-            found = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
-        if len(found) < count:
+            q = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
+        if len(q) < count:
             what = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
-            raise DataError(f"{self.path}: only {len(found)} of {count} random poses {what}")
-        return found
+            raise DataError(f"{self.path}: only {len(q)} of {count} random poses {what}")
+        return q
 
 
 def _flat(names: Sequence[str | Sequence[str]]) -> tuple[str, ...]:
     """Names that were given one after the other, or as a list."""
-    return tuple(name for one in names for name in ((one,) if isinstance(one, str) else one))
+    return tuple(name for entry in names for name in ((entry,) if isinstance(entry, str) else entry))
 
 
 def require_robot(robot: object) -> None:

@@ -115,10 +115,10 @@ class RobotData(ReadOnlyArrays):
         hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
         """
         read: dict[bool, set[str]] = {True: set(), False: set()}
-        for one in self.instruments:
-            unknown = {place.name for place in one.places() if place.unknown}
-            if any(part.dimension != "angle" for part in one.parts):
-                for place, target in one.pairs(""):
+        for instrument in self.instruments:
+            unknown = {place.name for place in instrument.places() if place.unknown}
+            if any(part.dimension != "angle" for part in instrument.parts):
+                for place, target in instrument.pairs(""):
                     read[place in unknown].add(target)
         unsure = read[True] - read[False] if read[False] else set()
         return {name: k for k, name in enumerate(self.target_names) if name in unsure}
@@ -131,10 +131,10 @@ class RobotData(ReadOnlyArrays):
     @cached_property
     def parameters(self) -> Parameters:
         """Parameters, in the order of `values`, and by name; two of one name are a `DescriptionError`."""
-        of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
+        of_instruments = tuple(p for instrument in self.instruments for p in instrument.unknowns)
         of_terms = tuple(p for term in self.terms for p in term.parameters)
         every = self.parametrisation.parameters + of_instruments + of_terms
-        twice = next((name for name, n in Counter(one.name for one in every).items() if n > 1), None)
+        twice = next((name for name, n in Counter(parameter.name for parameter in every).items() if n > 1), None)
         if twice is not None:
             raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice: '{twice}'")
         fleet = self.description.fleet
@@ -163,23 +163,25 @@ class RobotData(ReadOnlyArrays):
 
     def instrument(self, name: str) -> Instrument:
         """Return an instrument; an unknown name is a `DescriptionError`."""
-        for one in self.instruments:
-            if one.name == name:
-                return one
-        raise DescriptionError(f"no instrument '{name}'{nearest(name, [one.name for one in self.instruments])}")
+        for instrument in self.instruments:
+            if instrument.name == name:
+                return instrument
+        raise DescriptionError(
+            f"no instrument '{name}'{nearest(name, [instrument.name for instrument in self.instruments])}"
+        )
 
     def unknowns(self, name: str) -> slice:
         """Return which parameters are the unknown numbers of an instrument."""
         start = self.n_origin_parameters
-        for one in self.instruments:
-            if one.name == name:
+        for instrument in self.instruments:
+            if instrument.name == name:
                 break
-            start += len(one.unknowns)
+            start += len(instrument.unknowns)
         return slice(start, start + len(self.instrument(name).unknowns))
 
-    def pairs(self, one: Instrument) -> tuple[RelativeFrame, ...]:
+    def pairs(self, instrument: Instrument) -> tuple[RelativeFrame, ...]:
         """Return what an instrument looks along, in the order of `Readings.pairs`."""
-        return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, one))
+        return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, instrument))
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Self:
         """Return a robot with other parameter values.

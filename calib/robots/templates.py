@@ -94,7 +94,7 @@ def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
 
 
 def _description(plan: Plan, title: str, urdf: str) -> str:
-    pairs = ", ".join(f"[{one}, {other}]" for one, other in plan.loops)
+    pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
     targets = "".join(
         f"  {name}: {{frame: {frame}, xyz: [{', '.join(map(_mm, xyz))}], position: unknown, sigma: 2 mm}}\n"
         for name, (frame, xyz) in plan.targets.items()

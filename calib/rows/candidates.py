@@ -82,11 +82,11 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
         raise DataError(f"sigma {sigma:g} m: must be a positive number")
-    assumed = any(not part.stated for one in robot.instruments for part in stated_noise(one, sigma).parts)
+    assumed = any(not part.stated for instrument in robot.instruments for part in stated_noise(instrument, sigma).parts)
     lengths = [
         (part, noise)
-        for one in robot.instruments
-        for part, noise in zip(one.parts, stated_noise(one, sigma).parts, strict=True)
+        for instrument in robot.instruments
+        for part, noise in zip(instrument.parts, stated_noise(instrument, sigma).parts, strict=True)
         if part.dimension == "length"
     ]
     for part, noise in sorted(lengths, key=lambda length: not length[0].is_position):
@@ -144,10 +144,10 @@ def rows_of_poses(
 def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
     """Return where in the rows of a pose those of each instrument are, so that there is room at every pose."""
     result, start = dict[str, slice](), 0
-    for one in robot.instruments:
-        most = int(np.max(np.bincount(looks[one.name].visits), initial=0))
-        result[one.name] = slice(start, start + most * one.n_rows)
-        start += most * one.n_rows
+    for instrument in robot.instruments:
+        most = int(np.max(np.bincount(looks[instrument.name].visits), initial=0))
+        result[instrument.name] = slice(start, start + most * instrument.n_rows)
+        start += most * instrument.n_rows
     return result
 
 
@@ -157,9 +157,9 @@ def _positions(
     """Positions of targets and their derivative, from instruments that measure just these where there are."""
     n = len(configurations.actuated)
     position_instruments = {
-        one.target: one.name
-        for one in robot.instruments
-        if isinstance(one, Position) and np.array_equal(data.readings[one.name].visits, np.arange(n))
+        instrument.target: instrument.name
+        for instrument in robot.instruments
+        if isinstance(instrument, Position) and np.array_equal(data.readings[instrument.name].visits, np.arange(n))
     }
     if set(position_instruments) == set(robot.target_names):
         names = [position_instruments[target] for target in robot.target_names]
@@ -175,14 +175,14 @@ class Candidates:
 
     Attributes:
         joints: (n, n_actuated) [m or rad].
-        found: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions only their
-            R (`calib.numerics.identifiability.reduced`), (at most n_parameters, n_parameters) [m].
+        pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
+            only their R (`calib.numerics.identifiability.reduced`), (at most n_parameters, n_parameters) [m].
         usable: Which can be assembled far enough from singularities, (n,).
         skipped: What to call each pose that is not usable, and why.
     """
 
     joints: FloatArray
-    found: PoseRows
+    pose_rows: PoseRows
     usable: BoolArray
     skipped: tuple[str, ...]
 

@@ -67,9 +67,9 @@ class Loose:
         unknown = [tuple(p.name.rpartition(".")[::2]) for p, is_free in free if p.placement and is_free]
         looked = [
             pair
-            for one in robot.instruments
-            if any(part.dimension != "angle" for part in one.parts)
-            for pair in robot.pairs(one)
+            for instrument in robot.instruments
+            if any(part.dimension != "angle" for part in instrument.parts)
+            for pair in robot.pairs(instrument)
         ]
         moved = mechanism.support @ np.any(mechanism.select_moving, axis=1) > 0
 
@@ -176,9 +176,9 @@ class CommonMotion(ReadOnlyArrays):
             columns[:, t, 3:, place] = rotations[:, t] / length
         return columns @ self.basis
 
-    def _best(self, columns: FloatArray, wanted: FloatArray) -> FloatArray:
+    def _best(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
         """The z that come nearest to changes (n, n_targets, 6, m) that are to be made, (k, m)."""
-        return np.asarray(np.linalg.lstsq(self._fitted(columns), self._fitted(wanted), rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(self._fitted(columns), self._fitted(changes), rcond=None)[0])
 
     def _fitted(self, columns: FloatArray) -> FloatArray:
         """Rows that are to agree, (n_rows, k), of columns (n, n_targets, 6, k)."""

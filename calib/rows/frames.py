@@ -160,9 +160,9 @@ def program_frame(known: KnownRobot) -> Frame:
 @one_blas_thread
 def measurement_frame(known: KnownRobot) -> Frame:
     """Return the frame in which the instruments see places; see the module docstring."""
-    nominal, found = as_described(known.robot), any(parameter.placement for parameter in known.robot.parameters)
+    nominal, placed = as_described(known.robot), any(parameter.placement for parameter in known.robot.parameters)
     meant = _laid(nominal, known.robot, Loose.of(nominal), known).robot if known.nothing_to_correct else nominal
-    words = "in the measurement frame" + (", base and targets where the calibration found them" if found else "")
+    words = "in the measurement frame" + (", base and targets where the calibration found them" if placed else "")
     return Frame(known, known.robot, meant, nominal, words, np.ones_like(_of_the_robot(known)), None)
 
 

@@ -51,7 +51,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     expected = np.array([parameters[k].expected_si for k in free])
     q = around_home(robot)
     predicted = predicted_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
-    readings = {name: replace(one, values=np.nan_to_num(one.values)) for name, one in predicted.items()}
+    readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
     before, _ = _stacked(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):
         now, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
@@ -85,6 +85,6 @@ def around_home(robot: Robot) -> FloatArray:
 
 def _stacked(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
     """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; what was not read counts 0."""
-    residuals = np.concatenate([one.residuals.ravel() for one in observed.values()])
-    jacobian = np.concatenate([one.jacobian.reshape(-1, one.jacobian.shape[2]) for one in observed.values()])
+    residuals = np.concatenate([block.residuals.ravel() for block in observed.values()])
+    jacobian = np.concatenate([block.jacobian.reshape(-1, block.jacobian.shape[2]) for block in observed.values()])
     return np.nan_to_num(residuals), np.nan_to_num(jacobian)

@@ -212,7 +212,7 @@ def _compiled_motion(
     return by.functions.motion(
         by.tree,
         rows,
-        by.found,
+        by.poses,
         mapping,
         signs[reduced.joints],
         direct,

@@ -66,12 +66,12 @@ def observe(
     twists = parameter_twists(robot)
     if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
-    work = [_Work(robot, robot.instrument(name), own, n_driven) for name, own in readings.items()]
-    pairs = tuple(dict.fromkeys(pair for one in work for pair in one.pairs))
+    works = [_Work(robot, robot.instrument(name), own, n_driven) for name, own in readings.items()]
+    pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
-        for one in work:
-            one.fill(part, swept, configurations, twists)
-    return {one.instrument.name: one.result(configurations) for one in work}
+        for work in works:
+            work.fill(part, swept, configurations, twists)
+    return {work.instrument.name: work.result(configurations) for work in works}
 
 
 class _Work:
@@ -184,23 +184,25 @@ def _is_identity(matrices: FloatArray) -> bool:
 
 
 def predicted_readings(
-    robot: Robot, configurations: Configurations, wanted: Mapping[str, Readings] | None = None
+    robot: Robot, configurations: Configurations, looks: Mapping[str, Readings] | None = None
 ) -> dict[str, Readings]:
     """Return what instruments would read, without noise.
 
     Args:
         robot: The robot, at its current values.
         configurations: Its assembled visits.
-        wanted: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
+        looks: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
             given.
     """
-    if wanted is None:
-        wanted = {one.name: _every_look(one, len(configurations.actuated)) for one in robot.instruments}
+    if looks is None:
+        looks = {
+            instrument.name: _every_look(instrument, len(configurations.actuated)) for instrument in robot.instruments
+        }
     result = {}
-    for name, seen in seen_by(robot, configurations, wanted).items():
-        looks = wanted[name]
-        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], looks.details)
-        result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
+    for name, seen in seen_by(robot, configurations, looks).items():
+        readings = looks[name]
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], readings.details)
+        result[name] = Readings(readings.visits, readings.pairs, values, None, readings.details)
     return result
 
 
@@ -220,12 +222,12 @@ def seen_by(
     swept = kinematics.sweep(mechanism, joints, pairs)
     result: dict[str, View | FloatArray] = {}
     for name, readings in looks.items():
-        one = robot.instrument(name)
-        if isinstance(one, JointInstrument):
-            result[name] = joints[readings.visits, mechanism.origin_names.index(one.joint)]
+        instrument = robot.instrument(name)
+        if isinstance(instrument, JointInstrument):
+            result[name] = joints[readings.visits, mechanism.origin_names.index(instrument.joint)]
             continue
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
-        for number, pair in enumerate(robot.pairs(one)):
+        for number, pair in enumerate(robot.pairs(instrument)):
             chosen = np.flatnonzero(readings.pairs == number)
             poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
         result[name] = View(poses[:, :3, :3], poses[:, :3, 3])
@@ -237,30 +239,34 @@ def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
 
     Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
     """
-    return {one.name: _looks_of(robot, one, poses) for one in robot.instruments}
+    return {instrument.name: _looks_of(robot, instrument, poses) for instrument in robot.instruments}
 
 
 def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
     """Return the instruments that touch, and of which poses do not say what."""
     said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
-    return [one for one in robot.instruments if one.touches and one.name not in said]
+    return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in said]
 
 
-def _looks_of(robot: Robot, one: Instrument, poses: Poses) -> Readings:
-    if one.name in poses.wanted:
-        return poses.wanted[one.name]
-    if isinstance(poses, Measurements) and one.touches:
+def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
+    if instrument.name in poses.wanted:
+        return poses.wanted[instrument.name]
+    if isinstance(poses, Measurements) and instrument.touches:
         index = np.arange(len(poses))
-        made = of_visits(poses.readings[one.name], index) if one.name in poses.readings else _every_look(one, 0)
+        made = (
+            of_visits(poses.readings[instrument.name], index)
+            if instrument.name in poses.readings
+            else _every_look(instrument, 0)
+        )
         return Readings(made.visits, made.pairs, np.zeros((len(made), 0)), None, made.details)
-    every = _every_look(one, len(poses))
+    every = _every_look(instrument, len(poses))
     if poses.setups is None:
         return every
-    return replace(every, pairs=every.pairs + in_setups(robot, one, poses.setups)[every.visits])
+    return replace(every, pairs=every.pairs + in_setups(robot, instrument, poses.setups)[every.visits])
 
 
-def _every_look(one: Instrument, n: int) -> Readings:
+def _every_look(instrument: Instrument, n: int) -> Readings:
     """All that an instrument can read, at each of n visits; no values."""
-    pairs, details = one.looks()
+    pairs, details = instrument.looks()
     visits = np.repeat(np.arange(n), len(pairs))
     return Readings(visits, np.tile(pairs, n), np.zeros((len(visits), 0)), None, np.tile(details, (n, 1)))

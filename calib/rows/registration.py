@@ -44,13 +44,13 @@ def register(robot: Robot, data: Measurements) -> Robot:
         for seen in _seen_together(robot, data, setup):
             robot = _placed(robot, data, seen, setup)
     placed: list[str] = []
-    for one in robot.instruments:
-        if len(data.readings.get(one.name, ())):
-            placed.append(one.name)
-            if isinstance(one, FrameInstrument):
-                robot = _guessed(robot, data, one, placed)
-            elif isinstance(one, JointInstrument):
-                robot = _read_off(robot, data, one)
+    for instrument in robot.instruments:
+        if len(data.readings.get(instrument.name, ())):
+            placed.append(instrument.name)
+            if isinstance(instrument, FrameInstrument):
+                robot = _guessed(robot, data, instrument, placed)
+            elif isinstance(instrument, JointInstrument):
+                robot = _read_off(robot, data, instrument)
     return robot
 
 
@@ -78,11 +78,11 @@ class _Frames:
     def __init__(self, robot: Robot, setup: int) -> None:
         self.setup = setup
         self.pairs: dict[str, RelativeFrame] = {}
-        for one in robot.instruments:
-            every = robot.pairs(one)
-            if isinstance(one, FrameInstrument) and every[0].a == robot.mechanism.targets[0].a:
+        for instrument in robot.instruments:
+            every = robot.pairs(instrument)
+            if isinstance(instrument, FrameInstrument) and every[0].a == robot.mechanism.targets[0].a:
                 later = every[setup * len(every) // max(len(robot.description.setups), 1)]
-                self.pairs.setdefault(one.target, later)
+                self.pairs.setdefault(instrument.target, later)
 
     def base(self, robot: Robot) -> str:
         """Return the origin of the measurement frame."""
@@ -99,9 +99,9 @@ def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
     n_setups = max(len(robot.description.setups), 1)
     in_setup = np.zeros(len(data), dtype=bool)
     for name, readings in data.readings.items():
-        one = robot.instrument(name)
-        if one.points(readings.values[:1]) is not None:
-            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(one)) == setup]] = True
+        instrument = robot.instrument(name)
+        if instrument.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(instrument)) == setup]] = True
     seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
     if not np.any(seen):
         return []
@@ -156,15 +156,15 @@ def _registration(
     return place(moving, np.ones(len(chosen)), T_base_measurement, frame_known=frame_known)
 
 
-def _guessed(robot: Robot, data: Measurements, one: FrameInstrument, placed: list[str]) -> Robot:
+def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
     """Return the robot with what an instrument alone can guess.
 
     Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
     look at one body.
     """
-    readings = data.readings[one.name]
-    names = pair_names(robot.description, one)
-    mechanism, pairs = robot.mechanism, robot.pairs(one)
+    readings = data.readings[instrument.name]
+    names = pair_names(robot.description, instrument)
+    mechanism, pairs = robot.mechanism, robot.pairs(instrument)
     places = {name: mechanism.placement(mechanism.origin(name)) for pair in names for name in pair}
     known = {name: pose.homogeneous for name, pose in places.items()}
     unknown = {name: _open_components(robot, name) for name in places}
@@ -173,9 +173,9 @@ def _guessed(robot: Robot, data: Measurements, one: FrameInstrument, placed: lis
         chosen = np.flatnonzero(readings.pairs == number)
         if len(chosen):
             links[chosen] = _carriers(robot, data, readings.visits[chosen], [pair])[0]
-    values = robot.values[robot.unknowns(one.name)]
-    guesses = one.first_values(Scene(readings, links, names, known, unknown, values))
-    tried = [_with_guess(robot, one, guess, unknown) for guess in guesses]
+    values = robot.values[robot.unknowns(instrument.name)]
+    guesses = instrument.first_values(Scene(readings, links, names, known, unknown, values))
+    tried = [_with_guess(robot, instrument, guess, unknown) for guess in guesses]
     if len(tried) < 2:
         return tried[0] if tried else robot
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
@@ -190,15 +190,15 @@ def _guessed(robot: Robot, data: Measurements, one: FrameInstrument, placed: lis
     return min(tried, key=miss)
 
 
-def _read_off(robot: Robot, data: Measurements, one: JointInstrument) -> Robot:
+def _read_off(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
     """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
     readings, configurations = (
-        data.readings[one.name],
+        data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
     )
-    seen = np.asarray(seen_by(robot, configurations, {one.name: readings})[one.name])
-    first = one.first_unknowns(seen, robot.values[robot.unknowns(one.name)], readings)
-    return _with(robot, {p.name: float(value) for p, value in zip(one.unknowns, first, strict=True)})
+    seen = np.asarray(seen_by(robot, configurations, {instrument.name: readings})[instrument.name])
+    first = instrument.first_unknowns(seen, robot.values[robot.unknowns(instrument.name)], readings)
+    return _with(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
 
 
 def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
@@ -209,7 +209,7 @@ def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
 
 
 def _with_guess(
-    robot: Robot, one: FrameInstrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]
+    robot: Robot, instrument: FrameInstrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]
 ) -> Robot:
     values: dict[str, float] = {}
     for name, pose in guess.places.items():
@@ -222,7 +222,7 @@ def _with_guess(
             if component in unknown.get(name, ()):
                 values[f"{origin}.{component}"] = float(number)
     if guess.unknowns is not None:
-        values |= {p.name: float(number) for p, number in zip(one.unknowns, guess.unknowns, strict=True)}
+        values |= {p.name: float(number) for p, number in zip(instrument.unknowns, guess.unknowns, strict=True)}
     return _with(robot, values)
 
 
@@ -230,21 +230,21 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
     """Unknown orientations of targets, from where the measurement frame is now."""
     values: dict[str, float] = {}
     for name, readings in data.readings.items():
-        one = robot.instrument(name)
-        turned = one.orientations(readings.values)
-        if turned is None or not isinstance(one, FrameInstrument):
+        instrument = robot.instrument(name)
+        turned = instrument.orientations(readings.values)
+        if turned is None or not isinstance(instrument, FrameInstrument):
             continue
-        if robot.description.targets[one.target].orientation == "known":
+        if robot.description.targets[instrument.target].orientation == "known":
             continue
         chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
-        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]
+        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[instrument.target]])[0][:, :3, :3]
         base = robot.mechanism.placement(frames.base(robot)).rotation
         mean = (
             scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
             .mean()
             .as_matrix()
         )
-        origin = frames.origin(robot, one.target)
+        origin = frames.origin(robot, instrument.target)
         nominal = robot.nominal.placement(origin).rotation
         values |= _named(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
     return values

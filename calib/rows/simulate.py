@@ -86,11 +86,11 @@ def simulate(
     configurations = _assembled(robot, poses, commands, off)  # says which pose cannot be
     readings = dict[str, Readings]()
     for name, predicted in predicted_readings(robot, configurations, looks).items():
-        one = robot.instrument(name)
+        instrument = robot.instrument(name)
         if name not in touches:
-            readings[name] = _noisy(one, predicted, sigma, rng)
+            readings[name] = _noisy(instrument, predicted, sigma, rng)
         elif len(predicted):
-            zeros = np.zeros((len(predicted), one.n_rows))
+            zeros = np.zeros((len(predicted), instrument.n_rows))
             readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
     noise = "noise as the description states it" if sigma is None else _said(sigma)
     said = (f"simulated measurements of {robot.name}", noise)
@@ -113,7 +113,11 @@ def noisy_readings(
 
 def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
     """Return the instruments of whose noise neither the description nor `sigma` says anything."""
-    return [one.name for one in robot.instruments if not all(part.stated for part in stated_noise(one, sigma).parts)]
+    return [
+        instrument.name
+        for instrument in robot.instruments
+        if not all(part.stated for part in stated_noise(instrument, sigma).parts)
+    ]
 
 
 def _said(sigma: float) -> str:
@@ -131,10 +135,10 @@ def _touches(
             f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
         )
     result = {}
-    for one in (one for one in robot.instruments if one.touches):
-        look = looks[one.name]
-        exact = Readings(look.visits, look.pairs, np.zeros((len(look), one.n_rows)), None, look.details)
-        result[one.name] = _noisy(one, exact, sigma, rng)
+    for instrument in (instrument for instrument in robot.instruments if instrument.touches):
+        look = looks[instrument.name]
+        exact = Readings(look.visits, look.pairs, np.zeros((len(look), instrument.n_rows)), None, look.details)
+        result[instrument.name] = _noisy(instrument, exact, sigma, rng)
     return result
 
 
@@ -266,16 +270,16 @@ def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray
     return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 
-def _noisy(one: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
+def _noisy(instrument: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     """Readings with noise, without those of what cannot be seen."""
     seen = np.flatnonzero(~np.isnan(every.values).all(axis=1))
     visible = Readings(every.visits[seen], every.pairs[seen], every.values[seen], None, every.details[seen])
-    change = np.zeros((len(visible), one.n_rows))
+    change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
-        noise = stated_noise(one, sigma)
-        widths = [len(part.axes) for part in one.parts]
-        covariance = noise.covariance(one.points(visible.values), len(visible), widths)
+        noise = stated_noise(instrument, sigma)
+        widths = [len(part.axes) for part in instrument.parts]
+        covariance = noise.covariance(instrument.points(visible.values), len(visible), widths)
         normal = rng.standard_normal(change.shape)
-        stated = np.array([float(noise.parts[k].stated) for k in one.part_of_row])
+        stated = np.array([float(noise.parts[k].stated) for k in instrument.part_of_row])
         change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
-    return Readings(visible.visits, visible.pairs, one.moved(visible.values, change), None, visible.details)
+    return Readings(visible.visits, visible.pairs, instrument.moved(visible.values, change), None, visible.details)

@@ -35,19 +35,23 @@ class Whitening:
     """
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
-        self._names = tuple(one.name for one in robot.instruments if len(data.readings.get(one.name, ())))
-        self._n_rows = {one.name: one.n_rows for one in robot.instruments}
+        self._names = tuple(
+            instrument.name for instrument in robot.instruments if len(data.readings.get(instrument.name, ()))
+        )
+        self._n_rows = {instrument.name: instrument.n_rows for instrument in robot.instruments}
         self._inverse: dict[str, FloatArray] = {}
         groups: dict[tuple[str, str, bool], Group] = {}
         numbers: list[IntArray] = []
         widths: list[IntArray] = []
         for name in self._names:
-            one, readings = robot.instrument(name), data.readings[name]
-            noise = stated_noise(one, sigma)
-            covariance = _covariance(one, noise, readings)
-            absent = _absent(one, readings)
-            number = np.array([_group(groups, one, noise, readings, covariance, part) for part in one.parts])
-            numbers.append(np.where(absent, -1, number[list(one.part_of_row)]).ravel())
+            instrument, readings = robot.instrument(name), data.readings[name]
+            noise = stated_noise(instrument, sigma)
+            covariance = _covariance(instrument, noise, readings)
+            absent = _absent(instrument, readings)
+            number = np.array(
+                [_group(groups, instrument, noise, readings, covariance, part) for part in instrument.parts]
+            )
+            numbers.append(np.where(absent, -1, number[list(instrument.part_of_row)]).ravel())
             widths.append(np.sum(~absent, axis=1))
             self._inverse[name] = _inverse_roots(covariance, absent)
         self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
@@ -179,52 +183,52 @@ class Whitening:
         return result
 
 
-def stated_noise(one: Instrument, sigma: float | None) -> Noise:
+def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
     """Return the noise of an instrument, with another one for its positions if that is given [m]."""
     if sigma is None:
-        return one.noise
+        return instrument.noise
     parts = [
         PartNoise.of(sigma, len(part.axes)) if part.is_position else noise
-        for part, noise in zip(one.parts, one.noise.parts, strict=True)
+        for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
     ]
     return Noise(tuple(parts))
 
 
-def _covariance(one: Instrument, noise: Noise, readings: Readings) -> FloatArray:
+def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> FloatArray:
     if readings.covariance is not None:
         return readings.covariance
-    widths = [len(part.axes) for part in one.parts]
-    return noise.covariance(one.points(readings.values), len(readings), widths)
+    widths = [len(part.axes) for part in instrument.parts]
+    return noise.covariance(instrument.points(readings.values), len(readings), widths)
 
 
-def _absent(one: Instrument, readings: Readings) -> BoolArray:
+def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
     """Which components were not read, (n, n_rows)."""
     nothing: BoolArray = np.isnan(readings.values)
     if not nothing.any():
-        return np.zeros((len(readings), one.n_rows), dtype=bool)
-    if nothing.shape[1] == one.n_rows:
+        return np.zeros((len(readings), instrument.n_rows), dtype=bool)
+    if nothing.shape[1] == instrument.n_rows:
         return nothing
     whole: BoolArray = np.any(nothing, axis=1, keepdims=True)
-    return np.broadcast_to(whole, (len(readings), one.n_rows))
+    return np.broadcast_to(whole, (len(readings), instrument.n_rows))
 
 
 def _group(
     groups: dict[tuple[str, str, bool], Group],
-    one: Instrument,
+    instrument: Instrument,
     noise: Noise,
     readings: Readings,
     covariance: FloatArray,
     part: Part,
 ) -> int:
     """The number of the group of a part of an instrument's rows, a new one if need be."""
-    index = one.parts.index(part)
+    index = instrument.parts.index(part)
     stated = readings.covariance is not None or noise.parts[index].stated
-    key = (one.group, part.name, stated)
+    key = (instrument.group, part.name, stated)
     if key not in groups:
-        rows = [k for k, number in enumerate(one.part_of_row) if number == index]
+        rows = [k for k, number in enumerate(instrument.part_of_row) if number == index]
         typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
         limits = part.usual, part.largest
-        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, *limits, part.is_position)
+        groups[key] = Group(instrument.group, part.name, part.dimension, stated, typical, *limits, part.is_position)
     return list(groups).index(key)
 
 

@@ -124,8 +124,8 @@ class Goals:
 
     def off(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
         """Return how far positions (n, 3) are from those of the goals `index`, 0 where nothing is asked, (n, 3) [m]."""
-        wanted = self.positions[index]
-        return np.where(np.isnan(wanted), 0.0, positions - wanted)
+        goals = self.positions[index]
+        return np.where(np.isnan(goals), 0.0, positions - goals)
 
     @property
     def asks_for(self) -> str:
@@ -181,7 +181,7 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
         return None
     setups = setups_of(robot, table)
     names = list(of_setups)
-    moved = [k for k, name in enumerate(names) if any(of_setups[one] for one in names[1 : k + 1])]
+    moved = [k for k, name in enumerate(names) if any(of_setups[earlier] for earlier in names[1 : k + 1])]
     wrong = np.flatnonzero(np.isin(setups, moved))
     if len(wrong):
         raise DataError(

@@ -139,20 +139,20 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
 def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
     """Commands to stay near for each goal, inside the joint limits, (n, n_actuated) [m or rad]."""
     n = len(reach.goals)
-    wanted = robot.home if near is None else joint_vector(robot, near)
-    if np.ndim(wanted) == 2 and len(wanted) not in (1, n):
-        raise DataError(f"near: {len(wanted)} rows for {n} goals; give one row, or one for each")
-    return inside(reach, np.broadcast_to(wanted, (n, len(robot.home))))
+    commands = robot.home if near is None else joint_vector(robot, near)
+    if np.ndim(commands) == 2 and len(commands) not in (1, n):
+        raise DataError(f"near: {len(commands)} rows for {n} goals; give one row, or one for each")
+    return inside(reach, np.broadcast_to(commands, (n, len(robot.home))))
 
 
 def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> Configured:
     """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
-    wanted = actual_joints(robot, near, term_columns(robot, near, conditions))
+    joints = actual_joints(robot, near, term_columns(robot, near, conditions))
     search = Search(reach, closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
-    turned = unwound(reach, search.best.subset(solved), wanted[solved])
-    search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
+    turned = unwound(reach, search.best.subset(solved), joints[solved])
+    search.keep(solved, nearer(reach, solved, turned, joints[solved]))
     return settled(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
 
 
@@ -182,7 +182,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
 
 
-def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, context: Context) -> Configured:
+def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
     """Descend again until links are tilted, and joints that nobody commands are, as they are at the commands found.
 
     They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
@@ -191,16 +191,16 @@ def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, cont
         robot: The robot.
         reach: The problem.
         index: Which goals, (n,).
-        found: What was found for them.
+        solution: What was found for them.
         context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
-        commands = reach.told(index, commands_for(robot, found.actuated, context))
-        commands = np.where(np.isfinite(commands), commands, found.actuated[:, : commands.shape[1]])
+        commands = reach.told(index, commands_for(robot, solution.actuated, context))
+        commands = np.where(np.isfinite(commands), commands, solution.actuated[:, : commands.shape[1]])
         driven = actual_joints(robot, commands, term_columns(robot, commands, context))
-        if np.max(np.abs(driven - found.actuated)[:, reach.held], initial=0.0) < _SETTLED:
+        if np.max(np.abs(driven - solution.actuated)[:, reach.held], initial=0.0) < _SETTLED:
             break
-        closed = loops.close(reach.mechanism, reach.mode, driven, found.passive)
-        passive = np.where(closed.ok[:, None], closed.passive, found.passive)
-        found = descend(reach, index, Configured(driven, passive, found.distance))
-    return found
+        closed = loops.close(reach.mechanism, reach.mode, driven, solution.passive)
+        passive = np.where(closed.ok[:, None], closed.passive, solution.passive)
+        solution = descend(reach, index, Configured(driven, passive, solution.distance))
+    return solution

@@ -155,8 +155,8 @@ class Reach:
         """
         position, rotation, jacobian, by_joint = motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
-        asked = ~np.isnan(self.goals.positions[index])
-        error, slope = [self.goals.off(position, index)], [jacobian[:, :3] * asked[:, :, None]]
+        given = ~np.isnan(self.goals.positions[index])
+        error, slope = [self.goals.off(position, index)], [jacobian[:, :3] * given[:, :, None]]
         length = self.mechanism.length
         if self.goals.rotations is not None:
             relative = self.goals.rotations[index].transpose(0, 2, 1) @ rotation
@@ -184,8 +184,8 @@ class Reach:
             relative = self.goals.rotations.transpose(0, 2, 1) @ rotation
             angle = np.array([np.linalg.norm(pin.log3(turn)) for turn in relative])
         if self.goals.directions is not None:
-            wanted, axis = self.goals.directions, rotation[:, :, 2]
-            angle = np.arctan2(np.linalg.norm(np.cross(wanted, axis), axis=1), np.sum(wanted * axis, axis=1))
+            directions, axis = self.goals.directions, rotation[:, :, 2]
+            angle = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=1), np.sum(directions * axis, axis=1))
         return position, np.linalg.norm(self.goals.off(position), axis=1), angle
 
     def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -69,24 +69,24 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
             break
         now, here, held, step = now.subset(moving), here.subset(moving), held.subset(moving), step[moving]
         trial = _trial(reach, now, here, held, part[active], step)
-        good, found, there, change = _tried(reach, index[active], now, here, held, trial, near[active])
+        good, reached, there, change = _tried(reach, index[active], now, here, held, trial, near[active])
         part[active] /= 3
         taken = active[good]
         part[taken] = np.minimum(1.0, 6 * part[taken])
         bad = np.setdiff1d(active, taken)
         hessian[bad] = np.eye(n_joints)
-        hessian[taken] = _learned(hessian[taken], (found.actuated - at.actuated[taken]) / reach.scale, change)
-        at.actuated[taken], at.passive[taken] = found.actuated, found.passive
+        hessian[taken] = _learned(hessian[taken], (reached.actuated - at.actuated[taken]) / reach.scale, change)
+        at.actuated[taken], at.passive[taken] = reached.actuated, reached.passive
         linear.take(taken, there)
         active = active[part[active] > _SHORTEST]
-    found = descend(reach, index, at, 8)
-    closer = np.linalg.norm((found.actuated - near) / reach.scale, axis=1) < np.linalg.norm(
+    reached = descend(reach, index, at, 8)
+    closer = np.linalg.norm((reached.actuated - near) / reach.scale, axis=1) < np.linalg.norm(
         (start.actuated - near) / reach.scale, axis=1
     )
-    kept = np.flatnonzero(~closer | (found.distance > NEARLY))
-    found.actuated[kept], found.passive[kept] = start.actuated[kept], start.passive[kept]
-    found.distance[kept] = start.distance[kept]
-    return found
+    kept = np.flatnonzero(~closer | (reached.distance > NEARLY))
+    reached.actuated[kept], reached.passive[kept] = start.actuated[kept], start.passive[kept]
+    reached.distance[kept] = start.distance[kept]
+    return reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +183,8 @@ def _tried(
     lower = np.flatnonzero(new < merit)
     good = moved[lower]
     change = np.einsum("nij,ni->nj", (rows - before)[lower], multipliers[lower])
-    found = Configured(trial[good], passive[good], np.linalg.norm(there.error[lower], axis=1))
-    return good, found, there.subset(lower), change
+    reached = Configured(trial[good], passive[good], np.linalg.norm(there.error[lower], axis=1))
+    return good, reached, there.subset(lower), change
 
 
 def _merit(rows: FloatArray, gap: FloatArray, held: _Held, way: FloatArray) -> tuple[FloatArray, FloatArray]:

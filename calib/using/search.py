@@ -36,8 +36,8 @@ def inside(reach: Reach, q: FloatArray) -> FloatArray:
 
 def closed_start(robot: Robot, reach: Reach) -> Configured:
     """Return home, moved inside the joint limits where it is not."""
-    found = robot.assemble(inside(reach, robot.home))
-    return Configured(found.actuated, found.passive, np.array([np.inf]))
+    start = robot.assemble(inside(reach, robot.home))
+    return Configured(start.actuated, start.passive, np.array([np.inf]))
 
 
 class Search:
@@ -73,10 +73,10 @@ class Search:
             left = np.flatnonzero(~self.solved)
             self._improve(left, spread, min(count, _LARGEST_ROUND // max(len(left), 1)))
 
-    def keep(self, index: IntArray, found: Configured) -> None:
+    def keep(self, index: IntArray, solutions: Configured) -> None:
         """Take over what was found for the goals `index`, (n,)."""
-        self.best.actuated[index], self.best.passive[index] = found.actuated, found.passive
-        self.best.distance[index] = found.distance
+        self.best.actuated[index], self.best.passive[index] = solutions.actuated, solutions.passive
+        self.best.distance[index] = solutions.distance
 
     def _batches(self) -> Iterator[IntArray]:
         """Goals in order of their distance from home's pose, in batches that double in size."""
@@ -110,10 +110,10 @@ class Search:
             self._features[todo], k=range(1, count + 1)
         )[1]
         index = np.repeat(todo, count)
-        found = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
-        best = np.argmin(found.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
-        better = np.flatnonzero(found.distance[best] < self.best.distance[todo])
-        self.keep(todo[better], found.subset(best[better]))
+        solutions = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
+        best = np.argmin(solutions.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
+        better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
+        self.keep(todo[better], solutions.subset(best[better]))
 
     def _features_at(self, at: Configured) -> FloatArray:
         position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)

@@ -68,8 +68,8 @@ class Estimate:
     def names_outliers(self) -> bool:
         """Whether some reading lies further off than noise explains."""
         rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
-        judged = studentised(blocks(self.rows, self.weights), rows.known.root, self.statistics.freedom)
-        return len(judged.outliers) > 0
+        test = studentised(blocks(self.rows, self.weights), rows.known.root, self.statistics.freedom)
+        return len(test.outliers) > 0
 
 
 class Repeated:
@@ -112,11 +112,11 @@ class Repeated:
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, problem.evaluate(start), self._settings)
-        rows, scales, found = uncertainty_at(solved, self._first.statistics.beyond_linear)
+        rows, scales, statistics = uncertainty_at(solved, self._first.statistics.beyond_linear)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
-        sigma = found.factors.values * problem.whitening.totals(scales) * typical
-        return Estimate(solved.at.robot, rows, found, convergence_at(solved, rows, found.std), weights, sigma)
+        sigma = statistics.factors.values * problem.whitening.totals(scales) * typical
+        return Estimate(solved.at.robot, rows, statistics, convergence_at(solved, rows, statistics.std), weights, sigma)
 
     def _stepped(self, problem: Problem) -> Robot:
         """The common start, a step of the common linear model on; without it where other readings are there."""
@@ -137,5 +137,5 @@ class Repeated:
         return first.unknowns.moved(robot, rows.deviations - root @ (root.T @ pull))
 
 
-def _same_looks(one: Readings, other: Readings) -> bool:
-    return all(np.array_equal(getattr(one, key), getattr(other, key)) for key in ("visits", "pairs", "details"))
+def _same_looks(readings: Readings, other: Readings) -> bool:
+    return all(np.array_equal(getattr(readings, key), getattr(other, key)) for key in ("visits", "pairs", "details"))

@@ -46,7 +46,7 @@ from calib.numerics.losses import checked_loss
 from calib.planning.studies.many_calibrations import Estimate, Repeated
 from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
 from calib.planning.studies.study_result import Draws, Study
-from calib.robots.acceleration import asked, compiled
+from calib.robots.acceleration import compilation_requested, compiled
 from calib.robots.configurations import joint_vector
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
@@ -140,7 +140,7 @@ def study(
         for part in in_order(partial(_chunk, setting), chunks, workers):
             parts.append(part)
             if progress is not None:
-                progress(sum(len(one) for one, _ in parts), draws)
+                progress(sum(len(chunk) for chunk, _ in parts), draws)
     return _joined(setting, parts, seed, time.perf_counter() - started)
 
 
@@ -169,7 +169,7 @@ def _prepared(
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
-    return _Setting(known, settings, first, there, near, len(seeds) * len(data) >= _MANY or asked())
+    return _Setting(known, settings, first, there, near, len(seeds) * len(data) >= _MANY or compilation_requested())
 
 
 @one_blas_thread
@@ -194,7 +194,7 @@ def _chunk(setting: _Setting, seeds: Sequence[np.random.SeedSequence]) -> tuple[
 def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
     """One draw that gave an answer."""
     first = setting.first
-    true = dict(zip((one.name for one in truth.parameters), truth.values, strict=True))
+    true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     statistics = estimate.statistics
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
     if len(setting.elsewhere):
@@ -231,6 +231,6 @@ def _joined(setting: _Setting, parts: Sequence[tuple[Draws, tuple[str, ...]]], s
     draws = Draws.joined([part for part, _ in parts])
     failures = tuple(text for _, texts in parts for text in texts)
     free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
-    groups = tuple(f"{one.group.name}: {one.group.part}" for one in first.noise)
+    groups = tuple(f"{estimate.group.name}: {estimate.group.part}" for estimate in first.noise)
     n_poses, resampled = setting.source.data.n_poses, isinstance(setting.source, Resampled)
     return Study(first.nominal.name, free, groups, draws, failures, n_poses, seed, seconds, resampled)

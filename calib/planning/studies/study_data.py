@@ -80,7 +80,7 @@ class Simulated:
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
-        if any(one.touches for one in truth.instruments):  # touches: the noise is in the joints
+        if any(instrument.touches for instrument in truth.instruments):  # touches: the noise is in the joints
             return Drawn(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
             there = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)

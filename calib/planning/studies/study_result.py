@@ -133,10 +133,10 @@ class Study(ReadOnlyArrays):
         held = np.where(np.isnan(error), np.nan, np.abs(error) <= half_width)
         claimed = np.sqrt(np.mean(draws.std[kept] ** 2, axis=0))
         columns = (np.mean(error, axis=0), spread / np.sqrt(len(error)), spread, claimed, np.mean(held, axis=0))
-        scale = np.array([[one.per_si] * 4 + [1.0] for one in self.free])  # a coverage has no unit
+        scale = np.array([[parameter.per_si] * 4 + [1.0] for parameter in self.free])  # a coverage has no unit
         return tuple(
-            ParameterStudy(one.name, one.unit, *map(float, numbers))
-            for one, numbers in zip(self.free, scale * np.stack(columns, axis=1), strict=True)
+            ParameterStudy(parameter.name, parameter.unit, *map(float, numbers))
+            for parameter, numbers in zip(self.free, scale * np.stack(columns, axis=1), strict=True)
         )
 
     @property
@@ -181,11 +181,11 @@ class Study(ReadOnlyArrays):
         """
         headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
         table = text_table(headers, headers[:2], plain=True)
-        for one in self.parameters:
-            row = one.row()
+        for parameter in self.parameters:
+            row = parameter.row()
             numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
-            ratio = one.spread / one.claimed if one.claimed > 0 else float("nan")
-            table.add_row(one.name, one.unit, *numbers, f"{ratio:.3f}", f"{100 * one.coverage:.1f}")
+            ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
+            table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
         return plain_text([*self._summary(), "", table, "", *self._findings()], width).rstrip()
 
     def _summary(self) -> list[str]:
@@ -201,13 +201,13 @@ class Study(ReadOnlyArrays):
     def _findings(self) -> list[str]:
         n = int(np.sum(self.draws.answered))
         chance = 100 * np.sqrt(0.95 * 0.05 / n)
-        coverage = 100 * np.array([one.coverage for one in self.parameters])
+        coverage = 100 * np.array([parameter.coverage for parameter in self.parameters])
         truth = "what all poses give" if self.resampled else "the truth"
         lines = [
             f"95 % intervals hold {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
             f" is {chance:.1f} %"
         ]
-        biased = [one.name for one in self.parameters if abs(one.bias) > _SURE * one.bias_std]
+        biased = [parameter.name for parameter in self.parameters if abs(parameter.bias) > _SURE * parameter.bias_std]
         if biased:
             lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
         if self.draws.errors.size:
@@ -226,7 +226,7 @@ class Study(ReadOnlyArrays):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table of the free parameters over all draws; pandas missing is an `InputError`."""
-        return data_frame([one.row() for one in self.parameters])
+        return data_frame([parameter.row() for parameter in self.parameters])
 
     def to_dict(self) -> dict[str, object]:
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
@@ -242,7 +242,7 @@ class Study(ReadOnlyArrays):
                 "resampled": self.resampled,
                 "seed": self.seed,
                 "seconds": self.seconds,
-                "parameters": [one.row() for one in self.parameters],
+                "parameters": [parameter.row() for parameter in self.parameters],
                 "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
                 "chi_square": self.chi_square,
                 "chi_square_refused": self.chi_square_refused,

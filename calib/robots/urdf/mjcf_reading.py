@@ -160,7 +160,7 @@ class _Reader:
             carrier = self.link_of[int(self.model.site_bodyid[site])]
             self._fixed(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
         loops = tuple(self._equalities())
-        remark = "".join(f"; {one}" for one in self.remarks).replace("--", "- -")
+        remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
         self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
         ElementTree.indent(self.root)
         source = b'<?xml version="1.0"?>\n' + ElementTree.tostring(self.root, encoding="utf-8") + b"\n"
@@ -181,13 +181,13 @@ class _Reader:
         place = _se3(model.body_pos[body], model.body_quat[body])
         first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
-        motions = [one for joint in joints for one in self._motions(joint)]
-        for count, one in enumerate(motions, start=1):
-            ends = count == len(motions) and not np.any(one.after)
-            child = name if ends else self._new(f"{name}_{one.name}", self.links)
-            self._moving(one, parent, child, place * pin.SE3(np.eye(3), one.before))
+        motions = [motion for joint in joints for motion in self._motions(joint)]
+        for count, motion in enumerate(motions, start=1):
+            ends = count == len(motions) and not np.any(motion.after)
+            child = name if ends else self._new(f"{name}_{motion.name}", self.links)
+            self._moving(motion, parent, child, place * pin.SE3(np.eye(3), motion.before))
             self._link(child, body if ends else None)
-            parent, place = child, pin.SE3(np.eye(3), -one.after)
+            parent, place = child, pin.SE3(np.eye(3), -motion.after)
         if name not in self.links:
             self._fixed(parent, name, place, body)
 
@@ -217,20 +217,20 @@ class _Reader:
             axis = np.array(model.jnt_axis[joint])
             yield _Motion(name, moves, axis, about, about, value, limits if limited else None, joint)
 
-    def _moving(self, one: _Motion, parent: str, child: str, place: pin.SE3) -> None:
+    def _moving(self, motion: _Motion, parent: str, child: str, place: pin.SE3) -> None:
         """Add a joint whose value is MuJoCo's."""
-        if one.kind == "prismatic":
-            place = place * pin.SE3(np.eye(3), -one.value * one.axis)
-        elif one.value:
-            place = place * pin.SE3(pin.AngleAxis(-one.value, one.axis).matrix(), np.zeros(3))
-        element = self._joint(one.name, one.kind, parent, child, place)
-        SubElement(element, "axis", xyz=_numbers(one.axis))
-        if one.limits:
-            lower, upper = map(repr, one.limits)
+        if motion.kind == "prismatic":
+            place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
+        elif motion.value:
+            place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
+        element = self._joint(motion.name, motion.kind, parent, child, place)
+        SubElement(element, "axis", xyz=_numbers(motion.axis))
+        if motion.limits:
+            lower, upper = map(repr, motion.limits)
             SubElement(element, "limit", lower=lower, upper=upper, effort="0", velocity="0")
-        if one.number is not None:
-            self.joints[one.number] = element
-        self.home[one.name] = one.value
+        if motion.number is not None:
+            self.joints[motion.number] = element
+        self.home[motion.name] = motion.value
 
     def _fixed(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
         self._joint(f"{child}_fixed", "fixed", parent, child, origin)

@@ -119,7 +119,10 @@ def compensate_program(
             remarks += _another(cell, joints, target, q[k], command)
     for n, k in enumerate(map(int, rows)):
         reasons[k] = compensation.reasons[n]
-    lever = max((cell.lever(one.tool) for one in targets if one.rotation is not None), default=0.0)
+    lever = max(
+        (cell.lever(program_target.tool) for program_target in targets if program_target.rotation is not None),
+        default=0.0,
+    )
     return CompensatedProgram(
         program,
         compensation,
@@ -178,12 +181,12 @@ def _solved(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[
     for k, target in enumerate(program.targets):
         if target.rotation is None:
             reasons[k] = joints.why
-            found = None if joints.why else joints.read(target.values)
+            solution = None if joints.why else joints.read(target.values)
         else:
             near = np.array(target.near) if len(target.near) == n else before
-            found, reasons[k] = cell.solve(target.flange, near, target.configuration, joints.zero)
-        if found is not None:
-            q[k] = before = found
+            solution, reasons[k] = cell.solve(target.flange, near, target.configuration, joints.zero)
+        if solution is not None:
+            q[k] = before = solution
     return q, reasons
 
 
@@ -195,7 +198,7 @@ def _moved(
     if target.rotation is None:
         there = cell.flange_poses(joints.read(held)[None])[0]
     else:
-        cells = tuple(replace(one, value=value) for one, value in zip(target.cells, held, strict=True))
+        cells = tuple(replace(old, value=value) for old, value in zip(target.cells, held, strict=True))
         there = replace(target, cells=cells).flange
     return float(np.linalg.norm(cell.target_position(told) - cell.target_position(there)))
 
@@ -207,7 +210,7 @@ def _another(
     says = target.configuration
     if says is None:
         return []
-    was, now = (cell.past(one, says, joints.zero) for one in (q, command))
+    was, now = (cell.past(values, says, joints.zero) for values in (q, command))
     if now <= max(was, 0.0) + _JUST:
         return []
     over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]

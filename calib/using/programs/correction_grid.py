@@ -152,5 +152,5 @@ def _corrections(
     told, turned = compensation.told(known.robot)
     turns = np.zeros((len(positions), 3))
     if rotation is not None:
-        turns = np.array([pin.log3(one @ rotation.T) for one in turned])
+        turns = np.array([pin.log3(pose @ rotation.T) for pose in turned])
     return np.hstack([told - positions, turns]), compensation

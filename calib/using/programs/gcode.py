@@ -245,7 +245,7 @@ class _Reader:
         if len(set(letters)) < len(letters):
             raise self._refuse("has a letter twice; write one command per line")
         numbers = dict(word for word in words if word[0] not in "GM")
-        codes = {letter: [f"{float(value):g}" for one, value in words if one == letter] for letter in "GM"}
+        codes = {letter: [f"{float(value):g}" for word, value in words if word == letter] for letter in "GM"}
         for code in codes["M"]:
             self._m(code)
         moving = [code for code in codes["G"] if code in ("0", "1")]

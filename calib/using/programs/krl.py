@@ -76,8 +76,8 @@ def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str]) -> RobotProg
         DataError: The message names file and line.
     """
     beside = [Path(path).with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat")]
-    found = [one for one in beside if one.is_file()][:1]
-    return _Reader([Source.read(one, _WHAT, _BLANK) for one in (Path(path), *found)], frames).program()
+    data_files = [file for file in beside if file.is_file()][:1]
+    return _Reader([Source.read(file, _WHAT, _BLANK) for file in (Path(path), *data_files)], frames).program()
 
 
 def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
@@ -140,8 +140,8 @@ class _Reader:
     def program(self) -> RobotProgram:
         """Walk through the text."""
         code = self.sources[0].code
-        found = [*_MOVE.finditer(code), *_STATE.finditer(code)]
-        for match in sorted(found, key=lambda one: one.start()):
+        matches = [*_MOVE.finditer(code), *_STATE.finditer(code)]
+        for match in sorted(matches, key=lambda match: match.start()):
             if match.re is _STATE:
                 self._set(match)
             else:
@@ -238,9 +238,9 @@ class _Reader:
             return ProgramTarget(line, path, literal.name, self._cells(literal, _AXES), None)
         if not set(_POSE) <= set(numbers):
             raise LeftOutError("says only a part of a position; the rest is where the robot stands")
-        for one in (self.tool, self.base, "the tool stands in the room" if self.outside else None):
-            if isinstance(one, str):
-                raise LeftOutError(one)
+        for frame in (self.tool, self.base, "the tool stands in the room" if self.outside else None):
+            if isinstance(frame, str):
+                raise LeftOutError(frame)
         assert isinstance(self.tool, pin.SE3)
         assert isinstance(self.base, pin.SE3)
         cells, configuration = self._cells(literal, _POSE), _configuration(numbers)

@@ -47,7 +47,9 @@ def _to_vector(R: FloatArray, near: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(v))
     if angle < 1e-9:
         return v
-    return min((v * (1 + 2 * np.pi * k / angle) for k in (-1, 0, 1)), key=lambda one: float(np.linalg.norm(one - near)))
+    return min(
+        (v * (1 + 2 * np.pi * k / angle) for k in (-1, 0, 1)), key=lambda vector: float(np.linalg.norm(vector - near))
+    )
 
 
 def _from_quaternion(q: FloatArray) -> FloatArray:
@@ -69,8 +71,8 @@ def _to_xyz(R: FloatArray, near: FloatArray) -> FloatArray:
     """Roll, pitch and yaw, of the two that are the same turn the one nearest to the given."""
     angles = np.asarray(pin.rpy.matrixToRpy(R))
     other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
-    both = [one + 2 * np.pi * np.round((near - one) / (2 * np.pi)) for one in (angles, other)]
-    best = min(both, key=lambda one: float(np.linalg.norm(one - near)))
+    both = [triple + 2 * np.pi * np.round((near - triple) / (2 * np.pi)) for triple in (angles, other)]
+    best = min(both, key=lambda triple: float(np.linalg.norm(triple - near)))
     return np.where(np.abs(best) > np.pi, best - np.sign(best) * 2 * np.pi, best)
 
 

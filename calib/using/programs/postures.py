@@ -80,7 +80,7 @@ class NominalCell:
 
     def flange_poses(self, q: FloatArray) -> list[pin.SE3]:
         """Return T_base_flange at joints (n, n_actuated) [m or rad]."""
-        return [self._base_pose.inverse() * pin.SE3(one) for one in np.asarray(self.robot.forward(q, self.flange))]
+        return [self._base_pose.inverse() * pin.SE3(pose) for pose in np.asarray(self.robot.forward(q, self.flange))]
 
     def lever(self, tool: pin.SE3) -> float:
         """Return how far the tip of a tool is from the description's target [m]."""
@@ -101,8 +101,8 @@ class NominalCell:
             says: What the program says of the joints.
             sides: The sides of the reference pose.
         """
-        wanted = self._base_pose * flange * self._target
-        goals = Goals(wanted.translation[None], wanted.rotation[None])
+        goal = self._base_pose * flange * self._target
+        goals = Goals(goal.translation[None], goal.rotation[None])
         q = self._nearest(goals, before[None], before, says, sides)
         if q is None or np.max(np.abs(q - before)) > _FAR:
             for count in _STARTS:
@@ -125,9 +125,9 @@ class NominalCell:
         reach = problem(self.robot, goals)
         index = np.flatnonzero(closed.ok)
         start = Configured(starts[index], closed.passive[index], np.full(len(index), np.inf))
-        found = descend(reach, np.zeros(len(index), dtype=np.intp), start)
+        reached = descend(reach, np.zeros(len(index), dtype=np.intp), start)
         tolerance = _REACHED if len(before) >= 6 else _ROUNDED
-        solutions = [self._turned(q, before, says) for q in found.actuated[found.distance <= tolerance]]
+        solutions = [self._turned(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]
         solutions = [q for q in solutions if says is None or self.past(q, says, sides) <= _BORDER]
         return min(solutions, key=lambda q: float(np.linalg.norm(q - before)), default=None)
 
@@ -148,7 +148,7 @@ class NominalCell:
     def past(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
         """Return how far joints (n_actuated,) are from what a program says [rad]; infinite where a side is another."""
         expected = (says.behind, says.elbow, says.flipped, says.bent)
-        if any(one is not None for one in expected) and any(
+        if any(side is not None for side in expected) and any(
             said is not None and side not in (None, said) for side, said in zip(sides.of(q), expected, strict=True)
         ):
             return np.inf

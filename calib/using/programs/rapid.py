@@ -85,14 +85,16 @@ def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
 class _Reader:
     def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str]) -> None:
         self.source, self.code, self.collector = source, source.code, Collector()
-        self.declared = {one.name.upper(): one for one in self._declarations()}
+        self.declared = {declared.name.upper(): declared for declared in self._declarations()}
         self.frames: dict[str, pin.SE3 | str] = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity(), **frames}
-        self.frames |= {name: self._frame(one) for name, one in self.declared.items() if "data" in one.type}
+        self.frames |= {
+            name: self._frame(declared) for name, declared in self.declared.items() if "data" in declared.type
+        }
         self.assigned = {match[1].upper() for match in _ASSIGNED.finditer(self.code)}
         self.checked, self.displaced = True, False
 
     def _declarations(self) -> list[_Declared]:
-        found = []
+        declarations = []
         for match in _DECLARED.finditer(self.code):
             opening = re.compile(r"\s*\[").match(self.code, match.end())
             end = closing(self.code, opening.end() - 1) if match[4] and opening else None
@@ -100,13 +102,13 @@ class _Reader:
                 continue
             start = opening.end() - 1
             if match[3] is None:
-                found.append(_Declared(match[1].lower(), match[2], start, end + 1))
+                declarations.append(_Declared(match[1].lower(), match[2], start, end + 1))
             else:
                 elements = arguments(self.code, start + 1, end)
-                found += [
+                declarations += [
                     _Declared(match[1].lower(), f"{match[2]}{{{k}}}", *span) for k, span in enumerate(elements, 1)
                 ]
-        return found
+        return declarations
 
     def _groups(self, start: int, end: int) -> list[tuple[int, int]]:
         return list(arguments(self.code, start + 1, end - 1))
@@ -115,7 +117,7 @@ class _Reader:
         """Places of the plain numbers in brackets between two places."""
         start, end = span
         spans = self._groups(start, end) if self.code[start] == "[" and closing(self.code, start) == end - 1 else []
-        odd = next((one for one in spans if not re.fullmatch(NUMBER, self.code[one[0] : one[1]])), None)
+        odd = next((span for span in spans if not re.fullmatch(NUMBER, self.code[span[0] : span[1]])), None)
         if odd is not None:
             raise LeftOutError(f"'{self.source.shown(*odd)}' is no plain number")
         if len(spans) != count:
@@ -133,22 +135,26 @@ class _Reader:
         cells = self._pose(*groups)
         return pose_of([cell.value for cell in cells], "quaternion", self.source.where(span[0]))
 
-    def _frame(self, one: _Declared) -> pin.SE3 | str:
+    def _frame(self, declared: _Declared) -> pin.SE3 | str:
         """A tool or work object as a frame, or why it cannot be one."""
-        groups = self._groups(one.start, one.end)
+        groups = self._groups(declared.start, declared.end)
         texts = [self.code[start:end].strip().upper() for start, end in groups]
-        if len(groups) != (3 if one.type == "tooldata" else 5):
-            raise DataError(f"{self.source.where(one.start)}: {one.type} '{one.name}' is not complete; correct it")
+        if len(groups) != (3 if declared.type == "tooldata" else 5):
+            raise DataError(
+                f"{self.source.where(declared.start)}: {declared.type} '{declared.name}' is not complete; correct it"
+            )
         try:
-            if one.type == "tooldata":
-                return self._pose_value(groups[1]) if texts[0] == "TRUE" else f"tool '{one.name}' stands in the room"
+            if declared.type == "tooldata":
+                return (
+                    self._pose_value(groups[1]) if texts[0] == "TRUE" else f"tool '{declared.name}' stands in the room"
+                )
             if texts[0] == "TRUE":
-                return f"the robot holds work object '{one.name}'"
+                return f"the robot holds work object '{declared.name}'"
             if texts[1] == "FALSE":
-                return f"work object '{one.name}' is moved by another unit"
+                return f"work object '{declared.name}' is moved by another unit"
             return self._pose_value(groups[3]) * self._pose_value(groups[4])
         except LeftOutError as why:
-            return f"'{one.name}' is not constant: {why}"
+            return f"'{declared.name}' is not constant: {why}"
 
     def program(self) -> RobotProgram:
         """Walk through the text."""
@@ -195,9 +201,9 @@ class _Reader:
         name, start, end = self._base(span), *span
         if name.startswith("["):
             close = closing(self.code, start)
-            one = _Declared("jointtarget" if _ABSOLUTE.match(word) else "robtarget", "", start, (close or end) + 1)
+            declared = _Declared("jointtarget" if _ABSOLUTE.match(word) else "robtarget", "", start, (close or end) + 1)
         elif name in self.declared and self.declared[name].type.endswith("target"):
-            one = self.declared[name]
+            declared = self.declared[name]
             if name.partition("{")[0] in self.assigned:
                 raise LeftOutError("is set while the program runs")
         else:
@@ -208,19 +214,21 @@ class _Reader:
             raise LeftOutError(f"is worked out at run time{along}" if "(" in name else "is declared nowhere here")
         if self.displaced:
             raise LeftOutError("a program displacement (PDispOn, PDispSet, EOffsOn) holds here")
-        groups, line = self._groups(one.start, one.end), self.source.line(one.start)
-        expected = 2 if one.type == "jointtarget" else 4
+        groups, line = self._groups(declared.start, declared.end), self.source.line(declared.start)
+        expected = 2 if declared.type == "jointtarget" else 4
         if len(groups) != expected:
-            raise DataError(f"{self.source.where(one.start)}: {one.type} '{one.name}' is not complete; correct it")
+            raise DataError(
+                f"{self.source.where(declared.start)}: {declared.type} '{declared.name}' is not complete; correct it"
+            )
         self._without_external(groups[-1])
-        if one.type == "jointtarget":
+        if declared.type == "jointtarget":
             cells = cells_at(self.source, 0, self._numbers(groups[0], 6, "robax"), [DEGREE] * 6)
-            return ProgramTarget(line, self.source.path, one.name, cells, None)
+            return ProgramTarget(line, self.source.path, declared.name, cells, None)
         cells = self._pose(*groups[:2])
-        pose_of([cell.value for cell in cells], "quaternion", self.source.where(one.start))
+        pose_of([cell.value for cell in cells], "quaternion", self.source.where(declared.start))
         tool, frame = self._named_tool(word, spans), self._work_object(spans)
         configuration = self._configuration(groups[2]) if self.checked else None
-        return ProgramTarget(line, self.source.path, one.name, cells, "quaternion", frame, tool, configuration)
+        return ProgramTarget(line, self.source.path, declared.name, cells, "quaternion", frame, tool, configuration)
 
     def _without_external(self, span: tuple[int, int]) -> None:
         values = [float(self.code[a:b]) for a, b in self._numbers(span, 6, "extax")]

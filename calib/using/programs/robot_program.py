@@ -280,7 +280,9 @@ class Collector:
             DataError: It goes nowhere.
         """
         targets = tuple(target for target in self._targets.values() if target is not None)
-        left = tuple(sorted(self._left.values(), key=lambda one: (one.path != sources[0].path, one.line)))
+        left = tuple(
+            sorted(self._left.values(), key=lambda left_out: (left_out.path != sources[0].path, left_out.line))
+        )
         if not targets:
             why = f"; {left[0]}" if left else ""
             raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")

@@ -141,8 +141,8 @@ def compensate_moves(
         off, n = _deviations(frame, moves, {k: ways[k] for k in map(int, active)})
         deviations[active], n_measured = off, n_measured + n
         active, off = active[off > tolerance], off[off > tolerance]
-        wanted = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
-        pieces[active] = np.maximum(wanted, 2 * pieces[active])
+        needed = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
+        pieces[active] = np.maximum(needed, 2 * pieces[active])
         _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
     return CompensatedMoves(
         tuple(ways[k].told[1:] for k in range(len(lengths))),
@@ -158,7 +158,7 @@ def compensate_moves(
 def _without_backlash(robot: Robot) -> Robot:
     """The calibrated robot without what depends on the direction of approach."""
     directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
-    return robot.with_parameters({one.name: 0.0 for term in directed for one in term.parameters})
+    return robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
 
 
 def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:
@@ -168,18 +168,18 @@ def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray
         start, end, share = moves.starts[k], moves.ends[k], np.arange(n + 1)[:, None] / n
         start = np.where(np.isnan(start), end, start)
         points.append(np.where(share == 1, end, (1 - share) * start + share * end))
-    wanted = np.concatenate(points)
-    fresh = np.append(True, np.any(np.diff(wanted, axis=0) != 0, axis=1))  # a move begins where another ended
+    goals = np.concatenate(points)
+    fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move begins where another ended
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
-    found = compensated_in(frame, Goals(wanted[fresh], labels=labels))
-    misses = list(dict.fromkeys(found.misses()))
+    compensated = compensated_in(frame, Goals(goals[fresh], labels=labels))
+    misses = list(dict.fromkeys(compensated.misses()))
     if misses:
         raise UnreachablePoseError(
             f"{counted(len(misses), 'point')} cannot be compensated: {listed(misses, '; ')}; change the program there"
         )
     at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
-    points_told = wanted[fresh] if frame.nothing_to_correct else found.told(frame.nominal)[0]
-    parts = (points_told, found.q, found.before, found.expected)
+    points_told = goals[fresh] if frame.nothing_to_correct else compensated.told(frame.nominal)[0]
+    parts = (points_told, compensated.q, compensated.before, compensated.expected)
     told, q, before, expected = (np.split(part[at], cuts) for part in parts)
     return {int(k): _Way(told[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)}
 

@@ -27,8 +27,8 @@ def __getattr__(name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         raise import_module("calib.base.other_words").no_name_in_package(name, __all__)
-    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
-    return found
+    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return value
 
 
 def __dir__() -> list[str]:

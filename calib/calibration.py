@@ -51,15 +51,15 @@ class Calibration(JudgedFit):
             {
                 "rows": label,
                 "state": state,
-                "instrument": one.name,
+                "instrument": instrument.name,
                 "part": part.name,
                 "unit": ERROR_UNIT[part.dimension],
             }
             | {key: value for key, value in error_table(values[:, rows], part).items() if isinstance(value, float)}
-            for label, found in error_sets(self)
-            for state, residuals in (("before", found.before), ("after", found.after))
-            for one, part, rows in found.parts()
-            for values in (residuals[one.name],)
+            for label, error_set in error_sets(self)
+            for state, residuals in (("before", error_set.before), ("after", error_set.after))
+            for instrument, part, rows in error_set.parts()
+            for values in (residuals[instrument.name],)
         ]
         return titled_html(self.nominal.name, verdict_lines(self.verdict), errors, self.parameters.rows())
 
@@ -245,5 +245,5 @@ def fit(
         seed,
         None if terms is None else terms_text(terms),
     )
-    found = with_files(calibrate(robot, used, held, settings, executor, progress), settings, executor)
-    return Calibration.of(found)
+    fitted = with_files(calibrate(robot, used, held, settings, executor, progress), settings, executor)
+    return Calibration.of(fitted)

@@ -71,10 +71,10 @@ class Pictures(Protocol):
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
         """Return the pages of a result folder, with an image that its address holds (none: empty)."""
 
-    def comparison(self, found: ResultComparison) -> bytes:
+    def comparison(self, result_comparison: ResultComparison) -> bytes:
         """Return the page of results side by side."""
 
-    def fleet(self, found: Fleet) -> bytes:
+    def fleet(self, learned: Fleet) -> bytes:
         """Return the page of a fleet."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
@@ -117,22 +117,22 @@ def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
     return files
 
 
-def comparison(found: ResultComparison) -> bytes:
+def comparison(result_comparison: ResultComparison) -> bytes:
     """Return the page of results side by side.
 
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--html")[0].comparison(found)
+    return _installed("--html")[0].comparison(result_comparison)
 
 
-def fleet(found: Fleet) -> bytes:
+def fleet(learned: Fleet) -> bytes:
     """Return the page of robots of one model side by side.
 
     Raises:
         InputError: Nothing that draws is installed.
     """
-    return _installed("--html")[0].fleet(found)
+    return _installed("--html")[0].fleet(learned)
 
 
 def figures(subject: object) -> dict[str, bytes]:
@@ -142,9 +142,9 @@ def figures(subject: object) -> dict[str, bytes]:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
     files: dict[str, bytes] = {}
-    for one in _installed("--plots"):
+    for module in _installed("--plots"):
         try:
-            files |= one.figures(subject)
+            files |= module.figures(subject)
         except ImportError as error:
             raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
     return files
@@ -177,8 +177,8 @@ def _named(name: str) -> Pictures:
     return pictures
 
 
-def _installed(wanted: str) -> list[Pictures]:
+def _installed(option: str) -> list[Pictures]:
     modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
     if not modules:
-        raise InputError(f"{wanted}: nothing that draws is installed (entry point group {GROUP})")
+        raise InputError(f"{option}: nothing that draws is installed (entry point group {GROUP})")
     return modules

@@ -126,7 +126,7 @@ def _calibrated(
 
 def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Steps) -> tuple[Robot, TermChoice | None]:
     """The robot with the joint terms that were asked for."""
-    own, terms = robot.description.terms, settings.terms
+    described, terms = robot.description.terms, settings.terms
     if terms is None:
         return robot, None
     if terms == "none":
@@ -136,16 +136,16 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Ste
         choice = choose_terms(fit_data(robot, first, data, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
     else:
-        choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
+        choice = TermChoice(terms, (*described, *missing_terms(robot, listed_terms(terms))))
     return robot.with_terms(choice.sections), choice
 
 
 def _require_measurements(data: object, validation: object) -> None:
     """Say what was expected of a caller whose types nobody checked."""
-    for what, given in (("data", data), ("validation", validation)):
-        if not isinstance(given, Measurements) and not (given is None and what == "validation"):
+    for name, given in (("data", data), ("validation", validation)):
+        if not isinstance(given, Measurements) and not (given is None and name == "validation"):
             raise InputError(
-                f"{what}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
+                f"{name}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
                 " or calib.as_measurements"
             )
 

@@ -108,7 +108,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         if holds not in self._known:
             self._known[holds] = None
             with suppress(CalibrationError):
-                self._known[holds] = self._found(holds)
+                self._known[holds] = self._robot_of(holds)
         robot = self._known[holds]
         if robot is None:
             raise KeyError(holds)
@@ -124,7 +124,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return dict, (dict(self),)  # a robot that goes to other processes takes no measurements along
 
     @one_blas_thread
-    def _found(self, holds: Holds) -> FileRobot | None:
+    def _robot_of(self, holds: Holds) -> FileRobot | None:
         if holds is Holds.ZEROS:
             return self._zeros()
         if holds is Holds.TO_LAST_AXIS:
@@ -141,12 +141,16 @@ class FitFiles(Mapping[Holds, FileRobot]):
         """The robot with what lies behind the last axis as it is nominally."""
         start = start_of(self._fit, Holds.ORIGINS)
         behind = behind_last_axis(start)
-        there = {
+        nominal = {
             p.name: p.nominal_si
             for p in start.parameters
             if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
         }
-        return file_robot(self._again(start.with_parameters(there).fix(*there))) if there else self.get(Holds.ORIGINS)
+        return (
+            file_robot(self._again(start.with_parameters(nominal).fix(*nominal)))
+            if nominal
+            else self.get(Holds.ORIGINS)
+        )
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
@@ -156,10 +160,10 @@ class FitFiles(Mapping[Holds, FileRobot]):
         moved, errors = told - told.mean(axis=0), actual - told
         turned_round = np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING
         signs = np.where(turned_round, -1.0, 1.0)
-        found = self._again(with_zeros(nominal), signs)
-        offsets = found.robot.values[found.robot.coefficients]
+        fitted = self._again(with_zeros(nominal), signs)
+        offsets = fitted.robot.values[fitted.robot.coefficients]
         offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
-        return replace(file_robot(found), values={}, signs=signs, offsets=offsets)
+        return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
 
 
 def with_zeros(nominal: Robot) -> Robot:
@@ -177,18 +181,18 @@ def with_zeros(nominal: Robot) -> Robot:
 
 def file_robot(fit: Fit) -> FileRobot:
     """Return the robot of a fit as files get it that hold all of that."""
-    judged = accuracy(fit)
-    why = why_withheld(judged) if fit.converged else f"its fit did not converge: {fit.message}"
-    return FileRobot(_values(fit.robot), judged, why)
+    reached = accuracy(fit)
+    why = why_withheld(reached) if fit.converged else f"its fit did not converge: {fit.message}"
+    return FileRobot(_values(fit.robot), reached, why)
 
 
-def why_withheld(judged: Accuracy) -> str:
+def why_withheld(reached: Accuracy) -> str:
     """Return why a robot so accurate is not to be used in place of the nominal one; nothing if it may be."""
-    if judged.rms <= _SAME * judged.before + COMPUTED:
+    if reached.rms <= _SAME * reached.before + COMPUTED:
         return ""
     return (
-        f"it is worse than the nominal robot: {judged.shown(judged.rms)} RMS where that has"
-        f" {judged.shown(judged.before)} ({judged.where})"
+        f"it is worse than the nominal robot: {reached.shown(reached.rms)} RMS where that has"
+        f" {reached.shown(reached.before)} ({reached.where})"
     )
 
 

@@ -56,13 +56,13 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
     while shared:
         told = told_of(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
         mean, expected = expected_by(fleet, robot, shared)
-        found = likeness(told, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
-        if not found.p_value() < FALSE_ALARM:
+        compared = likeness(told, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
+        if not compared.p_value() < FALSE_ALARM:
             break
-        if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(found.distances)):
+        if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(compared.distances)):
             unlike = list(fleet.parameters)
             break
-        worst = shared[int(np.nanargmax(np.abs(found.distances)))].name
+        worst = shared[int(np.nanargmax(np.abs(compared.distances)))].name
         unlike.append(worst)
         shared = tuple(p for p in shared if p.name != worst)
     if not unlike:

@@ -82,13 +82,13 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "changes": changes_as_data(acceptance.changes),
             "iso9283": [
                 {
-                    "name": one.name,
-                    "poses": one.poses,
-                    "cycles": one.cycles,
-                    "unit": _iso_unit(one)[0],
-                    **{key: getattr(one.figure, key) * _iso_unit(one)[1] for key in ("value", "low95", "high95")},
+                    "name": iso.name,
+                    "poses": iso.poses,
+                    "cycles": iso.cycles,
+                    "unit": _iso_unit(iso)[0],
+                    **{key: getattr(iso.figure, key) * _iso_unit(iso)[1] for key in ("value", "low95", "high95")},
                 }
-                for one in figures
+                for iso in figures
             ],
             "iso9283_missing": list(missing),
             "conditions": conditions(data.comments),
@@ -100,16 +100,16 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
     """Return changes in mm and deg."""
     return [
         {
-            "name": one.name,
-            "unit": _unit(one)[0],
-            "value": one.value * _unit(one)[1],
-            "std": one.std * _unit(one)[1],
-            "z": one.z,
-            "p_value": one.p_value,
-            "significant": one.significant,
-            "visible": one.visible * _unit(one)[1],
+            "name": change.name,
+            "unit": _unit(change)[0],
+            "value": change.value * _unit(change)[1],
+            "std": change.std * _unit(change)[1],
+            "z": change.z,
+            "p_value": change.p_value,
+            "significant": change.significant,
+            "visible": change.visible * _unit(change)[1],
         }
-        for one in changes
+        for change in changes
     ]
 
 
@@ -169,34 +169,34 @@ def _said_of_placing(acceptance: Acceptance) -> str:
 
 
 def _heading(changes: Sequence[Change]) -> str:
-    n = sum(one.significant for one in changes)
+    n = sum(change.significant for change in changes)
     which = f"{counted(n, 'is', 'are')} significant" if n else "none is significant"
     return f"Changes looked for, the largest beside its standard deviation first; {which}"
 
 
 def _changes(changes: Sequence[Change]) -> Table:
     table = text_table(("change of", "unit", "found", "std", "seen from"), ("change of", "unit"))
-    for one in changes[:_SHOWN]:
-        unit, scale = _unit(one)
-        numbers = [x * scale for x in (one.value, one.std, one.visible)]
-        table.add_row(one.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
+    for change in changes[:_SHOWN]:
+        unit, scale = _unit(change)
+        numbers = [x * scale for x in (change.value, change.std, change.visible)]
+        table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
     return table
 
 
 def _iso_table(figures: Sequence[IsoFigure]) -> Table:
     left = ("figure", "pose", "unit")
     table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left)
-    for one in figures:
-        unit, scale = _iso_unit(one)
-        numbers = (one.figure.value, one.figure.low95, one.figure.high95)
-        table.add_row(one.name, one.poses, unit, str(one.cycles), *(f"{x * scale:.4f}" for x in numbers))
+    for iso in figures:
+        unit, scale = _iso_unit(iso)
+        numbers = (iso.figure.value, iso.figure.low95, iso.figure.high95)
+        table.add_row(iso.name, iso.poses, unit, str(iso.cycles), *(f"{x * scale:.4f}" for x in numbers))
     return table
 
 
-def _unit(one: Change) -> tuple[str, float]:
-    return DISPLAY_UNIT[one.dimension], display_scale(one.dimension)
+def _unit(change: Change) -> tuple[str, float]:
+    return DISPLAY_UNIT[change.dimension], display_scale(change.dimension)
 
 
-def _iso_unit(one: IsoFigure) -> tuple[str, float]:
-    dimension: Dimension = "angle" if one.is_angle else "length"
+def _iso_unit(iso: IsoFigure) -> tuple[str, float]:
+    dimension: Dimension = "angle" if iso.is_angle else "length"
     return ERROR_UNIT[dimension], error_scale(dimension)

@@ -74,11 +74,11 @@ def accuracy(fit: Fit) -> list[AccuracyTable]:
 def accuracy_text(fit: Fit) -> list[Table]:
     """Return one table for each part that was read."""
     tables = []
-    for found in accuracy(fit):
-        axes = [f"|{axis}|" for axis in found.part.axes]
-        title = f"{found.part.name.capitalize()} error, {found.unit} ({', '.join(axes)}: mean)"
+    for part_accuracy in accuracy(fit):
+        axes = [f"|{axis}|" for axis in part_accuracy.part.axes]
+        title = f"{part_accuracy.part.name.capitalize()} error, {part_accuracy.unit} ({', '.join(axes)}: mean)"
         table = text_table(("", "poses", "mean", "max", "rms", "std", "95 %", *axes), title=title)
-        for line in found.lines:
+        for line in part_accuracy.lines:
             table.add_row(f"{line.group}, {line.state}", str(line.poses), *format_error(line.errors))
         tables.append(table)
     return tables
@@ -86,17 +86,17 @@ def accuracy_text(fit: Fit) -> list[Table]:
 
 def change_text(fit: Fit) -> Table:
     """Return errors before and after, one line for each part of each set of poses."""
-    what = "error before -> after"
-    table = text_table((what, "poses", "mean", "RMS", "95 %", "largest"), (what,), plain=True)
+    heading = "error before -> after"
+    table = text_table((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
     for part in parts:
-        for label, found in error_sets(fit):
-            errors = [found.errors(state, part.name) for state in STATES]
-            if not all(len(one) for one in errors):
+        for label, error_set in error_sets(fit):
+            errors = [error_set.errors(state, part.name) for state in STATES]
+            if not all(len(sizes) for sizes in errors):
                 continue
-            tables = [error_table(one, part) for one in errors]
-            pairs = [[cast(float, one[key]) for one in tables] for key in ("mean", "rms", "p95", "max")]
+            tables = [error_table(sizes, part) for sizes in errors]
+            pairs = [[cast(float, summary[key]) for summary in tables] for key in ("mean", "rms", "p95", "max")]
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
-            table.add_row(name, str(found.data.n_poses), *cells)
+            table.add_row(name, str(error_set.data.n_poses), *cells)
     return table

@@ -212,14 +212,14 @@ def _group(a: Assessment, k: int) -> dict[str, object]:
 def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
     return [
         {
-            "name": one.name,
-            "unit": one.unit,
-            "sigma": one.sigma,
-            "prior": one.prior,
-            "std": float(std) * one.per_si,
-            "part": float(std) / one.sigma_si,
+            "name": parameter.name,
+            "unit": parameter.unit,
+            "sigma": parameter.sigma,
+            "prior": parameter.prior,
+            "std": float(std) * parameter.per_si,
+            "part": float(std) / parameter.sigma_si,
         }
-        for one, std in zip(a.free_parameters, a.std, strict=True)
+        for parameter, std in zip(a.free_parameters, a.std, strict=True)
     ]
 
 

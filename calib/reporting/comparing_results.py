@@ -93,43 +93,45 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     """
     if len(results) < 2:
         raise InputError(f"{counted(len(results), 'result')} given; give two or more to compare")
-    folders = [Path(one).resolve() for one in results if not isinstance(one, Fit)]
+    folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
-    read = [_read(one, f"fit {k + 1}") for k, one in enumerate(results)]
-    for one in read[1:]:
-        if geometry(one.robot) != geometry(read[0].robot):
-            raise DataError(f"{one.name}: is the result of another robot than {read[0].name}; their URDFs differ")
+    read = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
+    for result in read[1:]:
+        if geometry(result.robot) != geometry(read[0].robot):
+            raise DataError(f"{result.name}: is the result of another robot than {read[0].name}; their URDFs differ")
     pairs = list(combinations(read, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_tested(first, other) for first, other in pairs]
-    names = list(dict.fromkeys(name for one in read for name in (p.name for p in one.robot.parameters)))
-    raw = np.array([[found.get(name, np.nan) for name in names] for found, _ in tested])
+    names = list(dict.fromkeys(name for result in read for name in (p.name for p in result.robot.parameters)))
+    raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
-    places = {p.name for one in read for p in one.robot.parameters if p.placement}
-    real = [{name for name, p in zip(names, found, strict=True) if p < REAL_BELOW} for found in corrected]
-    rows = [{row["name"]: row for row in one.content["parameters"]} for one in read]
+    places = {p.name for result in read for p in result.robot.parameters if p.placement}
+    real = [{name for name, p in zip(names, p_values, strict=True) if p < REAL_BELOW} for p_values in corrected]
+    rows = [{row["name"]: row for row in result.content["parameters"]} for result in read]
     errors, unit, where, sizes = _errors(read)
     return ResultComparison(
-        tuple(one.name for one in read),
-        tuple(one.content.get("verdict", {}).get("grade", "unknown") for one in read),
-        tuple(one.content["n_poses"] for one in read),
+        tuple(result.name for result in read),
+        tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in read),
+        tuple(result.content["n_poses"] for result in read),
         errors,
         unit,
         where,
         sizes,
         tuple(
-            Difference(name, tuple(found.get(name) for found in rows), tuple(map(float, corrected[: len(read) - 1, k])))
+            Difference(
+                name, tuple(by_name.get(name) for by_name in rows), tuple(map(float, corrected[: len(read) - 1, k]))
+            )
             for k, name in enumerate(names)
         ),
         tuple(
             Pair(
                 (first.name, other.name),
-                tuple(name for name in names if name in found - places),
-                tuple(name for name in names if name in found & places),
+                tuple(name for name in names if name in differing - places),
+                tuple(name for name in names if name in differing & places),
                 together,
             )
-            for (first, other), found, (_, together) in zip(pairs, real, tested, strict=True)
+            for (first, other), differing, (_, together) in zip(pairs, real, tested, strict=True)
         ),
         tuple(notes),
     )
@@ -180,16 +182,16 @@ def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
     if not errors:
         raise DataError(f"{path}: has no columns error_after_...; run the fit again")
     errors = [k for k in errors if table.units[k] == table.units[errors[0]]]
-    own = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
-    said = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(own)]
-    found: dict[str, dict[tuple[str, ...], float]] = {}
+    computed = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
+    said = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(computed)]
+    readings: dict[str, dict[tuple[str, ...], float]] = {}
     for row, used in zip(table.rows, table.texts("set"), strict=True):
         try:
             square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
         except ValueError:
             raise DataError(f"{path}: holds text where an error is expected; run the fit again") from None
-        found.setdefault(used, {})[tuple(row[k] for k in said)] = square
-    return found
+        readings.setdefault(used, {})[tuple(row[k] for k in said)] = square
+    return readings
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:
@@ -199,10 +201,10 @@ def geometry(robot: Robot) -> list[tuple[object, ...]]:
 
 def _why_not(first: _Result, other: _Result) -> str:
     """Why the two cannot be tested against each other; empty if they can."""
-    failed = [one.name for one in (first, other) if one.content.get("verdict", {}).get("grade") == "FAIL"]
+    failed = [result.name for result in (first, other) if result.content.get("verdict", {}).get("grade") == "FAIL"]
     if failed:
         return f"the fit of {' and '.join(failed)} failed"
-    used = [one.readings.get("identification", {}).keys() for one in (first, other)]
+    used = [result.readings.get("identification", {}).keys() for result in (first, other)]
     shared = len(used[0] & used[1])
     return f"both used {counted(shared, 'reading')} that {'is' if shared == 1 else 'are'} the same" if shared else ""
 
@@ -218,7 +220,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
         notes.append(
             f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
         )
-    if "CHECK" in {one.content.get("verdict", {}).get("grade") for one in (first, other)}:
+    if "CHECK" in {result.content.get("verdict", {}).get("grade") for result in (first, other)}:
         notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes
 
@@ -228,7 +230,7 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     common = [name for name in first.free if name in other.free]
     if _why_not(first, other) or not common:
         return {}, np.nan
-    (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (_of_common(one, common) for one in (first, other))
+    (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (_of_common(result, common) for result in (first, other))
     shared = np.isfinite(sigma_a) & (sigma_a == sigma_b)
     both = difference_covariance(cov_a, cov_b, np.where(shared, 1.0 / np.where(shared, sigma_a, 1.0) ** 2, 0.0))
     variance, total = np.diag(both), np.diag(cov_a) + np.diag(cov_b)
@@ -237,24 +239,24 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     change = value_b - value_a
     t = np.abs(change) / np.sqrt(np.where(testable, variance, 1.0))
     p = np.where(testable, 2.0 * scipy.special.stdtr(freedom, -t), np.nan)
-    own = np.array([not p.placement for p in first.parameters(common)])
-    scale = np.sqrt(total[own])
-    sizes, axes = np.linalg.eigh(both[np.ix_(own, own)] / np.outer(scale, scale))
+    of_robot = np.array([not p.placement for p in first.parameters(common)])
+    scale = np.sqrt(total[of_robot])
+    sizes, axes = np.linalg.eigh(both[np.ix_(of_robot, of_robot)] / np.outer(scale, scale))
     kept = sizes > _OWN
-    squares = (axes[:, kept].T @ (change[own] / scale)) ** 2 / sizes[kept]
+    squares = (axes[:, kept].T @ (change[of_robot] / scale)) ** 2 / sizes[kept]
     n, least = int(np.sum(kept)), min(first.freedom, other.freedom)
     together = float(scipy.special.fdtrc(n, least, np.sum(squares) / n)) if n else np.nan
     return dict(zip(common, map(float, p), strict=True)), together
 
 
-def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _of_common(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
-    place = [one.free.index(name) for name in common]
-    values = one.robot.values[[index_of(one.robot.parameters, name) for name in common]]
+    place = [result.free.index(name) for name in common]
+    values = result.robot.values[[index_of(result.robot.parameters, name) for name in common]]
     sigma = np.array(
-        [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in one.parameters(common)]
+        [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in result.parameters(common)]
     )
-    return values, one.covariance[np.ix_(place, place)], sigma
+    return values, result.covariance[np.ix_(place, place)], sigma
 
 
 def _errors(
@@ -265,19 +267,19 @@ def _errors(
     With their unit, on which readings, and the sizes on those readings.
     """
     unit = results[0].content["instruments"][0]["parts"][0]["unit"]
-    unseen = [one.readings.get("validation", {}) for one in results]
+    unseen = [result.readings.get("validation", {}) for result in results]
     shared = set(unseen[0]).intersection(*unseen[1:])
     same = [key for key in unseen[0] if key in shared and np.isfinite(unseen[0][key])]
     if same:
-        sizes = tuple(np.sqrt([one[key] for key in same]) for one in unseen)
-        rms = tuple(float(np.sqrt(np.mean(one**2))) for one in sizes)
+        sizes = tuple(np.sqrt([squares[key] for key in same]) for squares in unseen)
+        rms = tuple(float(np.sqrt(np.mean(errors**2))) for errors in sizes)
         return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
-    found, where = [], []
-    for one in results:
-        best = next((name for name in _ERRORS if name in one.content["errors"]), None)
+    values, where = [], []
+    for result in results:
+        best = next((name for name in _ERRORS if name in result.content["errors"]), None)
         if best is None:
-            raise DataError(f"{one.name}: its result.json tells no errors; run the fit again")
-        value = one.content["errors"][best]["after"]["rms"]
-        found.append(np.nan if value is None else float(value))
+            raise DataError(f"{result.name}: its result.json tells no errors; run the fit again")
+        value = result.content["errors"][best]["after"]["rms"]
+        values.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])
-    return tuple(found), unit, tuple(where), ()
+    return tuple(values), unit, tuple(where), ()

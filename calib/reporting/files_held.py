@@ -33,7 +33,7 @@ def files_of(fit: Fit) -> dict[Holds, FileRobot]:
     """Return the robots that files of a fit get, as far as there are such files of this robot."""
     nowhere = () if has_ur_kinematics(fit.nominal) else (Holds.TO_LAST_AXIS,)
     known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
-    return {holds: one for holds, one in known.items() if one is not None}
+    return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}
 
 
 @dataclass(frozen=True)
@@ -80,54 +80,54 @@ def worth_of_files(fit: Fit) -> FileWorth | None:
     lines = [FileLine("nominal robot", scale * nominal.before, np.nan, "")]
     for holds in reversed(Holds):
         if holds in files:
-            judged, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
+            accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
             withheld = "withheld: " if formats and files[holds].withheld else ""
             words = withheld + ", ".join(formats)
             if holds is Holds.EVERYTHING:
                 words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
-            lines.append(FileLine(holds.value, scale * judged.rms, scale * judged.limit95, words))
+            lines.append(FileLine(holds.value, scale * accuracy.rms, scale * accuracy.limit95, words))
     return FileWorth(whole.part, ERROR_UNIT[whole.dimension], whole.where, tuple(lines))
 
 
 def name_of_values(files: Mapping[Holds, FileRobot], holds: Holds) -> str:
     """Return which of `VALUES` has the values of a file's robot; empty where they are those of the whole model."""
-    own, whole = files[holds].values, files[Holds.EVERYTHING].values
-    if holds not in VALUES or own == whole:
+    values, whole = files[holds].values, files[Holds.EVERYTHING].values
+    if holds not in VALUES or values == whole:
         return ""
-    return VALUES[next(one for one in VALUES if one in files and files[one].values == own)]
+    return VALUES[next(equal for equal in VALUES if equal in files and files[equal].values == values)]
 
 
 def file_entries(fit: Fit) -> list[dict[str, object]]:
     """Return the entries of `result.json`: what each kind of file holds, which formats do, and how good they are."""
     files, reduced, entries = files_of(fit), fit.reduced or {}, list[dict[str, object]]()
-    for holds, one in files.items():
-        judged, scale = one.accuracy, error_scale(one.accuracy.dimension)
+    for holds, file_robot in files.items():
+        accuracy, scale = file_robot.accuracy, error_scale(file_robot.accuracy.dimension)
         entries.append(
             {
                 "holds": holds.name.lower(),
                 "formats": formats_that_hold(holds, fit.nominal),
                 "values": name_of_values(files, holds) or None,
                 "interval_degrees_of_freedom": reduced[holds].statistics.interval_freedom if holds in reduced else None,
-                "poses": judged.poses.name.lower(),
-                "n_poses": judged.n_poses,
-                "part": judged.part,
-                "dimension": judged.dimension,
-                "unit": ERROR_UNIT[judged.dimension],
-                "rms_nominal": scale * judged.before,
-                "rms": scale * judged.rms,
-                "limit95": scale * judged.limit95,
-                "withheld": one.withheld or None,
-                "joint_zeros": _zeros(fit.nominal, one),
+                "poses": accuracy.poses.name.lower(),
+                "n_poses": accuracy.n_poses,
+                "part": accuracy.part,
+                "dimension": accuracy.dimension,
+                "unit": ERROR_UNIT[accuracy.dimension],
+                "rms_nominal": scale * accuracy.before,
+                "rms": scale * accuracy.rms,
+                "limit95": scale * accuracy.limit95,
+                "withheld": file_robot.withheld or None,
+                "joint_zeros": _zeros(fit.nominal, file_robot),
             }
         )
     return entries
 
 
-def _zeros(robot: Robot, one: FileRobot) -> list[dict[str, object]] | None:
-    if not len(one.offsets):
+def _zeros(robot: Robot, file_robot: FileRobot) -> list[dict[str, object]] | None:
+    if not len(file_robot.offsets):
         return None
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
-    rows = zip(robot.joint_names, one.signs, one.offsets, dimensions, strict=True)
+    rows = zip(robot.joint_names, file_robot.signs, file_robot.offsets, dimensions, strict=True)
     return [
         {"joint": name, "sign": int(sign), "offset": float(offset) * display_scale(d), "unit": DISPLAY_UNIT[d]}
         for name, sign, offset, d in rows
@@ -155,7 +155,7 @@ def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -
         entries = {Holds[entry["holds"].upper()]: entry for entry in content.get("files") or ()}
         files = {holds: _stored(Path(folder), entry, holds, robot) for holds, entry in entries.items()}
         if content["verdict"]["grade"] == "FAIL":  # who has its files has forced them already
-            return {holds: replace(one, withheld="") for holds, one in files.items()}
+            return {holds: replace(file_robot, withheld="") for holds, file_robot in files.items()}
         return files
     except (AttributeError, KeyError, TypeError, ValueError):
         raise DataError(f"{folder}: what its result.json says of files cannot be read; run the fit again") from None

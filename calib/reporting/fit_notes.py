@@ -42,11 +42,11 @@ def _size(fit: Fit) -> list[str]:
 
 def _noise(fit: Fit) -> list[str]:
     lines = []
-    for one in fit.noise:
-        scale, unit = error_scale(one.group.dimension), ERROR_UNIT[one.group.dimension]
-        of = f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else ""
-        stated = "none was stated" if one.stated is None else f"stated: {scale * one.stated:.4g} {unit}"
-        lines.append(f"Noise found{of}: {scale * one.sigma:.4g} {unit} per axis ({stated})")
+    for noise in fit.noise:
+        scale, unit = error_scale(noise.group.dimension), ERROR_UNIT[noise.group.dimension]
+        of = f" of {noise.group.name}, {noise.group.part}" if len(fit.noise) > 1 else ""
+        stated = "none was stated" if noise.stated is None else f"stated: {scale * noise.stated:.4g} {unit}"
+        lines.append(f"Noise found{of}: {scale * noise.sigma:.4g} {unit} per axis ({stated})")
     return lines
 
 
@@ -59,8 +59,8 @@ def _scatter(fit: Fit) -> list[str]:
             " independent readings would. Intervals count it"
         )
     for name, offsets in fit.offsets.items():
-        one = fit.nominal.instrument(name)
-        axes = [(axis, part) for part in one.parts for axis in part.axes]
+        instrument = fit.nominal.instrument(name)
+        axes = [(axis, part) for part in instrument.parts for axis in part.axes]
         sizes = [
             f"{axis} {error_scale(part.dimension) * size:.3g} {ERROR_UNIT[part.dimension]}"
             for (axis, part), size in zip(axes, offsets, strict=True)
@@ -90,23 +90,25 @@ def _terms(fit: Fit) -> list[str]:
     left: list[str] = []
     refused: list[str] = []
     shown: set[str] = set()
-    for one in fit.terms.tried:
-        if one.term in shown:
+    for trial in fit.terms.tried:
+        if trial.term in shown:
             continue
-        shown |= set(one.together)
-        if np.isnan(one.evidence):
-            refused.append(f"{one.term} ({one.why})")
+        shown |= set(trial.together)
+        if np.isnan(trial.evidence):
+            refused.append(f"{trial.term} ({trial.why})")
         else:
             scale, unit = _unit(fit)
             numbers = (
-                f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
-                f" {one.evidence:+.1f}"
+                f"poses of blocks left out {scale * trial.before:.4f} -> {scale * trial.after:.4f} {unit} RMS,"
+                f" log evidence {trial.evidence:+.1f}"
             )
-            others = listed([_rival(kind, less) for kind, less in one.alike.items() if kind not in one.together])
+            others = listed([_rival(kind, less) for kind, less in trial.alike.items() if kind not in trial.together])
             alike = f"; its kind is not proven, it may be {others}" if others else ""
-            which = "; the data do not show which, so they were added together" if one.together else ""
-            name = " or ".join([one.term, *one.together])
-            (added if one.added else left).append(f"{name} ({one.why}{': ' if one.why else ''}{numbers}{which}{alike})")
+            which = "; the data do not show which, so they were added together" if trial.together else ""
+            name = " or ".join([trial.term, *trial.together])
+            (added if trial.added else left).append(
+                f"{name} ({trial.why}{': ' if trial.why else ''}{numbers}{which}{alike})"
+            )
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
@@ -223,7 +225,7 @@ def outliers_left_out(fit: Fit) -> list[str]:
     """Return which outliers were left out, and the fit with them; no line where none were."""
     if fit.with_all is None:
         return []
-    before, after = (found.identification.table()["after"]["rms"] for found in (fit.with_all, fit))
+    before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
     scale, unit = _unit(fit)
     return [
         f"Outliers left out: {listed([str(outlier) for outlier in fit.excluded], '; ')}. With them: RMS"
@@ -235,6 +237,6 @@ def terms_added(fit: Fit) -> list[str]:
     """Return which joint terms were chosen, in a line; none where none were looked for."""
     if fit.terms is None or fit.terms.asked != "auto":
         return []
-    added = [one for one in fit.terms.tried if one.added]
-    names = dict.fromkeys(" or ".join(sorted([one.term, *one.together])) for one in added)
+    added = [trial for trial in fit.terms.tried if trial.added]
+    names = dict.fromkeys(" or ".join(sorted([trial.term, *trial.together])) for trial in added)
     return [f"Joint terms added: {', '.join(names) or 'none improves the prediction of poses left out'}"]

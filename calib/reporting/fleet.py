@@ -89,7 +89,7 @@ class Fleet(ReadOnlyArrays):
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        odd = [one.name for one in self.members if one.odd]
+        odd = [member.name for member in self.members if member.odd]
         said = f"; unlike the others: {listed(odd)}" if odd else ""
         return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{said}>"
 
@@ -105,15 +105,15 @@ class Fleet(ReadOnlyArrays):
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
         heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "shown by")
         table = text_table(heads, ("parameter", "unit"), plain=True)
-        for k, one in enumerate(self.parameters):
+        for k, parameter in enumerate(self.parameters):
             numbers = (self.mean[k] - self.nominal[k], self.mean_std[k], self.spread[k])
-            cells = [f"{round(float(number) * one.per_si, 4) + 0.0:.4f}" for number in numbers]
-            table.add_row(one.name, one.unit, f"{one.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
+            cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
+            table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
         return plain_text([robots, "", table, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
-        odd = [one.name for one in self.members if one.odd]
+        odd = [member.name for member in self.members if member.odd]
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
         left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
         return (
@@ -124,13 +124,23 @@ class Fleet(ReadOnlyArrays):
     def to_dict(self) -> dict[str, object]:
         """Return the fleet for `--json`, in the units of tables; null where there is no number."""
         rows = []
-        for k, one in enumerate(self.parameters):
+        for k, parameter in enumerate(self.parameters):
             numbers = {"nominal": self.nominal[k], "mean": self.mean[k], "mean_std": self.mean_std[k]}
             numbers |= {"spread": self.spread[k]}
-            shown = {key: float(number) * one.per_si for key, number in numbers.items()}
-            values = {"values": list(self.values[:, k] * one.per_si), "stds": list(self.stds[:, k] * one.per_si)}
+            shown = {key: float(number) * parameter.per_si for key, number in numbers.items()}
+            values = {
+                "values": list(self.values[:, k] * parameter.per_si),
+                "stds": list(self.stds[:, k] * parameter.per_si),
+            }
             rows.append(
-                {"name": one.name, "unit": one.unit, "sigma": one.sigma, **shown, "shown": self.shown[k], **values}
+                {
+                    "name": parameter.name,
+                    "unit": parameter.unit,
+                    "sigma": parameter.sigma,
+                    **shown,
+                    "shown": self.shown[k],
+                    **values,
+                }
             )
         members = [
             {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
@@ -175,9 +185,9 @@ def fleet(*results: Path | str) -> Fleet:
     """
     if len(results) < 2:
         raise InputError(f"{counted(len(results), 'result')} given; give those of two or more robots of one model")
-    if len({Path(one).resolve() for one in results}) < len(results):
+    if len({Path(result).resolve() for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
-    folders = [Path(one) for one in results]
+    folders = [Path(result) for result in results]
     robots = [load(folder) for folder in folders]
     shared = _shared(robots, folders)
     _require_different(folders)
@@ -214,8 +224,11 @@ def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter
     for robot, folder in zip(robots[1:], folders[1:], strict=True):
         if geometry(robot) != geometry(robots[0]):
             raise DataError(f"{folder}: is the result of another robot than {folders[0]}; their URDFs differ")
-        own = [p.name for p in shared_parameters(robot)]
-        for less, more, who, other in ((own, names, folder, folders[0]), (names, own, folders[0], folder)):
+        free_names = [p.name for p in shared_parameters(robot)]
+        for less, more, who, other in (
+            (free_names, names, folder, folders[0]),
+            (names, free_names, folders[0], folder),
+        ):
             missing = next((name for name in more if name not in less), None)
             if missing is not None:
                 raise DataError(
@@ -228,12 +241,12 @@ def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter
 def _require_different(folders: Sequence[Path]) -> None:
     """Raise `DataError` if two results used the same readings: then they are of one robot."""
     used = [set(readings_of(folder / "residuals.csv").get("identification", {})) for folder in folders]
-    for k, own in enumerate(used):
+    for k, readings in enumerate(used):
         for other in range(k):
-            if own & used[other]:
+            if readings & used[other]:
                 raise DataError(
-                    f"{folders[k]}: used {counted(len(own & used[other]), 'reading')} of {folders[other]}: both are of"
-                    " one robot; give each robot once"
+                    f"{folders[k]}: used {counted(len(readings & used[other]), 'reading')} of {folders[other]}: both"
+                    " are of one robot; give each robot once"
                 )
 
 
@@ -243,12 +256,12 @@ def _kinds(shared: Sequence[Parameter]) -> IntArray:
     return np.array([list(dict.fromkeys(words)).index(word) for word in words], dtype=np.intp)
 
 
-def _is_origin(one: Parameter) -> bool:
-    return one.name.rpartition(".")[2] in ("x", "y", "z", "rx", "ry", "rz")
+def _is_origin(parameter: Parameter) -> bool:
+    return parameter.name.rpartition(".")[2] in ("x", "y", "z", "rx", "ry", "rz")
 
 
-def _term(one: Parameter) -> str:
-    return one.name.partition(".")[2].partition("_")[0]
+def _term(parameter: Parameter) -> str:
+    return parameter.name.partition(".")[2].partition("_")[0]
 
 
 def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
@@ -272,10 +285,10 @@ def _of_each(
         if k in odd:
             known = load_uncertainty(folder, robot)
             free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
-            own = [free.index(name) for name in names]
+            place = [free.index(name) for name in names]
             by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
             values.append(np.array([by_name[name] for name in names]))
-            stds.append(np.sqrt(np.diag(known.covariance)[own]))
+            stds.append(np.sqrt(np.diag(known.covariance)[place]))
         else:
             estimate, deviation = next(estimates)
             values.append(nominal + scales * estimate)
@@ -296,10 +309,10 @@ def _member(folder: Path, odd: bool, compared: Likeness | None, shared: Sequence
 
 def _confirmed(folders: Sequence[Path]) -> float:
     """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
-    found = [read_result(folder) for folder in folders]
-    stated = [one for one in found if one.get("sigma_stated") and one["sigma"] is not None]
-    freedom = np.array([float(one["degrees_of_freedom"]) for one in stated])
-    squares = np.array([(one["sigma"] / one["sigma_stated"]) ** 2 for one in stated])
+    contents = [read_result(folder) for folder in folders]
+    stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
+    freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])
+    squares = np.array([(content["sigma"] / content["sigma_stated"]) ** 2 for content in stated])
     if not len(stated) or not 1 / _CONFIRMED < np.sqrt(freedom @ squares / np.sum(freedom)) < _CONFIRMED:
         return 0.0
     return round(min(float(np.sum(freedom)), _MOST_CONFIRMED), 1)
@@ -307,7 +320,7 @@ def _confirmed(folders: Sequence[Path]) -> float:
 
 def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
     notes = []
-    check = [str(one) for one in folders if read_result(one)["verdict"]["grade"] == "CHECK"]
+    check = [str(folder) for folder in folders if read_result(folder)["verdict"]["grade"] == "CHECK"]
     if check:
         notes.append(f"Verdict CHECK: {listed(check)}; systematic errors there count as properties of the robot.")
     if len(folders) - len(odd) < 5:

@@ -118,16 +118,16 @@ def load_result(folder: Path | str) -> LoadedResult:
     """
     content, robot = read_result(folder), load(folder)
     rows = zip(content["parameters"], robot.parameters, robot.values, strict=True)
-    found = {}
-    for row, one, value in rows:
-        per_si = one.per_si
+    estimates = {}
+    for row, parameter, value in rows:
+        per_si = parameter.per_si
         numbers = {f"{key}_si": np.nan if row[key] is None else float(row[key]) / per_si for key in NUMBERS}
-        numbers |= {"nominal_si": one.nominal_si, "value_si": float(value)}  # these to the last digit
-        found[one.name] = Estimate(
-            one.name, one.unit, **numbers, status=row["status"], family=one.family, per_si=per_si
+        numbers |= {"nominal_si": parameter.nominal_si, "value_si": float(value)}  # these to the last digit
+        estimates[parameter.name] = Estimate(
+            parameter.name, parameter.unit, **numbers, status=row["status"], family=parameter.family, per_si=per_si
         )
     known, joints = load_uncertainty(folder, robot), joints_used(folder, robot)
-    return LoadedResult(str(folder), robot, Estimates(found), content, known, joints)
+    return LoadedResult(str(folder), robot, Estimates(estimates), content, known, joints)
 
 
 def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:

@@ -70,20 +70,28 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
 def _changed_most(fit: Fit) -> list[str | Table]:
     """The parameters that changed most against their standard deviation; places are no errors of the robot."""
     places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
-    free = [one for one in fit.parameters.values() if one.std > 0 and not one.family and one.name not in places]
-    most = sorted((one for one in free if one.value != one.nominal), key=_significance, reverse=True)[:_MOST_CHANGES]
+    free = [
+        estimate
+        for estimate in fit.parameters.values()
+        if estimate.std > 0 and not estimate.family and estimate.name not in places
+    ]
+    most = sorted(
+        (estimate for estimate in free if estimate.value != estimate.nominal), key=_significance, reverse=True
+    )[:_MOST_CHANGES]
     if not most:
         return []
     table = text_table(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
                        ("changed most", "unit"), plain=True)  # fmt: skip
-    for one in most:
-        numbers = (one.nominal, one.value, one.value - one.nominal, one.std)
-        table.add_row(one.name, one.unit, *(f"{number:.4f}" for number in numbers), f"{_significance(one):.1f}")
+    for estimate in most:
+        numbers = (estimate.nominal, estimate.value, estimate.value - estimate.nominal, estimate.std)
+        table.add_row(
+            estimate.name, estimate.unit, *(f"{number:.4f}" for number in numbers), f"{_significance(estimate):.1f}"
+        )
     return ["", table]
 
 
-def _significance(one: Estimate) -> float:
-    return abs(one.value - one.nominal) / one.std
+def _significance(estimate: Estimate) -> float:
+    return abs(estimate.value - estimate.nominal) / estimate.std
 
 
 def _worth(fit: Fit) -> list[str]:
@@ -92,7 +100,7 @@ def _worth(fit: Fit) -> list[str]:
     if worth is None:
         return []
     withheld = {True: " (withheld)", False: ""}
-    lines = [f"{one.holds} {one.rms:.4f}{withheld[one.formats.startswith('withheld')]}" for one in worth.lines]
+    lines = [f"{line.holds} {line.rms:.4f}{withheld[line.formats.startswith('withheld')]}" for line in worth.lines]
     return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {', '.join(lines)}"]
 
 

@@ -62,14 +62,14 @@ class Pair:
         if np.isnan(self.together):
             return f"{' and '.join(self.names)}: not tested."
         if self.real:
-            found = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
-            found += f", {listed(self.real)}"
+            outcome = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
+            outcome += f", {listed(self.real)}"
         elif self.together < REAL_BELOW:
-            found = "the robot differs, but no single parameter is proven to"
+            outcome = "the robot differs, but no single parameter is proven to"
         else:
-            found = "no parameter of the robot differs"
+            outcome = "no parameter of the robot differs"
         places = f"; put elsewhere: {listed(self.moved)}" if self.moved else ""
-        return f"{' and '.join(self.names)}: {found} (all together p {p_text(self.together)}){places}."
+        return f"{' and '.join(self.names)}: {outcome} (all together p {p_text(self.together)}){places}."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,7 +106,7 @@ class ResultComparison:
         return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
 
     def __repr__(self) -> str:
-        real = sum(any(one.real) for one in self.differences)
+        real = sum(any(difference.real) for difference in self.differences)
         return f"<comparison of {len(self.names)} results: {real} of {len(self.differences)} parameters differ>"
 
     def __str__(self) -> str:
@@ -124,13 +124,13 @@ class ResultComparison:
         table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
         for column in table.columns:
             column.overflow = "fold"
-        real = sum(any(one.real) for one in ranked)
+        real = sum(any(difference.real) for difference in ranked)
         shown = ranked[: min(real, _SHOWN) or _LIKELIEST]
-        for one in shown:
-            marks = (False, *one.real)
-            cells = [_cell(row, mark) for row, mark in zip(one.rows, marks, strict=True)]
-            unit = next(str(row["unit"]) for row in one.rows if row is not None)
-            table.add_row(one.name, unit, *cells, ", ".join(p_text(p) for p in one.p_values))
+        for difference in shown:
+            marks = (False, *difference.real)
+            cells = [_cell(row, mark) for row, mark in zip(difference.rows, marks, strict=True)]
+            unit = next(str(row["unit"]) for row in difference.rows if row is not None)
+            table.add_row(difference.name, unit, *cells, ", ".join(p_text(p) for p in difference.p_values))
         more = len(self.differences) - len(shown)
         kinds = "with less certain differences, or none to test" if real else "that are more alike, or have no test"
         lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
@@ -140,10 +140,10 @@ class ResultComparison:
 
     def ranked(self) -> list[Difference]:
         """Return the differences that were tested, the surest first; if none was, all, the least alike first."""
-        tested = [one for one in self.differences if np.any(np.isfinite(one.p_values))]
+        tested = [difference for difference in self.differences if np.any(np.isfinite(difference.p_values))]
         if not tested:
-            return sorted(self.differences, key=lambda one: -_apart(one))
-        return sorted(tested, key=lambda one: np.nanmin([*one.p_values, 2.0]))
+            return sorted(self.differences, key=lambda difference: -_apart(difference))
+        return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
 
     def conclusion(self) -> str:
         """Return in a sentence for each two results which differences are real."""
@@ -169,8 +169,13 @@ class ResultComparison:
                     for name, verdict, poses, rms, where in results
                 ],
                 "parameters": [
-                    {"name": one.name, "results": one.rows, "p_values": one.p_values, "real": one.real}
-                    for one in self.differences
+                    {
+                        "name": difference.name,
+                        "results": difference.rows,
+                        "p_values": difference.p_values,
+                        "real": difference.real,
+                    }
+                    for difference in self.differences
                 ],
                 "p_values_together": self.together,
                 "pairs": [
@@ -183,9 +188,9 @@ class ResultComparison:
         )
 
 
-def _apart(one: Difference) -> float:
+def _apart(difference: Difference) -> float:
     """Return the largest distance to the first result in half widths of both intervals; 0 where one has none."""
-    first, *others = one.rows
+    first, *others = difference.rows
     known = [row for row in others if row is not None and row["high95"] is not None]
     if first is None or first["high95"] is None or not known:
         return 0.0

@@ -98,24 +98,28 @@ def comments(fit: Fit) -> list[str]:
 
 def parameter_rows(fit: Fit) -> list[dict[str, object]]:
     """Return one row per parameter, in its display unit; uncertainties of held parameters are NaN."""
-    return [one.row() | {"family": one.family} for one in fit.parameters.values()]
+    return [estimate.row() | {"family": estimate.family} for estimate in fit.parameters.values()]
 
 
 def correlated(fit: Fit) -> list[dict[str, object]]:
     """Return pairs of free parameters whose estimates move together, strongest first."""
-    found = fit.statistics.correlations()
+    correlations = fit.statistics.correlations()
     names = fit.free_names
     with np.errstate(invalid="ignore"):
-        pairs = np.argwhere(np.triu(np.abs(found) >= CORRELATED, k=1))
-    own = fit.unknowns.family < 0  # coefficients of one curve belong together anyway
-    rows = [{"a": names[i], "b": names[j], "correlation": float(found[i, j])} for i, j in pairs if own[i] and own[j]]
+        pairs = np.argwhere(np.triu(np.abs(correlations) >= CORRELATED, k=1))
+    outside_curves = fit.unknowns.family < 0  # coefficients of one curve belong together anyway
+    rows = [
+        {"a": names[i], "b": names[j], "correlation": float(correlations[i, j])}
+        for i, j in pairs
+        if outside_curves[i] and outside_curves[j]
+    ]
     return sorted(rows, key=lambda row: -abs(float(str(row["correlation"]))))
 
 
 def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
     """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
-    found = repeats(errors)
-    return None if found is None else found.table()
+    figures = repeats(errors)
+    return None if figures is None else figures.table()
 
 
 def budget_table(fit: Fit) -> dict[str, object] | None:
@@ -123,10 +127,10 @@ def budget_table(fit: Fit) -> dict[str, object] | None:
 
     A cause whose mean square is negative has no root mean square and no share, but a remark.
     """
-    found = findings.budget(fit)
-    if found is None:
+    budget = findings.budget(fit)
+    if budget is None:
         return None
-    scale = error_scale(found.part.dimension)
+    scale = error_scale(budget.part.dimension)
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
         made = mean_square >= 0.0
@@ -135,21 +139,21 @@ def budget_table(fit: Fit) -> dict[str, object] | None:
             "mean_square": scale**2 * mean_square,
             "std": scale**2 * std,
             "rms": scale * math.sqrt(mean_square) if made else math.nan,
-            "share": mean_square / found.before if made and found.before > 0 else math.nan,
+            "share": mean_square / budget.before if made and budget.before > 0 else math.nan,
             "remark": "" if made else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
         }
 
     return {
-        "set": "identification" if found.used else "validation",
-        "part": found.part.name,
-        "unit": ERROR_UNIT[found.part.dimension],
-        "n_readings": found.n_readings,
-        "n_poses": found.n_poses,
-        "rms_before": scale * math.sqrt(found.before),
-        "rms_left": scale * math.sqrt(max(found.after, 0.0)),
-        "causes": [row(share.cause, share.mean_square, share.std) for share in found.shares],
-        "noise_from": found.noise_from or None,
-        "advice": found.advice,
+        "set": "identification" if budget.used else "validation",
+        "part": budget.part.name,
+        "unit": ERROR_UNIT[budget.part.dimension],
+        "n_readings": budget.n_readings,
+        "n_poses": budget.n_poses,
+        "rms_before": scale * math.sqrt(budget.before),
+        "rms_left": scale * math.sqrt(max(budget.after, 0.0)),
+        "causes": [row(share.cause, share.mean_square, share.std) for share in budget.shares],
+        "noise_from": budget.noise_from or None,
+        "advice": budget.advice,
     }
 
 
@@ -160,9 +164,9 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
         ("validation", fit.validation, fit.validation_uncertainty),
     ]
     return {
-        name: found.table() | {"worst_pose": errors.data.names[found.worst]}
-        for name, errors, found in sets
-        if found is not None and errors is not None
+        name: uncertainty.table() | {"worst_pose": errors.data.names[uncertainty.worst]}
+        for name, errors, uncertainty in sets
+        if uncertainty is not None and errors is not None
     }
 
 
@@ -178,13 +182,13 @@ def excluded_rows(fit: Fit) -> list[dict[str, object]]:
 
 
 def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]:
-    found = None if fit is None else fit.identification if label == "identification" else fit.validation
+    errors = None if fit is None else fit.identification if label == "identification" else fit.validation
     return {
         "set": label,
-        "pose": None if found is None else found.data.names[outlier.pose],
+        "pose": None if errors is None else errors.data.names[outlier.pose],
         "where": outlier.label,
         "target": outlier.target,
-        "distance": outlier.distance * _error_scale(found, outlier),
+        "distance": outlier.distance * _error_scale(errors, outlier),
         "size": outlier.size,
         "over_noise": outlier.studentised,
         "leverage": outlier.leverage,
@@ -201,7 +205,7 @@ def _with_excluded(fit: Fit) -> dict[str, object] | None:
         "verdict": judge(fit.with_all).to_dict(),
         "sigma": fit.with_all.sigma,
         "parameters": parameter_rows(fit.with_all),
-        "errors": {name: found.table() for name, found in error_sets(fit.with_all)},
+        "errors": {name: errors.table() for name, errors in error_sets(fit.with_all)},
     }
 
 
@@ -237,8 +241,8 @@ def _terms(fit: Fit) -> dict[str, object]:
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
         "unit": ERROR_UNIT[part.dimension],
         "tried": [
-            {**asdict(one), "before": scale * one.before, "after": scale * one.after, "proven": one.proven}
-            for one in tried
+            {**asdict(trial), "before": scale * trial.before, "after": scale * trial.after, "proven": trial.proven}
+            for trial in tried
         ],
         "curves": [
             {
@@ -258,35 +262,35 @@ def _terms(fit: Fit) -> dict[str, object]:
 def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     """Return one block for each instrument, with errors and noise in the units of its parts."""
     blocks: list[dict[str, object]] = []
-    for one in fit.nominal.instruments:
+    for instrument in fit.nominal.instruments:
         parts = []
-        offsets = fit.offsets.get(one.name, np.zeros(one.n_rows))
-        for index, part in enumerate(one.parts):
-            noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (one.group, part.name)), None)
+        offsets = fit.offsets.get(instrument.name, np.zeros(instrument.n_rows))
+        for index, part in enumerate(instrument.parts):
+            noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (instrument.group, part.name)), None)
             scale = error_scale(part.dimension)
             parts.append(
                 {
                     "name": part.name,
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
-                    "sigma_weighed": [scale * float(size) for size in offsets[np.equal(one.part_of_row, index)]],
+                    "sigma_weighed": [scale * float(size) for size in offsets[np.equal(instrument.part_of_row, index)]],
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {
-                        label: found.tables()[one.name][part.name]
-                        for label, found in error_sets(fit)
-                        if one.name in found.tables()
+                        label: errors.tables()[instrument.name][part.name]
+                        for label, errors in error_sets(fit)
+                        if instrument.name in errors.tables()
                     },
                 }
             )
-        n_readings = len(fit.identification.data.readings.get(one.name, ()))
-        kind = str(getattr(one, "kind", type(one).__name__.lower()))
-        blocks.append({"name": one.name, "kind": kind, "n_readings": n_readings, "parts": parts})
+        n_readings = len(fit.identification.data.readings.get(instrument.name, ()))
+        kind = str(getattr(instrument, "kind", type(instrument).__name__.lower()))
+        blocks.append({"name": instrument.name, "kind": kind, "n_readings": n_readings, "parts": parts})
     return blocks
 
 
-def _error_scale(found: ErrorSet | None, outlier: Outlier) -> float:
-    if found is None:
+def _error_scale(errors: ErrorSet | None, outlier: Outlier) -> float:
+    if errors is None:
         return 1.0
-    one = next(one for one in found.instruments if one.name == outlier.target)
-    return error_scale(one.parts[0].dimension)
+    instrument = next(instrument for instrument in errors.instruments if instrument.name == outlier.target)
+    return error_scale(instrument.parts[0].dimension)

@@ -153,13 +153,13 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
         scale = per_si(curve["unit"], robot.mechanism.dimensions[name], f"{folder}, curve of joint '{name}'")
         learned[:, robot.joint_names.index(name)] = curve["low"] / scale, curve["high"] / scale
     outside = beyond_learned(robot, learned, poses.joints) if curves else np.zeros((0, 0), dtype=bool)
-    found = np.flatnonzero(np.any(outside, axis=1))
-    if not len(found):
+    beyond = np.flatnonzero(np.any(outside, axis=1))
+    if not len(beyond):
         return []
     joints = [robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
     return [
-        f"{counted(len(found), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
-        f" ({listed([poses.labels[k] for k in found])}): there it is as uncertain as before measuring"
+        f"{counted(len(beyond), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
+        f" ({listed([poses.labels[k] for k in beyond])}): there it is as uncertain as before measuring"
     ]
 
 
@@ -185,7 +185,9 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
     if table.names != ("parameter", "unit", *names) or names != [p.name for p in known]:
         raise DataError(f"{path}: is not the covariance of parameters of {robot.path}; run the fit again")
     units = zip(known, table.text("unit"), strict=True)
-    scale = np.array([per_si(unit, one.dimension, f"{path}, parameter '{one.name}'") for one, unit in units])
+    scale = np.array(
+        [per_si(unit, parameter.dimension, f"{path}, parameter '{parameter.name}'") for parameter, unit in units]
+    )
     try:
         covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
@@ -230,12 +232,12 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
     sigma: dict[tuple[str, str], float] = {}
     try:
         for block in content["instruments"]:
-            one = robot.instrument(block["name"])
-            dimensions = {part.name: part.dimension for part in one.parts}
+            instrument = robot.instrument(block["name"])
+            dimensions = {part.name: part.dimension for part in instrument.parts}
             for part in block["parts"]:
                 scale = error_scale(dimensions[part["name"]])
                 if part["sigma"] is not None:
-                    sigma[one.group, part["name"]] = float(part["sigma"]) / scale
+                    sigma[instrument.group, part["name"]] = float(part["sigma"]) / scale
         shared = 1.0 if content["shared"] is None else float(content["shared"])
         freedom = float(content["degrees_of_freedom"])
     except (KeyError, TypeError, ValueError):

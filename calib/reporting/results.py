@@ -122,9 +122,9 @@ def _with_meshes(urdf: UrdfText) -> bytes:
     for match in _FILE.finditer(urdf.source):
         group = 1 if match.group(1) is not None else 2
         name = html.unescape(match.group(group).decode("utf-8", "replace"))
-        found = find_mesh(name, urdf.path)
-        if found is not None and not Path(name).is_absolute():
-            text = html.escape(str(found)).encode("ascii", "xmlcharrefreplace")
+        mesh = find_mesh(name, urdf.path)
+        if mesh is not None and not Path(name).is_absolute():
+            text = html.escape(str(mesh)).encode("ascii", "xmlcharrefreplace")
             edits.append((*match.span(group), text))
     return apply_edits(urdf.source, edits)
 
@@ -141,7 +141,7 @@ def _residual_table(fit: Fit) -> str:
     """
     blocks: list[tuple[IntArray, dict[str, Sequence[object]]]] = []
     count = 0
-    for label, found in error_sets(fit):
+    for label, error_set in error_sets(fit):
         if label == "cross_validation":
             continue
         rows = fit.rows if label == "identification" else fit.validation_rows
@@ -149,8 +149,8 @@ def _residual_table(fit: Fit) -> str:
         place = np.empty(rows.layout.n_readings, dtype=np.intp)
         place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
         count += len(place)
-        own = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
-        blocks += [(places, _residual_columns(fit, label, found, rows, name)) for places, name in own]
+        by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
+        blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
     blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
     columns: dict[str, list[object]] = {}
     for places, block in blocks:
@@ -165,42 +165,48 @@ def _cell(value: object) -> object:
     return "" if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
+def _residual_columns(fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
-    assert judged is not None
+    studentised = findings.studentised(fit) if used else findings.validation_studentised(fit)
+    assert studentised is not None
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
-    one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]
-    visits, n = layout.visit[own], len(readings)
+    instrument, of_instrument, readings = (
+        fit.nominal.instrument(name),
+        layout.readings_of(name),
+        error_set.data.readings[name],
+    )
+    visits, n = layout.visit[of_instrument], len(readings)
     columns: dict[str, Sequence[object]] = {
         "set": [label] * n,
-        "pose": [found.data.names[visit] for visit in visits],
+        "pose": [error_set.data.names[visit] for visit in visits],
         "target": [name] * n,
     }
-    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(one))
+    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))
     if setups and n_pairs:  # errors are in its measurement frame
         columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
-    columns |= {f"looked_at_{key}": words for key, words in one.texts(readings.pairs, readings.details).items()}
-    columns |= {head: values.tolist() for head, values in joint_columns(fit.robot, found.data.joints[visits]).items()}
+    columns |= {f"looked_at_{key}": words for key, words in instrument.texts(readings.pairs, readings.details).items()}
+    columns |= {
+        head: values.tolist() for head, values in joint_columns(fit.robot, error_set.data.joints[visits]).items()
+    }
     for state in STATES:
-        for row, number in enumerate(one.part_of_row):
-            part = one.parts[number]
-            axis = part.axes[row - one.part_of_row.index(number)]
-            errors = error_scale(part.dimension) * getattr(found, state)[name][:, row]
+        for row, number in enumerate(instrument.part_of_row):
+            part = instrument.parts[number]
+            axis = part.axes[row - instrument.part_of_row.index(number)]
+            errors = error_scale(part.dimension) * getattr(error_set, state)[name][:, row]
             columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
-    dimensions = {column.name: column.dimension for column in one.columns()}
-    for column, numbers in one.cells(readings.values).items():
+    dimensions = {column.name: column.dimension for column in instrument.columns()}
+    for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
         columns[head] = shown(numbers, dimensions[column]).tolist()
-    lengths = rows.distances()[own] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[own], 1))
+    lengths = rows.distances()[of_instrument] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[of_instrument], 1))
     unknown = np.full(n, np.nan)
     judgements = {
         "over_sigma": lengths if factor > 0 else unknown,
-        "studentised": judged.ratio[own] if used else unknown,
-        "leverage": judged.leverage[own] if used else unknown,
-        "weight": fit.weights[own] if used else unknown,
-        "loop_singular_value": found.singular_value[visits],
+        "studentised": studentised.ratio[of_instrument] if used else unknown,
+        "leverage": studentised.leverage[of_instrument] if used else unknown,
+        "weight": fit.weights[of_instrument] if used else unknown,
+        "loop_singular_value": error_set.singular_value[visits],
     }
     return columns | {head: values.tolist() for head, values in judgements.items()}
 
@@ -215,11 +221,11 @@ def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
 def _covariance_table(fit: Fit) -> str:
     """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
     free = [fit.parameters[name] for name in fit.free_names]
-    scale = np.array([one.per_si for one in free])
+    scale = np.array([estimate.per_si for estimate in free])
     shown = np.asarray(fit.covariance) * scale[:, None] * scale
     columns: list[tuple[str, list[object]]] = [
-        ("parameter", [one.name for one in free]),
-        ("unit", [one.unit for one in free]),
+        ("parameter", [estimate.name for estimate in free]),
+        ("unit", [estimate.unit for estimate in free]),
     ]
-    columns += [(one.name, list(column)) for one, column in zip(free, shown.T, strict=True)]
+    columns += [(estimate.name, list(column)) for estimate, column in zip(free, shown.T, strict=True)]
     return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))

@@ -115,10 +115,12 @@ def _plan(
     rows: list[list[object]] = []
     for k, together in zip(selection.chosen, selection.instruments, strict=True):
         read = [robot.instrument(name) for name in together.split(TOGETHER)]
-        own = {column for one in read for column in columns_in(one, table)}
-        touched = [table.names.index(name) for one in read if one.touches for name in one.text_columns()]
+        columns_read = {column for instrument in read for column in columns_in(instrument, table)}
+        touched = [
+            table.names.index(name) for instrument in read if instrument.touches for name in instrument.text_columns()
+        ]
         line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
-        others = {column for one in robot.instruments for column in columns_in(one, table)} - own
+        others = {column for instrument in robot.instruments for column in columns_in(instrument, table)} - columns_read
         cells = zip(table.names, table.rows[line], strict=True)
         rows.append([together, *("" if name in others else cell for name, cell in cells)])
     columns = [(header, [row[c] for row in rows]) for c, header in enumerate([INSTRUMENT, *headers])]

@@ -25,21 +25,23 @@ _LARGEST_IMAGE = 2**19  # bytes: it stands in every report
 _IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
 
 
-def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> bytes:
+def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -> bytes:
     """Return what a file holds.
 
     Args:
         path: The file; also a pipe.
-        wanted: What it should be, such as `a CSV file`.
+        expected: What it should be, such as `a CSV file`.
         error: What to raise.
 
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
     """
-    return b"".join(_pieces(path, wanted, error))
+    return b"".join(_pieces(path, expected, error))
 
 
-def _pieces(path: Path | str, wanted: str, error: type[CalibrationError], largest: float = _LARGEST) -> Iterator[bytes]:
+def _pieces(
+    path: Path | str, expected: str, error: type[CalibrationError], largest: float = _LARGEST
+) -> Iterator[bytes]:
     """What a file holds, a piece after the other; see `read_bytes`."""
     size = 0
     try:
@@ -48,29 +50,29 @@ def _pieces(path: Path | str, wanted: str, error: type[CalibrationError], larges
             while piece := stream.read(_PIECE):
                 size += len(piece)
                 if size > largest:
-                    raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {wanted}?")
+                    raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {expected}?")
                 yield piece
     except FileNotFoundError:
-        raise error(f"{path}: no such file; give {wanted}") from None
+        raise error(f"{path}: no such file; give {expected}") from None
     except OSError as problem:
         raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
     except ValueError as problem:  # a name with a zero byte, which YAML can spell
         raise error(f"{str(path)!r}: cannot be read ({problem})") from None
 
 
-def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
+def read_text(path: Path | str, expected: str, error: type[CalibrationError]) -> str:
     """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
-    return "\n".join(chain.from_iterable(read_lines(path, wanted, error)))
+    return "\n".join(chain.from_iterable(read_lines(path, expected, error)))
 
 
 def read_lines(
-    path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False, any_size: bool = False
+    path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False, any_size: bool = False
 ) -> Iterator[list[str]]:
     """Yield the lines of a text file without their ends, those of a piece at a time; see `read_text`.
 
     Args:
         path: The file.
-        wanted: What it should be, for the error.
+        expected: What it should be, for the error.
         error: What to raise.
         growing: Whether somebody still writes: a last line without its end is left out.
         any_size: Whether a file on a disk may be as large as it is.
@@ -79,7 +81,7 @@ def read_lines(
     decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
     begun: list[str] = []  # of the last line
     try:
-        for piece in _pieces(path, wanted, error, largest):
+        for piece in _pieces(path, expected, error, largest):
             begun.append(decoder.decode(piece))
             if "\n" in begun[-1]:
                 lines = "".join(begun).split("\n")
@@ -87,7 +89,7 @@ def read_lines(
                 yield lines
         yield [""] if growing else "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
     except UnicodeDecodeError:
-        raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
+        raise error(f"{path}: is not UTF-8 text; give {expected} in UTF-8") from None
 
 
 def image_address(path: Path | str) -> str:
@@ -96,14 +98,14 @@ def image_address(path: Path | str) -> str:
     Raises:
         InputError: It is missing, none of these, or larger than 512 kB.
     """
-    wanted = "a PNG, JPEG or SVG image"
-    content = read_bytes(path, wanted, InputError)
+    expected = "a PNG, JPEG or SVG image"
+    content = read_bytes(path, expected, InputError)
     if len(content) > _LARGEST_IMAGE:
-        raise InputError(f"{path}: has {len(content) >> 10} kB; give {wanted} of at most {_LARGEST_IMAGE >> 10} kB")
+        raise InputError(f"{path}: has {len(content) >> 10} kB; give {expected} of at most {_LARGEST_IMAGE >> 10} kB")
     start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
     kind = next((kind for mark, kind in _IMAGES if start.startswith(mark)), None)
     if kind is None or (kind == "svg+xml" and b"<svg" not in content):
-        raise InputError(f"{path}: is no image that a page can show; give {wanted}")
+        raise InputError(f"{path}: is no image that a page can show; give {expected}")
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 

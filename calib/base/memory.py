@@ -64,14 +64,14 @@ def require_memory(numbers: int, what: str, advice: str) -> None:
 
 def free_memory() -> float:
     """Return how many bytes a program can still take: of the machine, or less where a container may not; else inf."""
-    found = [float("inf")]
+    limits = [float("inf")]
     for line in _lines("/proc/meminfo"):
         if line.startswith("MemAvailable:"):
-            found.append(1024.0 * int(line.split()[1]))
+            limits.append(1024.0 * int(line.split()[1]))
     limit, used = (_lines(f"/sys/fs/cgroup/memory.{name}") for name in ("max", "current"))
     if limit and used and limit[0].isdecimal():
-        found.append(max(float(limit[0]) - float(used[0]), 0.0))
-    return min(found)
+        limits.append(max(float(limit[0]) - float(used[0]), 0.0))
+    return min(limits)
 
 
 def _lines(path: str) -> list[str]:

@@ -118,14 +118,14 @@ class Worded(metaclass=_Worded):
         def __getattr__(self, name: str) -> Any:
             if name.startswith("_"):
                 raise AttributeError(name)
-            if any(name in one.__dict__ for one in type(self).__mro__):
+            if any(name in parent.__dict__ for parent in type(self).__mro__):
                 return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
             raise UnknownNameError(_no_name(type(self).__name__, name, self._other_words, dir(self)))
 
 
 def _no_name(of: str, name: str, place: str, names: list[str]) -> str:
-    own = [one for one in names if one[0] != "_" and one.isidentifier()]
-    return f"{of} has no '{name}'" + (way(name, place) or nearest(name, own))
+    public = [candidate for candidate in names if candidate[0] != "_" and candidate.isidentifier()]
+    return f"{of} has no '{name}'" + (way(name, place) or nearest(name, public))
 
 
 def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
@@ -144,7 +144,7 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
     """
     parameters = signature(function).parameters
     known = [name for name in parameters if name != "self"]
-    in_order = [name for name, one in parameters.items() if one.kind is not Parameter.KEYWORD_ONLY]
+    in_order = [name for name, parameter in parameters.items() if parameter.kind is not Parameter.KEYWORD_ONLY]
     place = f"arguments of {function.__name__}"
 
     @functools.wraps(function)

@@ -26,12 +26,12 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         what: What such a class is, in words, such as `joint term`.
         group: Group of the entry points.
         base: What each derives from.
-        own: This package's.
+        built_in: This package's.
     """
 
-    def __init__(self, what: str, group: str, base: type[Class], own: Mapping[str, type[Class]]) -> None:
+    def __init__(self, what: str, group: str, base: type[Class], built_in: Mapping[str, type[Class]]) -> None:
         self.what, self.group = what, group
-        self._base, self._own = base, dict(own)
+        self._base, self._built_in = base, dict(built_in)
         self._given: dict[str, type[Class]] = {}  # registered, or loaded before
 
     def register(self, name: str, given: type[Class]) -> None:
@@ -42,7 +42,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         Raises:
             DescriptionError: This package or another installed one has the name, or the class is not complete.
         """
-        if name in self._own or name in self._entries():
+        if name in self._built_in or name in self._entries():
             raise DescriptionError(f"{self.what} '{name}': there is one already; give another name")
         self._given[name] = self._checked(name, given, f"({given!r})")
 
@@ -53,7 +53,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
             KeyError: There is none.
             DescriptionError: Another package's cannot be loaded, or is not complete.
         """
-        known = self._own.get(name) or self._given.get(name)
+        known = self._built_in.get(name) or self._given.get(name)
         if known is None:
             entry = self._entries()[name]
             known = self._given[name] = self._checked(name, self._loaded(entry), f"({entry.value})")
@@ -61,11 +61,11 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a class of this name; loads none."""
-        return name in self._own or name in self._given or name in self._entries()
+        return name in self._built_in or name in self._given or name in self._entries()
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
-        return iter(dict.fromkeys([*self._own, *self._given, *sorted(self._entries())]))
+        return iter(dict.fromkeys([*self._built_in, *self._given, *sorted(self._entries())]))
 
     def __len__(self) -> int:
         """Return how many names there are."""
@@ -80,7 +80,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         entries: dict[str, EntryPoint] = {}
         for entry in entry_points(group=self.group):
             other = entries.setdefault(entry.name, entry)
-            if entry.name in self._own or other.value != entry.value:
+            if entry.name in self._built_in or other.value != entry.value:
                 known = f" ({other.value})" if other.value != entry.value else ""
                 raise DescriptionError(
                     f"{self.what} '{entry.name}' ({entry.value}): there is another one of this name{known}; uninstall"
@@ -141,7 +141,7 @@ class _Schema:
         for name in self._registry:
             section = self._registry[name].section
             section.model_rebuild()
-            one = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
-            one["properties"] = one["properties"] | {self._key: {"const": name}}
-            every.append(one)
+            schema = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
+            schema["properties"] = schema["properties"] | {self._key: {"const": name}}
+            every.append(schema)
         return {"anyOf": every}

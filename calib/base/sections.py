@@ -199,7 +199,7 @@ def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any
 
 # No, Yes, On and Off are words, such as names of columns; true and false alone are truth values
 _UniqueKeyLoader.yaml_implicit_resolvers = {
-    first: [one for one in kinds if one[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
+    first: [kind for kind in kinds if kind[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
     for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)

@@ -79,11 +79,11 @@ def command(
         pose_set, source = read_pose_files(data, model), ", ".join(data)
         if parameters is None and result is None:
             model = placed(model, pose_set)
-    for one in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
+    for instrument in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
         output.note(
-            f"note: these poses do not touch what '{one.name}' touches, or do not say what: they count as touching"
-            " everything wherever they are, which tells more than touches can (one socket says nothing of the robot's"
-            f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
+            f"note: these poses do not touch what '{instrument.name}' touches, or do not say what: they count as"
+            " touching everything wherever they are, which tells more than touches can (one socket says nothing of the"
+            f" robot's size); give poses at contact, with a column '{instrument.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
     output.remarks(wrapped_terms(model, pose_set.joints))

@@ -297,8 +297,8 @@ def different_poses(poses: Poses) -> Poses:
     first = np.unique(numbers, return_index=True)[1]
     setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
     same_setup = setups == setups[first][numbers]
-    wanted = {name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()}
-    return replace(poses.subset(first), wanted=wanted)
+    plan = {name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()}
+    return replace(poses.subset(first), wanted=plan)
 
 
 def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:

@@ -20,9 +20,9 @@ def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     """
     output.check(html)
     with output.working(f"comparing {len(results)} results"):
-        found = compare(*results)
-    output.say(found.report().rstrip())
-    output.json(found.to_dict())
+        comparison = compare(*results)
+    output.say(comparison.report().rstrip())
+    output.json(comparison.to_dict())
     if html is not None:
-        output.write(html, pictures.comparison(found))
+        output.write(html, pictures.comparison(comparison))
         output.say(f"Written to {html}")

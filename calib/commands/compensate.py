@@ -32,9 +32,9 @@ from calib.using.programs.gcode import SUFFIXES
 
 _FIGURES = ("before", "expected", "low95", "high95")
 _OF_POSITIONS: tuple[tuple[str, str, float], ...] = tuple(
-    (one, ERROR_UNIT["length"], error_scale("length")) for one in _FIGURES
+    (figure, ERROR_UNIT["length"], error_scale("length")) for figure in _FIGURES
 )
-_OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) for one in _FIGURES)
+_OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")) for figure in _FIGURES)
 
 
 @click.command("compensate")
@@ -131,7 +131,7 @@ def command(
         )
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)
-    if suffix not in languages.SUFFIXES and (frames or any(one is not None for one in links)):
+    if suffix not in languages.SUFFIXES and (frames or any(link is not None for link in links)):
         raise InputError(
             "--frames, --base-link, --flange-link and --third-joint are for programs of controllers"
             f" ({', '.join(languages.SUFFIXES)}); leave them out"
@@ -291,10 +291,12 @@ def _said(
     done = f"left as they are: {left_as_it_is(result)};" if kept else f"compensated ({compensation.keep} kept),"
     lines = [f"{count} {done} written to {out}"]
     turned = f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
-    for what, ending in (("The tool", "_mm"), (turned, "_angle_mrad")):
+    for subject, ending in (("The tool", "_mm"), (turned, "_angle_mrad")):
         if f"expected{ending}" in figures:
             before, expected, unit = figures[f"before{ending}"], figures[f"expected{ending}"], ending.rpartition("_")[2]
-            lines.append(expected_now(what, expected, unit) if kept else before_and_now(what, before, expected, unit))
+            lines.append(
+                expected_now(subject, expected, unit) if kept else before_and_now(subject, before, expected, unit)
+            )
     lines.append(of_frame(compensation.frame))
     if held_out is not None:
         lines.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (rms), their noise included")

@@ -58,29 +58,29 @@ def compensate_gcode(
         tuple(program.label(move) for move in program.moves),
     )
     with output.working(f"compensating {counted(len(program.moves), 'move')}"):
-        found = compensate_moves(known, moves, tolerance)
-    figures = _figures(found)
+        compensated = compensate_moves(known, moves, tolerance)
+    figures = _figures(compensated)
     between = f"between points at most {figures['between_mm']['max']:.4f} mm off"
     done = f"compensated for {known.robot.name} with {result}; {between}"
-    if found.nothing_to_correct:
+    if compensated.nothing_to_correct:
         done = f"left as it is for {known.robot.name}: {left_as_it_is(result)}"
-    comments = (f"{done}; errors are {found.frame}", *said_of_failure(output, result, out))
+    comments = (f"{done}; errors are {compensated.frame}", *said_of_failure(output, result, out))
     comments = tuple(" ".join(line.split()) for line in comments)
-    ways = None if found.nothing_to_correct else [way - origin for way in found.told]
+    ways = None if compensated.nothing_to_correct else [way - origin for way in compensated.told]
     output.write(out, program.rewritten(ways, comments), GCODE_COMMENT)
-    n_pieces = sum(len(way) for way in found.told)
+    n_pieces = sum(len(way) for way in compensated.told)
     output.json(
         {
             "n_moves": len(program.moves),
             "n_pieces": n_pieces,
-            "n_measured": found.n_measured,
-            "frame": found.frame,
+            "n_measured": compensated.n_measured,
+            "frame": compensated.frame,
             "counted": COUNTED,
-            "nothing_to_correct": found.nothing_to_correct,
+            "nothing_to_correct": compensated.nothing_to_correct,
             **figures,
         }
     )
-    output.say(_said(program, found, figures, result, out))
+    output.say(_said(program, compensated, figures, result, out))
 
 
 def _point(text: str | None, option: str) -> tuple[float, ...] | None:
@@ -93,20 +93,20 @@ def _point(text: str | None, option: str) -> tuple[float, ...] | None:
     return tuple(quantity(f"{part.strip()} mm", "length", option) for part in parts)
 
 
-def _figures(found: CompensatedMoves) -> dict[str, dict[str, float]]:
+def _figures(compensated: CompensatedMoves) -> dict[str, dict[str, float]]:
     """Root mean square and largest error [mm]: without compensation, expected with it, and measured between points."""
-    measured = found.deviations[np.isfinite(found.deviations)]
+    measured = compensated.deviations[np.isfinite(compensated.deviations)]
     between = measured + ROUNDING if len(measured) else np.zeros(1)
-    shown = {"before_mm": found.before, "expected_mm": found.expected, "between_mm": between}
+    shown = {"before_mm": compensated.before, "expected_mm": compensated.expected, "between_mm": between}
     return {name: summary(millimetres(values)) for name, values in shown.items()}
 
 
 def _said(
-    program: GcodeProgram, found: CompensatedMoves, figures: dict[str, dict[str, float]], result: str, out: str
+    program: GcodeProgram, compensated: CompensatedMoves, figures: dict[str, dict[str, float]], result: str, out: str
 ) -> str:
-    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in found.told)
+    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in compensated.told)
     before, expected, between = figures["before_mm"], figures["expected_mm"], figures["between_mm"]
-    if found.nothing_to_correct:
+    if compensated.nothing_to_correct:
         lines = [
             f"{moves} left as they are: {left_as_it_is(result)}; written to {out}",
             expected_now("The tool", expected, "mm"),
@@ -116,6 +116,6 @@ def _said(
             f"{moves} compensated as {counted(n_pieces, 'line')}, written to {out}",
             before_and_now("The tool", before, expected, "mm"),
             f"Between points it is off by another {between['max']:.4f} mm at worst, measured at"
-            f" {counted(found.n_measured, 'point')}",
+            f" {counted(compensated.n_measured, 'point')}",
         ]
-    return "\n".join([*lines, of_frame(found.frame)])
+    return "\n".join([*lines, of_frame(compensated.frame)])

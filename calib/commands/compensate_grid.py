@@ -75,12 +75,12 @@ def compensate_grid(
         }
     )
     nodes = f"{counted(len(corrections.nodes), 'node')} written to {out}"
-    what = "At the nodes the tool"
+    subject = "At the nodes the tool"
     if kept:
-        lines = [f"{nodes}, all zero: {left_as_it_is(result)}", expected_now(what, expected, "mm")]
+        lines = [f"{nodes}, all zero: {left_as_it_is(result)}", expected_now(subject, expected, "mm")]
     else:
         lines = [
             f"{nodes}; {wrong}, at {len(off)} points between them",
-            before_and_now(what, before, expected, "mm"),
+            before_and_now(subject, before, expected, "mm"),
         ]
     output.say("\n".join([*lines, of_frame(corrections.frame)]))

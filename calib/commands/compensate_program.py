@@ -52,23 +52,23 @@ def compensate_controller(
     output.check(*map(str, places))
     base, flange, third_joint = links
     with output.working(f"compensating {counted(len(program.targets), 'target')}"):
-        found = compensate_program(known, program, base=base, flange=flange, third_joint=third_joint)
-    missed = [k for k, why in enumerate(found.reasons) if why]
+        compensated = compensate_program(known, program, base=base, flange=flange, third_joint=third_joint)
+    missed = [k for k, why in enumerate(compensated.reasons) if why]
     if missed and not skip_unreachable:
-        named = "; ".join(f"{program.targets[k].label} {found.reasons[k]}" for k in missed[:5])
+        named = "; ".join(f"{program.targets[k].label} {compensated.reasons[k]}" for k in missed[:5])
         more = f" (and {len(missed) - 5} more)" if len(missed) > 5 else ""
         raise UnreachablePoseError(
             f"{counted(len(missed), 'target')} of {len(program.targets)} cannot be compensated: {named}{more}; change"
             " them, or leave them as they are with --skip-unreachable"
         )
     for k in missed:
-        output.note(f"{program.targets[k].label} {found.reasons[k]}; left as it is")
-    _note(output, "", [str(one) for one in program.left_out])
-    _note(output, "note: ", [*found.configurations, *found.compensation.jumps()])
+        output.note(f"{program.targets[k].label} {compensated.reasons[k]}; left as it is")
+    _note(output, "", [str(place_left) for place_left in program.left_out])
+    _note(output, "note: ", [*compensated.configurations, *compensated.compensation.jumps()])
     said_of_failure(output, result, out)
-    write_files(dict(zip(places, found.files(), strict=True)), comment=None, force=output.force)
-    output.json(_content(program, found))
-    output.say(_said(program, found, result, [str(place) for place in places]))
+    write_files(dict(zip(places, compensated.files(), strict=True)), comment=None, force=output.force)
+    output.json(_content(program, compensated))
+    output.say(_said(program, compensated, result, [str(place) for place in places]))
 
 
 def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
@@ -78,9 +78,9 @@ def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
         output.note(f"and {len(lines) - _SHOWN} more (--json lists all)")
 
 
-def _figures(found: CompensatedProgram) -> dict[str, dict[str, float]]:
+def _figures(compensated: CompensatedProgram) -> dict[str, dict[str, float]]:
     """Root mean square and largest errors, of positions [mm] and of orientations where they are kept [mrad]."""
-    compensation, ok = found.compensation, found.compensation.ok
+    compensation, ok = compensated.compensation, compensated.compensation.ok
     figures = {f"{name}_mm": millimetres(getattr(compensation, name)[ok]) for name in ("before", "expected")}
     if compensation.keep != "position":
         angle = error_scale("angle")
@@ -88,31 +88,31 @@ def _figures(found: CompensatedProgram) -> dict[str, dict[str, float]]:
             f"{name}_angle_{ERROR_UNIT['angle']}": angle * getattr(compensation, f"{name}_angle")[ok]
             for name in ("before", "expected")
         }
-    figures["rounding_mm"] = millimetres(found.rounding[ok])
+    figures["rounding_mm"] = millimetres(compensated.rounding[ok])
     return {name: summary(np.asarray(values)) for name, values in figures.items()}
 
 
-def _content(program: RobotProgram, found: CompensatedProgram) -> dict[str, object]:
-    compensation = found.compensation
-    place = {int(k): n for n, k in enumerate(found.rows)}
+def _content(program: RobotProgram, compensated: CompensatedProgram) -> dict[str, object]:
+    compensation = compensated.compensation
+    place = {int(k): n for n, k in enumerate(compensated.rows)}
     return {
         "language": program.language,
-        "base_link": found.base,
-        "flange_link": found.flange,
+        "base_link": compensated.base,
+        "flange_link": compensated.flange,
         "kept": compensation.keep,
         "frame": compensation.frame,
         "counted": COUNTED,
         "nothing_to_correct": compensation.nothing_to_correct,
         "n_targets": len(program.targets),
-        "n_compensated": sum(one is not None for one in found.values),
-        **_figures(found),
-        "tool_from_target_mm": millimetres(found.lever),
+        "n_compensated": sum(values is not None for values in compensated.values),
+        **_figures(compensated),
+        "tool_from_target_mm": millimetres(compensated.lever),
         "targets": [
             {
                 "file": target.path,
                 "line": target.line,
                 "name": target.name,
-                "status": found.reasons[k] or "ok",
+                "status": compensated.reasons[k] or "ok",
                 **(
                     {
                         f"{name}_mm": millimetres(float(getattr(compensation, name)[place[k]]))
@@ -125,14 +125,15 @@ def _content(program: RobotProgram, found: CompensatedProgram) -> dict[str, obje
             for k, target in enumerate(program.targets)
         ],
         "not_compensated": [
-            {"file": one.path, "line": one.line, "text": one.text, "why": one.why} for one in program.left_out
+            {"file": place_left.path, "line": place_left.line, "text": place_left.text, "why": place_left.why}
+            for place_left in program.left_out
         ],
-        "configurations": list(found.configurations),
+        "configurations": list(compensated.configurations),
     }
 
 
-def _said(program: RobotProgram, found: CompensatedProgram, result: str, places: Sequence[str]) -> str:
-    compensation, figures = found.compensation, _figures(found)
+def _said(program: RobotProgram, compensated: CompensatedProgram, result: str, places: Sequence[str]) -> str:
+    compensation, figures = compensated.compensation, _figures(compensated)
     n, written = int(np.sum(compensation.ok)), " and ".join(places)
     count = f"{n} of {counted(len(program.targets), 'target')}"
     if compensation.nothing_to_correct:
@@ -150,8 +151,8 @@ def _said(program: RobotProgram, found: CompensatedProgram, result: str, places:
                 before_and_now("Its orientation", figures["before_angle_mrad"], figures["expected_angle_mrad"], "mrad")
             )
         lines.append(f"The decimals of the file move it by {figures['rounding_mm']['max']:.4f} mm at worst")
-    if found.lever > 1e-6 and "expected_angle_mrad" in figures:
-        far = millimetres(found.lever)
+    if compensated.lever > 1e-6 and "expected_angle_mrad" in figures:
+        far = millimetres(compensated.lever)
         most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
         lines.append(
             f"This is said of target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it, and"
@@ -159,5 +160,5 @@ def _said(program: RobotProgram, found: CompensatedProgram, result: str, places:
         )
     if program.left_out:
         lines.append(f"{counted(len(program.left_out), 'place')} not compensated, listed above")
-    lines.append(f"Poses count from link '{found.base}' to link '{found.flange}' and the program's tool")
+    lines.append(f"Poses count from link '{compensated.base}' to link '{compensated.flange}' and the program's tool")
     return "\n".join([*lines, of_frame(compensation.frame)])

@@ -16,7 +16,7 @@ from calib.commands.common import Output, shared_options
 from calib.data.tables import format_table
 from calib.instruments.board import Board
 from calib.instruments.camera import LITTLE_COVERAGE, image_coverage
-from calib.photographs.detection import Detection, Found, detect
+from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.images import Shot, joint_columns, shots
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, page, small_copy
@@ -48,23 +48,23 @@ def command(
     """
     described, every = given_board(board), shots(images, topic)
     output.check(out, page_file)
-    found, small = detected(described, every, output, pictures=page_file is not None)
-    if not found.usable:
-        raise DataError(f"no board in any of {counted(len(every), 'image')}: {found.images[0].remark}")
-    output.write(out, pixel_table(found, every, columns))
-    lines = summary(found)
+    detection, small = detected(described, every, output, pictures=page_file is not None)
+    if not detection.usable:
+        raise DataError(f"no board in any of {counted(len(every), 'image')}: {detection.images[0].remark}")
+    output.write(out, pixel_table(detection, every, columns))
+    lines = summary(detection)
     if page_file:
         pictures = [
-            Picture(one, copy, one.remark or counted(len(one.points), "point"), not one.usable)
-            for one, copy in zip(found.images, small, strict=True)
+            Picture(image, copy, image.remark or counted(len(image.points), "point"), not image.usable)
+            for image, copy in zip(detection.images, small, strict=True)
         ]
         write_files(
-            {Path(page_file): page(f"Photographs of a {found.board}", lines, pictures).encode()}, force=output.force
+            {Path(page_file): page(f"Photographs of a {detection.board}", lines, pictures).encode()}, force=output.force
         )
     for line in lines:
         output.say(line)
     output.say(f"Written to {out}")
-    output.json(content(found))
+    output.json(content(detection))
 
 
 def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: bool) -> tuple[Detection, list[bytes]]:
@@ -76,10 +76,10 @@ def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: b
     small: list[bytes] = []
 
     def read() -> Iterator[tuple[str, GreyImage | str]]:
-        for one in every:
-            image = one.read()
+        for shot in every:
+            image = shot.read()
             small.append(small_copy(image) if pictures else b"")
-            yield one.name, image
+            yield shot.name, image
 
     result: Detection | None = None
     with output.working("looking for the board") as progress:
@@ -90,40 +90,40 @@ def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: b
                 progress(k + 1, len(every))
     if result is None:
         raise InputError("no images")
-    for one in result.images:
-        if one.remark:
-            output.note(f"{'note' if one.usable else 'left out'}: {one.name}: {one.remark}")
+    for image in result.images:
+        if image.remark:
+            output.note(f"{'note' if image.usable else 'left out'}: {image.name}: {image.remark}")
     return result, small
 
 
-def pixel_table(found: Detection, every: Sequence[Shot], columns: str) -> str:
+def pixel_table(detection: Detection, every: Sequence[Shot], columns: str) -> str:
     """Return what was found as a table: one row for each point."""
-    own = {one.name: one for one in every}
-    usable = found.usable
-    names, joints = joint_columns([own[one.name] for one in usable])
-    counts = [len(one.points) for one in usable]
-    pixels = np.concatenate([one.pixels for one in usable])
+    by_name = {shot.name: shot for shot in every}
+    usable = detection.usable
+    names, joints = joint_columns([by_name[image.name] for image in usable])
+    counts = [len(image.points) for image in usable]
+    pixels = np.concatenate([image.pixels for image in usable])
     table: list[tuple[str, Sequence[object]]] = [
-        ("pose", [one.name for one in usable for _ in one.points]),
-        ("point", [point for one in usable for point in one.points]),
+        ("pose", [image.name for image in usable for _ in image.points]),
+        ("point", [point for image in usable for point in image.points]),
         (f"{columns}_u", [round(float(value), 4) for value in pixels[:, 0]]),
         (f"{columns}_v", [round(float(value), 4) for value in pixels[:, 1]]),
     ]
     table += [(name, [repr(float(value)) for value in np.repeat(joints[:, k], counts)]) for k, name in enumerate(names)]
     width, height = usable[0].size
-    return format_table(table, (f"image: {width} x {height} px", f"board: {found.board}"))
+    return format_table(table, (f"image: {width} x {height} px", f"board: {detection.board}"))
 
 
-def summary(found: Detection) -> list[str]:
+def summary(detection: Detection) -> list[str]:
     """Return in words what was found, and what is too little."""
-    usable, whole = found.usable, len(found.board.points())
+    usable, whole = detection.usable, len(detection.board.points())
     lines = [
-        f"{counted(found.n_points, 'point')} in {len(usable)} of {counted(len(found.images), 'image')}"
-        f" ({found.board}; {sum(len(one.points) == whole for one in usable)} show the whole board)"
+        f"{counted(detection.n_points, 'point')} in {len(usable)} of {counted(len(detection.images), 'image')}"
+        f" ({detection.board}; {sum(len(image.points) == whole for image in usable)} show the whole board)"
     ]
-    if found.board.kind == "charuco" and found.board.legacy:
+    if detection.board.kind == "charuco" and detection.board.legacy:
         lines.append("The board has the layout of OpenCV before 4.6 (legacy: true)")
-    sizes = {one.size for one in usable}
+    sizes = {image.size for image in usable}
     if len(sizes) > 1:
         lines.append(f"Images have {len(sizes)} sizes: one camera with one lens has one; sort them")
     seen = coverage(usable)
@@ -135,19 +135,25 @@ def summary(found: Detection) -> list[str]:
     return lines
 
 
-def coverage(usable: Sequence[Found]) -> float:
+def coverage(usable: Sequence[DetectedImage]) -> float:
     """Return in which part of the image the board was seen."""
-    return image_coverage(np.concatenate([one.pixels for one in usable]), usable[0].size) if usable else 0.0
+    return image_coverage(np.concatenate([image.pixels for image in usable]), usable[0].size) if usable else 0.0
 
 
-def content(found: Detection) -> dict[str, object]:
+def content(detection: Detection) -> dict[str, object]:
     """Return what was found as data."""
     return {
-        "board": found.board.model_dump(exclude_none=True),
-        "n_points": found.n_points,
-        "coverage": coverage(found.usable),
+        "board": detection.board.model_dump(exclude_none=True),
+        "n_points": detection.n_points,
+        "coverage": coverage(detection.usable),
         "images": [
-            {"name": one.name, "points": len(one.points), "edge_px": one.edge, "remark": one.remark, "used": one.usable}
-            for one in found.images
+            {
+                "name": image.name,
+                "points": len(image.points),
+                "edge_px": image.edge,
+                "remark": image.remark,
+                "used": image.usable,
+            }
+            for image in detection.images
         ],
     }

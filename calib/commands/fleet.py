@@ -29,13 +29,13 @@ def command(results: tuple[str, ...], out: str | None, html: str | None, output:
     """
     beside = str(urdf_beside(out)) if out is not None else None
     with output.working(f"learning from {len(results)} results"):
-        found = fleet(*results)
+        learned = fleet(*results)
     output.check(out, beside, html)
-    output.say(found.report().rstrip())
-    output.json(found.to_dict())
+    output.say(learned.report().rstrip())
+    output.json(learned.to_dict())
     if out is not None:
-        found.save(out, force=output.force)
+        learned.save(out, force=output.force)
         output.say(f"{out} and {beside} written; `calib fit {out} DATA --out DIR` calibrates one more robot")
     if html is not None:
-        output.write(html, pictures.fleet(found))
+        output.write(html, pictures.fleet(learned))
         output.say(f"Written to {html}")

@@ -22,7 +22,7 @@ from calib.data.rosbag import is_bag
 from calib.data.tables import read_table
 from calib.instruments.board import Board
 from calib.photographs.camera_files import read_camera
-from calib.photographs.detection import Found
+from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye_calibration import LENSES, HandEye, calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.images import joint_columns, shots
@@ -94,25 +94,25 @@ def command(
     small: dict[str, bytes] = {}
     if table:
         output.check(folders=(out,), names=FILES)
-        seen = _found_before(images[0], described)
+        seen = _detected_before(images[0], described)
     else:
         every = shots(images, topic)
         output.check(folders=(out,), names=FILES)
         detection, copies = detected(described, every, output, pictures=True)
-        small = {one.name: copy for one, copy in zip(every, copies, strict=True)}
+        small = {shot.name: copy for shot, copy in zip(every, copies, strict=True)}
         seen, described = list(detection.usable), detection.board
         for line in summary(detection):
             output.say(line)
         if not seen:
             raise DataError(f"no board in any of {counted(len(every), 'image')}: {detection.images[0].remark}")
         if any(is_bag(source) for source in images) and poses is None:
-            own = {one.name: one for one in every}
-            bag_joints = joint_columns([own[one.name] for one in seen])
+            by_name = {shot.name: shot for shot in every}
+            bag_joints = joint_columns([by_name[image.name] for image in seen])
     rows, tool = _tools(seen, poses, model, angles, bag_joints, output)
-    seen = [one for one in seen if one.name in rows]
-    seen.sort(key=lambda one: rows[one.name])
+    seen = [image for image in seen if image.name in rows]
+    seen.sort(key=lambda image: rows[image.name])
     require_images(len(seen))
-    scene = scene_of(seen, described, np.array([tool[rows[one.name]] for one in seen]))
+    scene = scene_of(seen, described, np.array([tool[rows[image.name]] for image in seen]))
     if lens_file is not None and lens_file.image is not None and lens_file.image != scene.size:
         raise InputError(
             f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
@@ -136,24 +136,24 @@ def command(
         raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
 
 
-def scene_of(seen: Sequence[Found], board: Board, tool: FloatArray) -> Scene:
+def scene_of(seen: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
     """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from.
 
     Raises:
         DataError: Images of several sizes.
     """
-    sizes = {one.size for one in seen}
+    sizes = {image.size for image in seen}
     if len(sizes) > 1:
         words = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
         raise DataError(f"the images have several sizes ({words} px): one camera with one lens has one; sort them")
     points = board.points()
-    counts = [len(one.points) for one in seen]
+    counts = [len(image.points) for image in seen]
     return Scene(
-        tuple(one.name for one in seen),
+        tuple(image.name for image in seen),
         tool,
         np.repeat(np.arange(len(seen)), counts),
-        np.array([points[name] for one in seen for name in one.points]),
-        np.concatenate([one.pixels for one in seen]),
+        np.array([points[name] for image in seen for name in image.points]),
+        np.concatenate([image.pixels for image in seen]),
         "tool",
         seen[0].size,
     )
@@ -169,7 +169,7 @@ def _frames(text: str | None) -> Frames:
 
 
 def _tools(
-    seen: Sequence[Found],
+    seen: Sequence[DetectedImage],
     poses: str | None,
     model: Robot | None,
     angles: str | None,
@@ -187,14 +187,14 @@ def _tools(
         if missing is not None:
             raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
         joints = values[:, np.array([names.index(name) for name in model.joint_names])]
-        return {one.name: k for k, one in enumerate(seen)}, model.forward(joints)
+        return {image.name: k for k, image in enumerate(seen)}, model.forward(joints)
     names, tool = read_tool_poses(poses, robot=model, angles=angles)
-    chosen, remarks = matched([one.name for one in seen], names, poses)
+    chosen, remarks = matched([image.name for image in seen], names, poses)
     output.remarks([f"left out: {text}" for text in remarks])
     return {names[k]: k for k in chosen}, tool
 
 
-def _found_before(path: str, board: Board) -> list[Found]:
+def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     """What `calib detect` has written."""
     table = read_table(path, {})
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
@@ -216,30 +216,30 @@ def _found_before(path: str, board: Board) -> list[Found]:
         )
     result = []
     for name in dict.fromkeys(names):
-        own = [k for k, other in enumerate(names) if other == name]
-        twice = next((points[k] for k in own if [points[j] for j in own].count(points[k]) > 1), None)
+        rows = [k for k, other in enumerate(names) if other == name]
+        twice = next((points[k] for k in rows if [points[j] for j in rows].count(points[k]) > 1), None)
         if twice is not None:
             raise DataError(f"{path}: image {name} has point {twice} twice")
-        result.append(Found(name, (int(size[1]), int(size[2])), tuple(points[k] for k in own), pixels[own]))
+        result.append(DetectedImage(name, (int(size[1]), int(size[2])), tuple(points[k] for k in rows), pixels[rows]))
     return result
 
 
-def _page(result: HandEye, frames: Frames, seen: Sequence[Found], small: dict[str, bytes]) -> str:
+def _page(result: HandEye, frames: Frames, seen: Sequence[DetectedImage], small: dict[str, bytes]) -> str:
     """The photographs with arrows from where points were found to where the calibration puts them."""
-    scene, own = result.scene, {one.name: one for one in seen}
+    scene, images = result.scene, {image.name: image for image in seen}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, off = result.by_image(result.pixels), {one.name: one for one in result.off}
+    each, off = result.by_image(result.pixels), {image.name: image for image in result.off}
     on = 1e3 * result.by_image(result.board)
     pictures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i
         arrows = scene.pixels[points] + factor * result.pixels[points]
-        shown = replace(own[name], pixels=scene.pixels[points])
+        shown = replace(images[name], pixels=scene.pixels[points])
         pictures.append(
             Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows)
         )
-    for name, one in off.items():
-        pictures.append(Picture(own[name], small.get(name, b""), f"left out: {one.rms:.1f} px off", True))
+    for name, image in off.items():
+        pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
     lines = [
         *report(result, frames).splitlines(),
         f"Arrows: from where points were found to where they should be, {factor:g} times as long",

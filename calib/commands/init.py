@@ -210,8 +210,11 @@ def _described(text: UrdfText, mjcf: MjcfRobot | None, target: str | None, relat
 def _empty_sheet(robot: Robot, measure: Measure) -> str:
     """The header of the measurements of a robot, with what to know while they are taken above it."""
     columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
-    for one in () if measure.read_apart else robot.instruments:
-        columns += [*(header(column.name, column.dimension) for column in one.columns()), *one.text_columns()]
+    for instrument in () if measure.read_apart else robot.instruments:
+        columns += [
+            *(header(column.name, column.dimension) for column in instrument.columns()),
+            *instrument.text_columns(),
+        ]
     return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)
 
 
@@ -295,8 +298,8 @@ def _write_template(name: str, given: Sequence[str], urdf: Path, description: Pa
         try:
             load(Path(folder) / description.name)
         except DescriptionError as error:
-            what = str(error).replace(f"{Path(folder) / description.name}: ", "")
-            raise InputError(f"template {name}: with these lengths, {what}") from None
+            message = str(error).replace(f"{Path(folder) / description.name}: ", "")
+            raise InputError(f"template {name}: with these lengths, {message}") from None
     write_files({file: text.encode() for file, text in texts.items()}, force=output.force)
 
 

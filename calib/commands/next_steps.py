@@ -54,18 +54,18 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
     return [*lines, f"Next: {typed('calib', 'export', out, '--format', 'urdf', '--out', 'calibrated.urdf')}"]
 
 
-def after_check(found: Assessment, robot: str, poses: object, data: Sequence[str]) -> list[str]:
+def after_check(assessment: Assessment, robot: str, poses: object, data: Sequence[str]) -> list[str]:
     """Return the command that follows on what poses determine.
 
     Args:
-        found: What they determine.
+        assessment: What they determine.
         robot: ROBOT, as it was typed.
         poses: What was looked at.
         data: DATA, likewise; nothing where poses were sampled.
     """
     if not data:
         return [f"Next: {typed('calib', 'sample', robot, '--count', '1000', '--seed', '1', '--out', 'poses.csv')}"]
-    if found.determination.missing:
+    if assessment.determination.missing:
         return [f"Next: hold what is named above (`held` in {robot}), or add poses; then the same command again"]
     if isinstance(poses, Measurements):
         return [f"Next: {typed('calib', 'fit', robot, *data, '--validate', '0.25', '--out', 'out/robot')}"]

@@ -58,11 +58,11 @@ def command(
             ranges[name] = max(low, before[0]), min(high, before[1])
     output.check(out)
     with output.working(f"looking for {count} poses"):
-        found = sample(model, count, seed, within=ranges)
+        poses = sample(model, count, seed, within=ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
-    output.write(out, format_measurements(model, measurements(found, found.wanted), comments))
-    output.say(f"{counted(len(found), 'pose')} written to {out}, seed {seed}")
-    if (few := little_seen(model, found)) is not None:
+    output.write(out, format_measurements(model, measurements(poses, poses.wanted), comments))
+    output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
+    if (few := little_seen(model, poses)) is not None:
         output.note(f"note: {few}")
 
 

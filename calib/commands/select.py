@@ -119,7 +119,7 @@ def command(
     With several instruments and --instruments, it also chooses which of them reads at which pose: the written file has
     a column `instrument`. A candidate for a touch must name what is touched, in the column of that instrument.
     """
-    wanted = _counts(count)
+    counts = _counts(count)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
@@ -136,7 +136,7 @@ def command(
         selection = select(
             model,
             poses,
-            wanted,
+            counts,
             index,
             instruments=instruments if instruments in (ALL, EACH) else instruments.split(","),
             measured=done,
@@ -177,17 +177,17 @@ def _counts(text: str) -> int | dict[str, int]:
 def _excluded(text: str, poses: Poses) -> list[int]:
     """Turn names and ranges of numbers into candidate numbers."""
     number_of = {name: k for k, name in enumerate(poses.names)}
-    found: list[int] = []
+    excluded: list[int] = []
     for item in (part.strip() for part in text.split(",")):
         first, _, last = item.partition("-")
         if item in number_of:
-            found.append(number_of[item])
+            excluded.append(number_of[item])
         elif first.isdigit() and last.isdigit() and int(first) <= int(last):
-            wanted = [str(k) for k in range(int(first), int(last) + 1)]
-            missing = [name for name in wanted if name not in number_of]
+            names = [str(k) for k in range(int(first), int(last) + 1)]
+            missing = [name for name in names if name not in number_of]
             if missing:
                 raise InputError(f"--exclude {item}: {poses.path} has no pose '{missing[0]}'")
-            found += [number_of[name] for name in wanted]
+            excluded += [number_of[name] for name in names]
         else:
             raise InputError(f"--exclude: {poses.path} has no pose '{item}'{nearest(item, number_of)}")
-    return found
+    return excluded

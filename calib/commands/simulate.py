@@ -95,7 +95,11 @@ def command(
 
 def _camera(robot: Robot) -> Pixel:
     """The one camera of a robot that looks at a board."""
-    cameras = [one for one in robot.instruments if isinstance(one, Pixel) and one.board and one.image]
+    cameras = [
+        instrument
+        for instrument in robot.instruments
+        if isinstance(instrument, Pixel) and instrument.board and instrument.image
+    ]
     if len(cameras) != 1:
         raise InputError(
             f"{robot.path}: has {counted(len(cameras), 'camera')} that can photograph; --photographs needs one, whose"
@@ -108,7 +112,7 @@ def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random
     """What a camera photographs at each visit, by the name of the file."""
     assert camera.board is not None
     assert camera.image is not None
-    again = next((one for k, one in enumerate(data.names) if one in data.names[:k]), None)
+    again = next((name for k, name in enumerate(data.names) if name in data.names[:k]), None)
     if again is not None:
         raise InputError(f"{data.path}: pose '{again}' is there twice; a photograph is called by its pose")
     visits = np.arange(len(data))
@@ -130,15 +134,15 @@ def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
     if sigma_mm is None:
         return "noise as the description states it"
     said = f"normal noise, sigma {sigma_mm:g} mm per axis"
-    if sigma_mm == 0 or all(part.is_position for one in robot.instruments for part in one.parts):
+    if sigma_mm == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
         return said
     return f"{said} of positions, else as the description states it"
 
 
 def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:
     """Raise `InputError` if the noise of an instrument is not stated; photographs have a noise of their own."""
-    own = {photographing.name} if photographing else set()
-    unstated = [] if sigma == 0 else [name for name in unstated_noise(robot, sigma) if name not in own]
+    exempt = {photographing.name} if photographing else set()
+    unstated = [] if sigma == 0 else [name for name in unstated_noise(robot, sigma) if name not in exempt]
     if not unstated:
         return
     named = ", ".join(f"'{name}'" for name in unstated)

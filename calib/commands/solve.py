@@ -108,9 +108,11 @@ def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
         if expected.nothing_to_correct
         else []
     )
-    for what, name in (("The real robot", "expected"), ("Its orientation", "expected_angle")):
+    for subject, name in (("The real robot", "expected"), ("Its orientation", "expected_angle")):
         lines += [
-            expected_now(what, summary(values[reached]), unit) for (key, unit), values in shown.items() if key == name
+            expected_now(subject, summary(values[reached]), unit)
+            for (key, unit), values in shown.items()
+            if key == name
         ]
     return [*lines, of_frame(expected.frame)]
 

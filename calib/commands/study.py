@@ -60,7 +60,7 @@ def command(
     model = loaded(robot, output)
     measured = read_measurements(poses, model) if resample else read_pose_files(poses, model)
     with output.working("calibrating") as progress:
-        found = study(
+        studied = study(
             model,
             measured,
             draws=draws,
@@ -73,8 +73,8 @@ def command(
             executor=jobs,
             progress=progress,
         )
-    output.say(found.report())
-    output.json(found.to_dict())
+    output.say(studied.report())
+    output.json(studied.to_dict())
 
 
 def _truth(text: str | None, robot: Robot) -> Robot | Literal["priors"] | None:

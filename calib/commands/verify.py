@@ -104,7 +104,7 @@ def _change(robot: Robot, text: str) -> tuple[str, float]:
         raise InputError(
             f"--change '{text}': write NAME=SIZE, such as 'joint_2.z=0.2 mm' or 'zero of joint_3=0.1 mrad'"
         )
-    known = {one.name: one.dimension for one in candidates(robot)}
+    known = {change.name: change.dimension for change in candidates(robot)}
     if name not in known:
         raise DataError(f"--change: no change '{name}' can be looked for{nearest(name, known)}")
     value = quantity(size, known[name], f"--change {name}")

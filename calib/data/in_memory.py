@@ -90,16 +90,18 @@ def as_measurements(
         readings = _positions_by_instrument(robot, len(poses), readings)
     readings_by_name: dict[str, Readings] = {}
     for name, given in readings.items():
-        if name not in [one.name for one in robot.instruments]:
-            raise DataError(f"no instrument '{name}'{nearest(name, [one.name for one in robot.instruments])}")
-        one = robot.instrument(name)
+        if name not in [instrument.name for instrument in robot.instruments]:
+            raise DataError(
+                f"no instrument '{name}'{nearest(name, [instrument.name for instrument in robot.instruments])}"
+            )
+        instrument = robot.instrument(name)
         if isinstance(given, Readings):
             readings_by_name[name] = given
             continue
-        if one.touches:
-            readings_by_name[name] = _words(one, poses, np.asarray(given))
+        if instrument.touches:
+            readings_by_name[name] = _words(instrument, poses, np.asarray(given))
             continue
-        readings_by_name[name] = _readings(one, poses, np.asarray(given, dtype=float))
+        readings_by_name[name] = _readings(instrument, poses, np.asarray(given, dtype=float))
     data = measurements(poses, readings_by_name)
     check_repeats(data, robot)
     return data
@@ -109,7 +111,7 @@ def _measured(robot: Robot, given: object) -> Measurements:
     """Measurements as they are, or read."""
     if isinstance(given, Measurements):
         return given
-    several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(one) for one in given)
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(source) for source in given)
     if not _is_table(given) and not several:
         raise InputError(
             f"measurements: expected a file, a data frame or Measurements, not {type(given).__name__}; arrays become"
@@ -138,17 +140,21 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
     stds = np.broadcast_to(values[:, None] if values.ndim == 1 else values, (len(data), 3))
     changed = dict(data.readings)
     for name, readings in data.readings.items():
-        one = robot.instrument(name)
-        if all(part.name != "position" for part in one.parts):
+        instrument = robot.instrument(name)
+        if all(part.name != "position" for part in instrument.parts):
             continue
-        others = [noise for part, noise in zip(one.parts, one.noise.parts, strict=True) if part.name != "position"]
+        others = [
+            noise
+            for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
+            if part.name != "position"
+        ]
         if readings.covariance is None and not all(noise.stated for noise in others):
             raise InputError(f"sigma: '{name}' reads more than positions, of which no noise is stated; state it there")
         covariance = readings.covariance
         if covariance is None:
-            widths = [len(part.axes) for part in one.parts]
-            covariance = one.noise.covariance(one.points(readings.values), len(readings), widths)
-        rows = np.flatnonzero([one.parts[k].name == "position" for k in one.part_of_row])
+            widths = [len(part.axes) for part in instrument.parts]
+            covariance = instrument.noise.covariance(instrument.points(readings.values), len(readings), widths)
+        rows = np.flatnonzero([instrument.parts[k].name == "position" for k in instrument.part_of_row])
         covariance = covariance.copy()
         covariance[:, rows, :] = covariance[:, :, rows] = 0.0
         covariance[:, rows, rows] = stds[readings.visits] ** 2
@@ -165,8 +171,8 @@ def plain_readings(values: FloatArray) -> Readings:
 
 
 def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str, FloatArray]:
-    if not all(isinstance(one, Position) for one in robot.instruments):
-        names = ", ".join(one.name for one in robot.instruments)
+    if not all(isinstance(instrument, Position) for instrument in robot.instruments):
+        names = ", ".join(instrument.name for instrument in robot.instruments)
         raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
     values = np.asarray(given, dtype=float)
     n_instruments = len(robot.instruments)
@@ -175,32 +181,36 @@ def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str
     if values.shape != (n, n_instruments, 3):
         raise DataError(
             f"positions of shape {np.shape(given)}; expected ({n}, {n_instruments}, 3): a row for each pose,"
-            f" the targets in the order {', '.join(one.name for one in robot.instruments)}"
+            f" the targets in the order {', '.join(instrument.name for instrument in robot.instruments)}"
         )
-    return {one.name: values[:, k] for k, one in enumerate(robot.instruments)}
+    return {instrument.name: values[:, k] for k, instrument in enumerate(robot.instruments)}
 
 
-def _words(one: Instrument, poses: Poses, given: ArrayLike) -> Readings:
+def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
     """Readings of an instrument that says in one column of words what it looked at, and reads no numbers."""
     texts = [str(text).strip() for text in np.atleast_1d(np.asarray(given))]
     if np.shape(given) != (len(poses),) or not all(isinstance(text, str) for text in np.asarray(given, dtype=object)):
-        raise DataError(f"{one.name}: expected {len(poses)} words, one for each pose; empty where it read nothing")
-    (column,) = one.text_columns()
-    own, pairs, details = one.looked_at({column: texts}, poses.labels)
-    visits = np.flatnonzero(own)
-    return Readings(visits, pairs[visits], np.repeat(one.values({}), len(visits), axis=0), None, details[visits])
+        raise DataError(
+            f"{instrument.name}: expected {len(poses)} words, one for each pose; empty where it read nothing"
+        )
+    (column,) = instrument.text_columns()
+    belongs, pairs, details = instrument.looked_at({column: texts}, poses.labels)
+    visits = np.flatnonzero(belongs)
+    return Readings(visits, pairs[visits], np.repeat(instrument.values({}), len(visits), axis=0), None, details[visits])
 
 
-def _readings(one: Instrument, poses: Poses, values: FloatArray) -> Readings:
-    if one.looks()[1].shape[1]:
-        raise DataError(f"{one.name}: an array does not say what each reading is about; give Readings with its details")
-    width = one.values({column.name: np.zeros(0) for column in one.columns()}).shape[1]
+def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readings:
+    if instrument.looks()[1].shape[1]:
+        raise DataError(
+            f"{instrument.name}: an array does not say what each reading is about; give Readings with its details"
+        )
+    width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]
     if values.shape != (len(poses), width):
-        raise DataError(f"{one.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
+        raise DataError(f"{instrument.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
     whole = np.all(np.isnan(values), axis=1)
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1) & ~whole)
     if len(bad):
         raise DataError(
-            f"{poses.labels[bad[0]]}: readings of '{one.name}' are not finite; correct them, or leave them out"
+            f"{poses.labels[bad[0]]}: readings of '{instrument.name}' are not finite; correct them, or leave them out"
         )
     return plain_readings(values)

@@ -13,71 +13,73 @@ from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
 
 
-def named_columns(one: Instrument) -> list[str]:
+def named_columns(instrument: Instrument) -> list[str]:
     """Return the columns that only this instrument has: its numbers, or its words where it has no numbers."""
-    return [column.name for column in one.columns()] or list(one.text_columns())
+    return [column.name for column in instrument.columns()] or list(instrument.text_columns())
 
 
-def _std_columns(one: Instrument) -> list[tuple[str, Dimension]]:
-    return [(f"{one.name}_std_{axis}", part.dimension) for part in one.parts for axis in part.axes]
+def _std_columns(instrument: Instrument) -> list[tuple[str, Dimension]]:
+    return [(f"{instrument.name}_std_{axis}", part.dimension) for part in instrument.parts for axis in part.axes]
 
 
-def columns_in(one: Instrument, table: Table) -> list[str]:
+def columns_in(instrument: Instrument, table: Table) -> list[str]:
     """Return the columns of a table that an instrument reads."""
-    names = [column.name for column in one.columns()] + list(one.text_columns())
-    names += [] if one.label_column is None else [one.label_column]
-    names += [name for name, _ in _std_columns(one)] + list(_correlation_columns(one))
+    names = [column.name for column in instrument.columns()] + list(instrument.text_columns())
+    names += [] if instrument.label_column is None else [instrument.label_column]
+    names += [name for name, _ in _std_columns(instrument)] + list(_correlation_columns(instrument))
     return [name for name in names if name in table.names]
 
 
-def _correlation_columns(one: Instrument) -> dict[str, tuple[int, int]]:
-    axes = [axis for part in one.parts for axis in part.axes]
-    return {f"{one.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))}
+def _correlation_columns(instrument: Instrument) -> dict[str, tuple[int, int]]:
+    axes = [axis for part in instrument.parts for axis in part.axes]
+    return {
+        f"{instrument.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))
+    }
 
 
-def readings_in(robot: Robot, one: Instrument, table: Table, rows: IntArray) -> Readings:
+def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArray) -> Readings:
     """Return what an instrument read in the rows of a table, whose visits are given, (n_table_rows,).
 
     Raises:
         DataError: The message names file, line and column.
     """
-    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in one.columns()}
+    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
     wheres = [f"{table.path}, line {line}" for line in table.lines]
-    some = np.flatnonzero(_labelled(robot, one, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
+    some = np.flatnonzero(_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
     texts: dict[str, list[str]] = {}
-    for name in one.text_columns():
+    for name in instrument.text_columns():
         if name not in table.names:
             raise DataError(f"{table.path}: no column '{name}'{nearest(name, table.names)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
-    own, pairs, details = one.looked_at(texts, [wheres[k] for k in some])
-    mine = np.array(own, dtype=bool)
+    belongs, pairs, details = instrument.looked_at(texts, [wheres[k] for k in some])
+    mine = np.array(belongs, dtype=bool)
     kept = some[mine]
     partly = np.argwhere(empty[kept])
     if len(partly):
         k, c = partly[0]
         raise DataError(
-            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of '{one.name}'"
-            " empty"
+            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of"
+            f" '{instrument.name}' empty"
         )
-    values = one.values({name: column[kept] for name, column in columns.items()})
+    values = instrument.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
-    numbers_of_pairs = pairs[mine] + in_setups(robot, one, setups_of(robot, table))[kept]
-    return Readings(rows[kept], numbers_of_pairs, values, _covariance(one, table, kept), details[mine])
+    numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine])
 
 
-def _labelled(robot: Robot, one: Instrument, table: Table) -> BoolArray:
+def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
     """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
-    column = one.label_column
+    column = instrument.label_column
     if column is None:
         return np.ones(len(table.rows), dtype=bool)
     group = [other for other in robot.instruments if other.label_column == column]
-    own = {c.name for c in one.columns()}
+    columns = {c.name for c in instrument.columns()}
     if column not in table.names:
-        sharing = [other.name for other in group if own & {c.name for c in other.columns()}]
+        sharing = [other.name for other in group if columns & {c.name for c in other.columns()}]
         if len(sharing) > 1:
             raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
         return np.ones(len(table.rows), dtype=bool)
@@ -85,7 +87,7 @@ def _labelled(robot: Robot, one: Instrument, table: Table) -> BoolArray:
     for line, text in zip(table.lines, texts, strict=True):
         if text and text not in names:
             raise DataError(f"{table.path}, line {line}, column '{column}': no {column} '{text}'{nearest(text, names)}")
-    return np.array([text == one.name for text in texts], dtype=bool)
+    return np.array([text == instrument.name for text in texts], dtype=bool)
 
 
 def setups_of(robot: Robot, table: Table) -> IntArray:
@@ -107,17 +109,17 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
     return np.array(numbers, dtype=np.intp)
 
 
-def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
+def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
     """The covariance that columns of standard deviations and correlations state; None without them."""
-    names = _std_columns(one)
-    correlated = [name for name in _correlation_columns(one) if name in table.names]
+    names = _std_columns(instrument)
+    correlated = [name for name in _correlation_columns(instrument) if name in table.names]
     present = [name for name, _ in names if name in table.names] + correlated
     if not present:
         return None
     missing = next((name for name, _ in names if name not in table.names), None)
     if missing is not None:
         raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
-    std = np.stack([_of_readings(one, table, kept, name, dimension) for name, dimension in names], axis=1)
+    std = np.stack([_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
         raise DataError(
@@ -125,22 +127,25 @@ def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | N
         )
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
-        i, j = _correlation_columns(one)[name]
-        correlation[:, i, j] = correlation[:, j, i] = _of_readings(one, table, kept, name, None)
+        i, j = _correlation_columns(instrument)[name]
+        correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
     smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
-        raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{one.name}' cannot be")
+        raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{instrument.name}' cannot be")
     return std[:, :, None] * correlation * std[:, None, :]
 
 
-def _of_readings(one: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None) -> FloatArray:
+def _of_readings(
+    instrument: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None
+) -> FloatArray:
     """A column in the rows in which an instrument read; in the others it may be empty."""
     values: FloatArray = table.column(name, dimension, gaps=True)[kept]
     if np.any(np.isnan(values)):
         line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
         raise DataError(
-            f"{table.path}, line {line}, column '{name}': is empty; fill it in, as '{one.name}' read something there"
+            f"{table.path}, line {line}, column '{name}': is empty; fill it in, as '{instrument.name}' read something"
+            " there"
         )
     return values
 

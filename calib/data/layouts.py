@@ -70,9 +70,9 @@ def units_below(names: Sequence[str], cells: Sequence[str]) -> tuple[str | None,
     """Return the units in a row below a header without any (None where it has none); None: it is no such row."""
     if len(cells) != len(names) or any(split_column(name)[1] for name in names):
         return None
-    found = [_unit(cell.strip()) if cell.strip() else None for cell in cells]
-    unknown = any(cell.strip() and unit is None for cell, unit in zip(cells, found, strict=True))
-    return tuple(found) if any(found) and not unknown else None
+    units = [_unit(cell.strip()) if cell.strip() else None for cell in cells]
+    unknown = any(cell.strip() and unit is None for cell, unit in zip(cells, units, strict=True))
+    return tuple(units) if any(units) and not unknown else None
 
 
 def _unit(cell: str) -> str | None:
@@ -82,10 +82,10 @@ def _unit(cell: str) -> str | None:
     return unit if name == "x" else None
 
 
-def _header_width(lines: Sequence[str], here: Sequence[int]) -> int:
-    """How many columns a line has if it is a header, 0 if it is none; `here` are it and the lines below it."""
-    separator = separator_of(lines[here[0]])
-    names, *below = [_split(lines[k], separator) for k in here]
+def _header_width(lines: Sequence[str], line_numbers: Sequence[int]) -> int:
+    """How many columns a line has if it is a header, 0 if it is none; of it and the lines below it."""
+    separator = separator_of(lines[line_numbers[0]])
+    names, *below = [_split(lines[k], separator) for k in line_numbers]
     filled = [name.strip() for name in names if name.strip()]
     if len(names) < 2 or 2 * len(filled) <= len(names) or any(_NUMBER.fullmatch(name) for name in filled):
         return 0

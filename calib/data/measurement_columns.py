@@ -82,25 +82,25 @@ def reading_columns(
     """
     visits, line_of = _lines(robot, n_visits, all_readings)
     columns: dict[str, list[object]] = {}
-    for one in robot.instruments:
-        readings = all_readings.get(one.name)
+    for instrument in robot.instruments:
+        readings = all_readings.get(instrument.name)
         if readings is None:
             continue
-        dimensions = {column.name: column.dimension for column in one.columns()}
+        dimensions = {column.name: column.dimension for column in instrument.columns()}
         cells: dict[str, Sequence[object]] = {
             header(name, dimensions[name]): list(shown(numbers, dimensions[name]))
-            for name, numbers in one.cells(readings.values).items()
+            for name, numbers in instrument.cells(readings.values).items()
         }
-        if one.label_column is not None:
-            cells[one.label_column] = [one.name] * len(readings)
-        for name, told in (cells | one.texts(readings.pairs, readings.details)).items():
+        if instrument.label_column is not None:
+            cells[instrument.label_column] = [instrument.name] * len(readings)
+        for name, told in (cells | instrument.texts(readings.pairs, readings.details)).items():
             column = columns.setdefault(name, [""] * len(visits))
-            for line, cell in zip(line_of[one.name], told, strict=True):
+            for line, cell in zip(line_of[instrument.name], told, strict=True):
                 column[line] = cell
         if not dimensions and np.any(readings.values):
             raise DataError(
-                f"instrument '{one.name}' reads no numbers, so that no file can say by how much it missed: what it"
-                " touches must be touched; give joint values at which it is"
+                f"instrument '{instrument.name}' reads no numbers, so that no file can say by how much it missed: what"
+                " it touches must be touched; give joint values at which it is"
             )
     return visits, columns
 
@@ -108,9 +108,11 @@ def reading_columns(
 def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) -> tuple[IntArray, dict[str, IntArray]]:
     """The visit of each line, and the line of each reading; what shares columns needs lines of its own."""
     sharing: dict[str, list[str]] = {}
-    for one in robot.instruments:
-        if one.name in all_readings:
-            sharing.setdefault(f"column {one.label_column}" if one.label_column else one.name, []).append(one.name)
+    for instrument in robot.instruments:
+        if instrument.name in all_readings:
+            sharing.setdefault(
+                f"column {instrument.label_column}" if instrument.label_column else instrument.name, []
+            ).append(instrument.name)
     place: dict[str, IntArray] = {}
     for names in sharing.values():
         places = rank_in_visit(np.concatenate([all_readings[name].visits for name in names]))

@@ -57,16 +57,18 @@ def read_measurements(
         DataError: The message names file, line and column.
     """
     paths = sources(path)
-    files = [Path(one).resolve() if isinstance(one, (str, Path)) else None for one in paths]
+    files = [Path(source).resolve() if isinstance(source, (str, Path)) else None for source in paths]
     for k, again in enumerate(paths):
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
-    tables = [read_robot_table(one, robot, growing=growing) for one in paths]
+    tables = [read_robot_table(source, robot, growing=growing) for source in paths]
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.commanded_names) <= set(table.names)]
     if not with_joints:
         joints = ", ".join(robot.commanded_names)
         raise DataError(f"{tables[0].path}: none of the files has a column for every joint ({joints})")
-    used = {column for table in tables for one in _seen_in(robot, table) for column in columns_in(one, table)}
+    used = {
+        column for table in tables for instrument in _seen_in(robot, table) for column in columns_in(instrument, table)
+    }
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
     poses = _joined(
         [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
@@ -74,13 +76,13 @@ def read_measurements(
     parts: dict[str, list[Readings]] = {}
     start = 0
     for table in tables:
-        if any(table is one for one in with_joints):
+        if any(table is other for other in with_joints):
             rows = start + np.arange(len(table.rows))
             start += len(table.rows)
         else:
             rows = _visits_by_pose(table, poses)
-        for one in _seen_in(robot, table):
-            parts.setdefault(one.name, []).append(readings_in(robot, one, table, rows))
+        for instrument in _seen_in(robot, table):
+            parts.setdefault(instrument.name, []).append(readings_in(robot, instrument, table, rows))
     data = measurements(poses, {name: concatenated(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{tables[0].path}: has no column of any instrument; expected: {_expected(robot)}")
@@ -97,10 +99,10 @@ def sources(given: Source | Sequence[Source]) -> list[Source]:
     if isinstance(given, (str, Path)) or is_columns(given):
         return [given]
     several = list(cast(Sequence[Source], given))
-    for one in several:
-        if not isinstance(one, (str, Path)) and not is_columns(one):
+    for source in several:
+        if not isinstance(source, (str, Path)) and not is_columns(source):
             raise InputError(
-                f"measurements: expected a file, a data frame, or several of them, not {type(one).__name__}; arrays"
+                f"measurements: expected a file, a data frame, or several of them, not {type(source).__name__}; arrays"
                 " become measurements with calib.as_measurements(robot, q, xyz)"
             )
     return several
@@ -203,9 +205,9 @@ def _joints_of_table(
         check_read(read, table.path, table.lines, f"{name}_")
         seen = read_down(read)
         assert seen is not None  # or it is an error by now
-        own = [robot.joint_names.index(joint) for joint in sensors[name].joints]
-        joints[:, own] = turned_joints(robot.nominal, sensors[name], joints, seen, down)
-        _check_tilts(robot, name, joints[:, own], table)
+        turned = [robot.joint_names.index(joint) for joint in sensors[name].joints]
+        joints[:, turned] = turned_joints(robot.nominal, sensors[name], joints, seen, down)
+        _check_tilts(robot, name, joints[:, turned], table)
     return joints, {column for name in reading for column in columns_of(name)}
 
 
@@ -283,7 +285,7 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
         joint = name.removeprefix(APPROACH)
         if joint != name and joint not in robot.joint_names and difflib.get_close_matches(joint, robot.joint_names):
             raise DataError(f"{table.path}, column '{name}': no joint '{joint}'{nearest(joint, robot.joint_names)}")
-    present = [(j, name) for j, one in enumerate(robot.joint_names) if (name := f"{APPROACH}{one}") in table.names]
+    present = [(j, name) for j, joint in enumerate(robot.joint_names) if (name := f"{APPROACH}{joint}") in table.names]
     if not present:
         return context, None
     directions = np.zeros((len(table.rows), len(robot.joint_names)))
@@ -321,7 +323,9 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
     """Instruments that a table has columns for; all, where nothing says that they may be missing."""
     if not robot.description.instruments:
         return list(robot.instruments)
-    instruments = [one for one in robot.instruments if any(name in table.names for name in named_columns(one))]
+    instruments = [
+        instrument for instrument in robot.instruments if any(name in table.names for name in named_columns(instrument))
+    ]
     if not instruments and set(robot.commanded_names) <= set(table.names):
         return []
     if not instruments:
@@ -330,7 +334,7 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
 
 
 def _expected(robot: Robot) -> str:
-    return "; ".join(dict.fromkeys(", ".join(named_columns(one)) for one in robot.instruments))
+    return "; ".join(dict.fromkeys(", ".join(named_columns(instrument)) for instrument in robot.instruments))
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:

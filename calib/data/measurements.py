@@ -200,7 +200,7 @@ class Measurements(Poses):
         return np.arange(len(self)) if self.order is None else self.order
 
     def _tables(self) -> tuple[list[dict[str, object]], ...]:
-        return ([{"instrument": name, "readings": len(found)} for name, found in self.readings.items()],)
+        return ([{"instrument": name, "readings": len(readings)} for name, readings in self.readings.items()],)
 
     def columns(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
@@ -265,12 +265,12 @@ class Measurements(Poses):
         robot = self._robot(robot)
         total = np.zeros((len(self), len(robot.target_names), 3))
         count = np.zeros((len(self), len(robot.target_names), 1))
-        for one in robot.instruments:
-            readings = self.readings.get(one.name)
-            points = None if readings is None else one.points(readings.values)
-            if readings is None or points is None or not isinstance(one, FrameInstrument):
+        for instrument in robot.instruments:
+            readings = self.readings.get(instrument.name)
+            points = None if readings is None else instrument.points(readings.values)
+            if readings is None or points is None or not isinstance(instrument, FrameInstrument):
                 continue
-            t = robot.target_names.index(one.target)
+            t = robot.target_names.index(instrument.target)
             np.add.at(total[:, t], readings.visits, points)
             np.add.at(count[:, t], readings.visits, 1.0)
         with np.errstate(invalid="ignore"):
@@ -301,12 +301,12 @@ def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measure
     """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
     moved = dict(data.readings)
     for name, readings in data.readings.items():
-        one = robot.instrument(name)
-        measured = one.points(readings.values)
-        if measured is not None and isinstance(one, FrameInstrument):
-            change = np.zeros((len(readings), one.n_rows))
-            change[:, :3] = points[readings.visits, robot.target_names.index(one.target)] - measured
-            moved[name] = replace(readings, values=one.moved(readings.values, change))
+        instrument = robot.instrument(name)
+        measured = instrument.points(readings.values)
+        if measured is not None and isinstance(instrument, FrameInstrument):
+            change = np.zeros((len(readings), instrument.n_rows))
+            change[:, :3] = points[readings.visits, robot.target_names.index(instrument.target)] - measured
+            moved[name] = replace(readings, values=instrument.moved(readings.values, change))
     return replace(data, readings=moved)
 
 
@@ -325,9 +325,9 @@ def of_visits(readings: Readings, index: IntArray) -> Readings:
     )
 
 
-def in_setups(robot: Robot, one: Instrument, setups: IntArray) -> IntArray:
+def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
     """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
-    return setups * (len(robot.pairs(one)) // max(1, len(robot.description.setups)))
+    return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 
 def directions_of_motion(joints: FloatArray) -> FloatArray:

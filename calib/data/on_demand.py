@@ -46,7 +46,7 @@ class OnDemand(Sequence[Item]):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence) or len(self) != len(other):
             return False
-        return all(one == another for one, another in zip(self, other, strict=True))
+        return all(item == another for item, another in zip(self, other, strict=True))
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -46,11 +46,14 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
     Raises:
         DataError: The message names file, line and column.
     """
-    used = {column for one in robot.instruments for column in columns_in(one, table)}
+    used = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
     poses = poses_of_table(table, robot, used)
     reading = _reading(robot, table)
-    wanted = {one.name: _wanted(robot, one, table, reading[one.name], poses.setups) for one in robot.instruments}
-    said = {name: looks for name, looks in wanted.items() if looks is not None}
+    plan = {
+        instrument.name: _looks(robot, instrument, table, reading[instrument.name], poses.setups)
+        for instrument in robot.instruments
+    }
+    said = {name: looks for name, looks in plan.items() if looks is not None}
     if len(said) == len(robot.instruments) and not any(len(looks) for looks in said.values()):
         raise DataError(f"{table.path}: says of no pose that anything is read there")
     return replace(poses, wanted=said)
@@ -87,8 +90,8 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
 def _measured(table: Table, robot: Robot) -> BoolArray:
     """Which rows have all cells of some instrument, (n_rows,)."""
     measured = np.zeros(len(table.rows), dtype=bool)
-    for one in robot.instruments:
-        names = [*(column.name for column in one.columns()), *one.text_columns()]
+    for instrument in robot.instruments:
+        names = [*(column.name for column in instrument.columns()), *instrument.text_columns()]
         if names and set(names) <= set(table.names):
             filled = np.ones(len(measured), dtype=bool)
             for name in names:
@@ -104,7 +107,7 @@ def _repeats(table: Table) -> bool:
 
 def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
     """Which rows of a plan each instrument is to read at, (n_table_rows,) by name."""
-    n, names = len(table.rows), [one.name for one in robot.instruments]
+    n, names = len(table.rows), [instrument.name for instrument in robot.instruments]
     result = {name: np.ones(n, dtype=bool) for name in names}
     for k, cell in enumerate(_instrument_cells(robot, table)):
         read = [name.strip() for name in cell.split(TOGETHER)] if cell else names
@@ -124,35 +127,35 @@ def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
     return tuple(table.text(INSTRUMENT)) if robot.description.instruments and INSTRUMENT in table.names else ()
 
 
-def _wanted(
-    robot: Robot, one: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
+def _looks(
+    robot: Robot, instrument: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
 ) -> Readings | None:
     """What an instrument is to read in the rows of a plan; None where nothing is said, or not what is touched."""
-    if one.columns() and np.all(reading):
+    if instrument.columns() and np.all(reading):
         return None  # all that it can, as if nobody said anything
     rows = np.flatnonzero(reading)
-    if one.columns():
-        pairs, details = one.looks()
+    if instrument.columns():
+        pairs, details = instrument.looks()
         n_looks = len(pairs)
         visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
-    elif set(one.text_columns()) <= set(table.names):
-        texts = {name: [table.text(name)[k] for k in rows] for name in one.text_columns()}
-        own, pairs, details = one.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
-        mine = np.array(own, dtype=bool)
-        _require_said(robot, one, table, rows[~mine])
+    elif set(instrument.text_columns()) <= set(table.names):
+        texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
+        belongs, pairs, details = instrument.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        mine = np.array(belongs, dtype=bool)
+        _require_said(robot, instrument, table, rows[~mine])
         visits, pairs, details = rows[mine], pairs[mine], details[mine]
     else:
         return None
-    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else in_setups(robot, one, setups)
+    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else in_setups(robot, instrument, setups)
     return Readings(visits, pairs + shift[visits], np.zeros((len(visits), 0)), None, details)
 
 
-def _require_said(robot: Robot, one: Instrument, table: Table, unsaid: IntArray) -> None:
+def _require_said(robot: Robot, instrument: Instrument, table: Table, unsaid: IntArray) -> None:
     """Raise `DataError` where a row names an instrument that touches, and not what."""
     cells = _instrument_cells(robot, table)
     bad = next((int(k) for k in unsaid if cells and cells[k]), None)
     if bad is not None:
         raise DataError(
-            f"{table.path}, line {table.lines[bad]}, column '{one.text_columns()[0]}': is empty, but '{one.name}' is"
-            " to touch something there; say what"
+            f"{table.path}, line {table.lines[bad]}, column '{instrument.text_columns()[0]}': is empty, but"
+            f" '{instrument.name}' is to touch something there; say what"
         )

@@ -84,8 +84,10 @@ def read_klipper(path: Path | str) -> PrinterFile:
 
     def three(key: str, default: tuple[float, ...] | None = None) -> tuple[float, float, float]:
         first = None if default is not None else cfg.number(steppers[0], key)
-        found = [cfg.number(one, key, first if default is None else default[k]) for k, one in enumerate(steppers)]
-        return found[0], found[1], found[2]
+        values = [
+            cfg.number(stepper, key, first if default is None else default[k]) for k, stepper in enumerate(steppers)
+        ]
+        return values[0], values[1], values[2]
 
     angles = three("angle", tuple(math.degrees(angle) for angle in ANGLES))
     geometry = DeltaGeometry(
@@ -95,7 +97,7 @@ def read_klipper(path: Path | str) -> PrinterFile:
         _times(three("position_endstop"), _MM),
     )
     turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
-    gears = [cfg.ratio(one) for one in steppers]
+    gears = [cfg.ratio(stepper) for stepper in steppers]
     if min(*turns, *micro, *full, *gears) <= 0:
         raise DataError(f"{path}: rotation_distance, microsteps, full_steps_per_rotation must be positive")
     step = [_MM * t / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
@@ -153,36 +155,38 @@ class _Klipper:
             return 1.0
         text, line = self.entries[section, "gear_ratio"]
         try:
-            pairs = [[float(one) for one in part.split(":")] for part in text.split(",")]
+            pairs = [[float(number) for number in part.split(":")] for part in text.split(",")]
             return math.prod(driven / motor for driven, motor in pairs)
         except (ValueError, ZeroDivisionError):
             raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
 
     def rows(self, step: tuple[float, float, float]) -> tuple[Row, ...]:
-        heights, spans, here = list[Row](), list[Row](), "delta_calibrate"
+        heights, spans, calibration = list[Row](), list[Row](), "delta_calibrate"
         for (section, key), (text, line) in self.entries.items():
             height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
-            if section != here or not (height or distance):
+            if section != calibration or not (height or distance):
                 continue
             value = self._numbers(section, key, text, 1)[0] * _MM
             ends = ("_pos",) if height else ("_pos1", "_pos2")
-            places = [self._numbers(here, key + end, self.text(here, key + end), 3) for end in ends]
+            places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
             down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
             if distance and value <= 0:
                 raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is no distance; correct it")
             (heights if height else spans).append(Row(key, line, value, down))
         if spans and not heights:
-            raise DataError(f"{self.path}: [{here}] has distances and no heights; probe the bed (DELTA_CALIBRATE)")
+            raise DataError(
+                f"{self.path}: [{calibration}] has distances and no heights; probe the bed (DELTA_CALIBRATE)"
+            )
         return (*heights, *spans)
 
 
 def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
     """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
-    found = []
+    differences = []
     for row in rows:
         points = geometry.nozzle(np.array(row.places))
-        found.append((points[0, 2] if len(points) == 1 else np.linalg.norm(points[0] - points[1])) - row.value)
-    return np.array(found)
+        differences.append((points[0, 2] if len(points) == 1 else np.linalg.norm(points[0] - points[1])) - row.value)
+    return np.array(differences)
 
 
 def _require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
@@ -262,9 +266,9 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
             raise DataError(f"{path}, line {number}: '{code.strip():.60}' has no numbers; correct it") from None
         words.setdefault(match[1], {}).update(said)
     settings, ends = words.get("M665", {}), words.get("M666", {})
-    for key, what in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
+    for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
         if key not in settings:
-            raise DataError(f"{path}: no M665 with {key}, {what}; save the settings (M503 prints them) into a file")
+            raise DataError(f"{path}: no M665 with {key}, {meaning}; save the settings (M503 prints them) into a file")
 
     def of(source: Mapping[str, tuple[float, ...]], key: str) -> float:
         return source.get(key, (0.0,))[0]
@@ -279,7 +283,7 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
     adjusted = [of(ends, key) * _MM for key in "XYZ"]
     triple = (angles[0], angles[1], angles[2]), (arms[0], arms[1], arms[2])
     if firmware == "marlin":
-        tops = [height - one for one in adjusted]
+        tops = [height - end for end in adjusted]
     else:
         level = DeltaGeometry(radius, *triple, (0.0, 0.0, 0.0))
         start = np.array(level.carriages) - min(level.carriages)

@@ -72,21 +72,23 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
     same = {name: joint for joint in joints for name in table.names if _plain(name) == _plain(joint)}
     if sorted(same.values()) == sorted(joints):
         return same
-    numbers = {name: int(found.group(1)) for name in table.names if (found := _NUMBERED.fullmatch(_plain(name)))}
+    numbers = {name: int(match.group(1)) for name in table.names if (match := _NUMBERED.fullmatch(_plain(name)))}
     if sorted(numbers.values()) != list(range(1, len(joints) + 1)):
         return {}
     ends = [re.search(r"(\d+)\D*$", joint) for joint in joints]
-    own = [int(end.group(1)) for end in ends if end is not None]
-    order = own if sorted(own) == list(range(1, len(joints) + 1)) else list(range(1, len(joints) + 1))
+    joint_numbers = [int(end.group(1)) for end in ends if end is not None]
+    order = (
+        joint_numbers if sorted(joint_numbers) == list(range(1, len(joints) + 1)) else list(range(1, len(joints) + 1))
+    )
     return {name: joints[order.index(number)] for name, number in numbers.items()}
 
 
 def _positions(robot: Robot, table: Table) -> dict[str, str]:
     """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
-    reading = [one for one in robot.instruments if isinstance(one, Position)]
+    reading = [instrument for instrument in robot.instruments if isinstance(instrument, Position)]
     units = dict(zip(table.names, table.units, strict=True))
-    found = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
+    axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
-    if sorted(found.values()) != list(_AXES) or not columns or set(columns) & set(table.names):
+    if sorted(axes.values()) != list(_AXES) or not columns or set(columns) & set(table.names):
         return {}
-    return {name: columns[_AXES.index(axis)] for name, axis in found.items()}
+    return {name: columns[_AXES.index(axis)] for name, axis in axes.items()}

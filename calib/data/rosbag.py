@@ -89,10 +89,10 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
             " topic too"
         )
     every = [*joints.values(), *places.values()]
-    stamped = all(stamp > 0 for one in every for stamp in one.stamps)
-    measured = {topic: one.over_time(stamped) for topic, one in places.items()}
+    stamped = all(stamp > 0 for series in every for stamp in series.stamps)
+    measured = {topic: series.over_time(stamped) for topic, series in places.items()}
     times = np.unique(np.concatenate([at for at, _ in measured.values()]))
-    q, spread = _joints_at(times, [one.over_time(stamped) for one in joints.values()])
+    q, spread = _joints_at(times, [series.over_time(stamped) for series in joints.values()])
     still = spread <= _STILL
     if not still.any():
         seen = spread[np.isfinite(spread)]
@@ -103,7 +103,7 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
         )
     stops = _stops(q[still])
     means = np.array([q[still][stops == stop].mean(axis=0) for stop in range(stops[-1] + 1)])
-    first = min(min(one.stamps if stamped else one.recorded) for one in every)
+    first = min(min(series.stamps if stamped else series.recorded) for series in every)
     columns: list[tuple[str, list[object]]] = [
         ("pose", [f"stop {number + 1}" for number in stops]),
         ("time [s]", list(times[still] - first)),
@@ -131,9 +131,9 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
             if source.setdefault(name, topic) != topic:
                 raise DataError(f"{path}: joint '{name}' is in {source[name]} and in {topic}; keep one of these topics")
             joints.setdefault(name, _Series()).add(message, recorded, (value,))
-    for what, one in {**joints, **places}.items():
-        if len({len(value) for value in one.values}) > 1 or not np.isfinite(one.values).all():
-            raise DataError(f"{path}: '{what}' has numbers that are not finite, or messages of two kinds")
+    for key, series in {**joints, **places}.items():
+        if len({len(value) for value in series.values}) > 1 or not np.isfinite(series.values).all():
+            raise DataError(f"{path}: '{key}' has numbers that are not finite, or messages of two kinds")
     return joints, places
 
 
@@ -182,8 +182,8 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
         raise DataError(f"{path}: no such file; give a CSV file or a bag")
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            wanted = [one for one in reader.connections if one.msgtype in kinds]
-            for connection, recorded, raw in reader.messages(wanted) if wanted else ():
+            connections = [connection for connection in reader.connections if connection.msgtype in kinds]
+            for connection, recorded, raw in reader.messages(connections) if connections else ():
                 message = reader.deserialize(raw, connection.msgtype)
                 yield connection.topic, connection.msgtype, recorded / 1e9, message
     except DataError:

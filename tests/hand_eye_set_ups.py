@@ -109,9 +109,9 @@ def drawn(generator, errors, n, mount, robot, sigma):
 
 def covered(result, mount):
     """Which of the camera's six numbers lie in their intervals."""
-    step = np.linalg.inv(result.found.placed.camera) @ CAMERA[mount]
+    step = np.linalg.inv(result.fitted.placed.camera) @ CAMERA[mount]
     off = np.r_[step[:3, 3], Rotation.from_matrix(step[:3, :3]).as_rotvec()]
-    half = t.ppf(0.975, result.found.freedom[:6]) * np.sqrt(np.diag(result.found.covariance)[:6])
+    half = t.ppf(0.975, result.fitted.freedom[:6]) * np.sqrt(np.diag(result.fitted.covariance)[:6])
     return np.abs(off) <= half
 
 
@@ -135,7 +135,7 @@ def main(count, errors, seed):
             print(f"{number}: {error}", file=sys.stderr)
             continue
         reference, _ = plain(own, Placed(CAMERA[mount], BOARD[mount], INTRINSICS), ())
-        off = rms(on_board(new, result.found.placed))
+        off = rms(on_board(new, result.fitted.placed))
         ratios.append(off / rms(on_board(new, reference)))
         inside.append(covered(result, mount))
         exceeds = off / result.limit

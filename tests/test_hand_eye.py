@@ -86,7 +86,7 @@ def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong(
     for given in (None, wrong):
         result = calibrate(one, given, mounts=("base",))
         assert result.lens_found
-        assert np.allclose(result.found.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+        assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
         assert rms(result.pixels) < 0.3
     kept = calibrate(one, wrong, lens="given", mounts=("base",))
     assert "lens_given" in codes(kept)
@@ -96,13 +96,13 @@ def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong(
 
 def test_the_robots_part_is_told_from_the_cameras():
     result = calibrate(scene(16, "tool", noise=0.2, shift=4e-4, turn=3e-4), INTRINSICS)
-    noise = result.found.noise
+    noise = result.fitted.noise
     assert noise.pixel == pytest.approx(0.2, rel=0.1)
     assert noise.shift == pytest.approx(4e-4, rel=0.35)  # 84 squares: 16 images of 6, less 12 unknowns
     assert rms(result.alone) < 0.35 < rms(result.pixels)
     assert "come with the robot's poses" in report(result, Frames())
     exact = calibrate(scene(16, "tool", noise=0.2), INTRINSICS)
-    assert exact.found.noise.shift < 5e-5
+    assert exact.fitted.noise.shift < 5e-5
     assert judge(exact).grade == "PASS"
 
 
@@ -126,11 +126,11 @@ def test_order_names_and_the_boards_origin_do_not_matter():
     order = order[np.argsort(one.image[order], kind="stable")]
     shuffled = replace(one, names=tuple("abcdefg"), body=one.body[order], pixels=one.pixels[order])
     again = calibrate(shuffled, INTRINSICS)
-    assert np.allclose(again.found.placed.camera, result.found.placed.camera, atol=1e-9)
+    assert np.allclose(again.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
     moved = calibrate(replace(one, body=one.body - [0.09, 0.12, 0.0]), INTRINSICS)
-    back = moved.found.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
-    assert np.allclose(moved.found.placed.camera, result.found.placed.camera, atol=1e-9)
-    assert np.allclose(back, result.found.placed.board, atol=1e-9)
+    back = moved.fitted.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
+    assert np.allclose(moved.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
+    assert np.allclose(back, result.fitted.placed.board, atol=1e-9)
 
 
 def test_each_mistake_is_named_and_none_passes():
@@ -182,7 +182,7 @@ def test_too_few_images_are_an_error():
 def test_exported_files_hold_the_same_transform():
     result = calibrate(scene(7, "base", noise=0.2), INTRINSICS)
     made = files(result, Frames("world", "flange", "cam"))
-    want = result.found.placed.camera
+    want = result.fitted.placed.camera
     assert np.allclose(np.loadtxt(made["camera_matrix.txt"].decode().splitlines()), want, atol=1e-11)
     words = made["static_transform.sh"].decode().split()
     numbers = [float(words[words.index(f"--{key}") + 1]) for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]

@@ -231,7 +231,7 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [float(value) * display_scale(one) for value, one in zip(offsets, dimensions, strict=True)]
+    shown = [float(value) * display_scale(dimension) for value, dimension in zip(offsets, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
         ("sign", [f"{sign:.0f}" for sign in signs]),

@@ -39,7 +39,7 @@ def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
     """Return the formats that hold so much of a robot, and can hold one with its loops at all."""
     no_place = (*(_CHAINS if robot.mechanism.loops else ()),)
     no_place += () if is_linear_delta(robot.description) else FIRMWARES
-    return [name for name, own in HELD.items() if own is holds and name not in no_place]
+    return [name for name, held in HELD.items() if held is holds and name not in no_place]
 
 
 def held_of(robot: Robot, file_format: str) -> Holds:
@@ -104,8 +104,8 @@ def said_of(robot: Robot, holds: Holds) -> list[str]:
 
 def compared(robot: Robot, holds: Holds) -> str:
     """Return the error of the robot that a file gets, beside the nominal one and the whole model; one clause."""
-    judged, whole = robot.files[holds].accuracy, robot.files.get(Holds.EVERYTHING)
-    others = f"; the nominal robot has {judged.shown(judged.before)}"
-    if whole is not None and whole.accuracy != judged:
+    accuracy, whole = robot.files[holds].accuracy, robot.files.get(Holds.EVERYTHING)
+    others = f"; the nominal robot has {accuracy.shown(accuracy.before)}"
+    if whole is not None and whole.accuracy != accuracy:
         others += f", the whole model {whole.accuracy.shown(whole.accuracy.rms)}"
-    return judged.words + others
+    return accuracy.words + others

@@ -121,8 +121,8 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
     kept = without_terms(robot, Holds.TABLES)
     bound, start = dict.fromkeys(kept.joint_names, 0.0), kept.coefficients.start
     for term in kept.terms:
-        own = slice(start, start := start + len(term.parameters))
-        bound[term.joint] += term.curvature(kept.values[own])
+        indices = slice(start, start := start + len(term.parameters))
+        bound[term.joint] += term.curvature(kept.values[indices])
     return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items())
 
 
@@ -139,15 +139,15 @@ def beside_tables(robot: Robot) -> list[str]:
     """Return what of a robot no table can hold, with its size, one line each."""
     left, start = [], robot.coefficients.start
     for term in robot.terms:
-        own = slice(start, start := start + len(term.parameters))
+        indices = slice(start, start := start + len(term.parameters))
         if not Holds.TABLES.keeps(term):
-            left.append(_left_out(robot, own, term))
+            left.append(_left_out(robot, indices, term))
     return left
 
 
 def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     j, dimension = robot.joint_names.index(joint), robot.mechanism.dimensions[joint]
-    described = next(one for one in robot.urdf.joints if one.name == joint)
+    described = next(candidate for candidate in robot.urdf.joints if candidate.name == joint)
     low, high = described.lower, described.upper
     if not (np.isfinite(high - low) and high > low):
         if dimension == "length":
@@ -170,13 +170,13 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     return JointTable(joint, dimension, commands, actual(commands))
 
 
-def _left_out(robot: Robot, own: slice, term: JointTerm) -> str:
+def _left_out(robot: Robot, indices: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
-    size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[own]))), ERROR_UNIT[dimension]
+    size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[indices]))), ERROR_UNIT[dimension]
     depends_on = listed([condition.value for condition in term.depends_on])
-    what = f"{size:.3g} {unit} {term.per}".rstrip()
-    return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {what} remains"
+    remainder = f"{size:.3g} {unit} {term.per}".rstrip()
+    return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
 
 
 def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:
@@ -193,10 +193,10 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
     said = [f"joint correction tables of {robot.name} ({robot.path})", *lines]
     said = [" ".join(line.replace("*/", "* /").split()) for line in said]
     columns: list[tuple[str, Sequence[object]]] = [
-        ("joint", [one.joint for one in tables for _ in one.commands]),
-        ("unit", [_SI[one.dimension] for one in tables for _ in one.commands]),
-        ("commanded", [float(value) for one in tables for value in one.commands]),
-        ("actual", [float(value) for one in tables for value in one.actual]),
+        ("joint", [table.joint for table in tables for _ in table.commands]),
+        ("unit", [_SI[table.dimension] for table in tables for _ in table.commands]),
+        ("commanded", [float(value) for table in tables for value in table.commands]),
+        ("actual", [float(value) for table in tables for value in table.actual]),
     ]
     return {
         "joint_tables.csv": format_table(columns, said).encode(),
@@ -209,25 +209,28 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
 def _python(tables: Sequence[JointTable]) -> str:
     """The tables as a Python module."""
     entries = []
-    for one in tables:
-        start, step = float(one.commands[0]), _step(one)
-        entries.append(f"    {json.dumps(one.joint)}: ({start!r}, {step!r}, [\n{_numbers(one.actual, 8)}\n    ]),\n")
+    for table in tables:
+        start, step = float(table.commands[0]), _step(table)
+        entries.append(
+            f"    {json.dumps(table.joint)}: ({start!r}, {step!r}, [\n{_numbers(table.actual, 8)}\n    ]),\n"
+        )
     return _PYTHON % "".join(entries)
 
 
 def _c(tables: Sequence[JointTable]) -> str:
     """The tables as a C header."""
-    names = ", ".join(f"{k} {one.joint}" for k, one in enumerate(tables)).replace("*/", "* /")
+    names = ", ".join(f"{k} {table.joint}" for k, table in enumerate(tables)).replace("*/", "* /")
     arrays = [
-        f"static const double joint_values_{k}[] = {{\n{_numbers(one.actual, 4)}\n}};" for k, one in enumerate(tables)
+        f"static const double joint_values_{k}[] = {{\n{_numbers(table.actual, 4)}\n}};"
+        for k, table in enumerate(tables)
     ]
     return _C % (
         " ".join(names.split()),
         "\n".join(arrays),
         ", ".join(f"joint_values_{k}" for k in range(len(tables))),
-        ", ".join(repr(float(one.commands[0])) for one in tables),
-        ", ".join(repr(_step(one)) for one in tables),
-        ", ".join(str(len(one.actual)) for one in tables),
+        ", ".join(repr(float(table.commands[0])) for table in tables),
+        ", ".join(repr(_step(table)) for table in tables),
+        ", ".join(str(len(table.actual)) for table in tables),
     )
 
 

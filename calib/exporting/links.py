@@ -201,7 +201,7 @@ def find_mesh(filename: str, urdf_path: str) -> Path | None:
     return next((p for p in places if p.is_file() and may_read_mesh(filename, p, urdf_path)), None)
 
 
-def may_read_mesh(filename: str, found: Path, urdf_path: str) -> bool:
+def may_read_mesh(filename: str, mesh: Path, urdf_path: str) -> bool:
     """Return whether a mesh file may be read under its name in the URDF, which may come from anybody.
 
     By `..` a name may leave the URDF's folder for the one above it, where `meshes` stands beside `urdf`; for the ROS
@@ -211,7 +211,7 @@ def may_read_mesh(filename: str, found: Path, urdf_path: str) -> bool:
         return True
     above = Path(urdf_path).resolve().parent.parent
     package = next((folder for folder in (above, *above.parents) if (folder / "package.xml").is_file()), above)
-    return any(found.resolve().is_relative_to(root.resolve()) for root in (above, package, *_ros_folders()))
+    return any(mesh.resolve().is_relative_to(root.resolve()) for root in (above, package, *_ros_folders()))
 
 
 def _ros_folders() -> list[Path]:

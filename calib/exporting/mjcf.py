@@ -188,15 +188,15 @@ class _Writer:
             return
         contact = SubElement(root, "contact")
         pairs = {
-            tuple(sorted((one, other)))
+            tuple(sorted((link, other)))
             for tie in self.model.ties
-            for one in self._welded(tie.a)
+            for link in self._welded(tie.a)
             for other in self._welded(tie.b)
-            if one != other
+            if link != other
         }
-        for one, other in sorted(pairs):
-            if self.links[one].collisions and self.links[other].collisions:
-                SubElement(contact, "exclude", body1=self._body_name(one), body2=self._body_name(other))
+        for link, other in sorted(pairs):
+            if self.links[link].collisions and self.links[other].collisions:
+                SubElement(contact, "exclude", body1=self._body_name(link), body2=self._body_name(other))
 
     def _carrier(self, name: str) -> tuple[str, pin.SE3]:
         """The moving body that carries a link, and the link's place in it (Pinocchio ties fixed bodies wrongly)."""
@@ -234,8 +234,8 @@ class _Writer:
             return
         equality = SubElement(root, "equality")
         for tie in self.model.ties:
-            (one, anchor), (other, _) = self._carrier(tie.a), self._carrier(tie.b)
-            attributes = {"name": tie.name, "body1": one, "body2": other, **TIE_SOFTNESS}
+            (body, anchor), (other, _) = self._carrier(tie.a), self._carrier(tie.b)
+            attributes = {"name": tie.name, "body1": body, "body2": other, **TIE_SOFTNESS}
             if tie.full_pose:
                 SubElement(equality, "weld", attributes)
             else:

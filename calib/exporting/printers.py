@@ -31,7 +31,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
             f"{robot.path}: is no delta printer; formats {', '.join(FIRMWARES)} hold robots of the parametrisation"
             " linear_delta, such as calib init --klipper writes"
         )
-    value = {one.name: float(v) for one, v in zip(robot.parameters, robot.values, strict=True)}
+    value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
     angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")
     return DeltaGeometry(
         value["delta_radius"],

@@ -115,12 +115,13 @@ def _errors(facts: RobotFacts) -> list[str]:
     for k, wave in enumerate(facts.waves):
         text += [_array(f"double @_sine_{k}[]", wave.sine), _array(f"double @_cosine_{k}[]", wave.cosine)]
     waves = [
-        f"{{{one.driven}, {one.place}, {len(one.sine)}, {_number(one.base)}, @_sine_{k}, @_cosine_{k}}}"
-        for k, one in enumerate(facts.waves)
+        f"{{{wave.driven}, {wave.place}, {len(wave.sine)}, {_number(wave.base)}, @_sine_{k}, @_cosine_{k}}}"
+        for k, wave in enumerate(facts.waves)
     ]
     shares = [
-        f"{{{one.driven}, @_{SOURCES[one.source].upper()}, {one.place}, {_number(one.knee)}, {_number(one.rate)}}}"
-        for one in facts.shares
+        f"{{{share.driven}, @_{SOURCES[share.source].upper()}, {share.place},"
+        f" {_number(share.knee)}, {_number(share.rate)}}}"
+        for share in facts.shares
     ]
     text.append(_structs("@_share @_shares[]", shares or ["{0, @_ONE, 0, 0.0, 0.0}"]))
     text.append(_structs("@_wave @_waves[]", waves or ["{0, 0, 0, 0.0, NULL, NULL}"]))
@@ -130,14 +131,15 @@ def _errors(facts: RobotFacts) -> list[str]:
 def _tree(name: str, tree: Tree) -> str:
     """Tables of a tree, and the tree."""
     joints = [
-        f"{{{one.before}, {int(one.slides)}, {one.coordinate}, {_number(one.factor)}, {_number(one.offset)},"
-        f" {_list(_columns(one.placement))}}}"
-        for one in tree.joints
+        f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"
+        f" {_list(_columns(joint.placement))}}}"
+        for joint in tree.joints
     ]
     frames = [
-        f"{{{one.after}, {name}_moved_{k}, {_list(_columns(one.placement))}}}" for k, one in enumerate(tree.frames)
+        f"{{{frame.after}, {name}_moved_{k}, {_list(_columns(frame.placement))}}}"
+        for k, frame in enumerate(tree.frames)
     ]
-    rows = [f"{{{one.a}, {one.b}, {row}}}" for one in tree.closures for row in one.rows]
+    rows = [f"{{{closure.a}, {closure.b}, {row}}}" for closure in tree.closures for row in closure.rows]
     places = [place for block in tree.blocks for part in block for place in part]
     ends = np.cumsum([0, *(len(part) for block in tree.blocks for part in block)]).tolist()
     blocks = [
@@ -154,8 +156,9 @@ def _tree(name: str, tree: Tree) -> str:
         [
             _structs(f"@_joint {name}_joints[]", joints),
             *(
-                f"static const unsigned char {name}_moved_{k}[] = {{{', '.join(str(int(m)) for m in one.moved_by)}}};\n"
-                for k, one in enumerate(tree.frames)
+                f"static const unsigned char {name}_moved_{k}[] ="
+                f" {{{', '.join(str(int(m)) for m in frame.moved_by)}}};\n"
+                for k, frame in enumerate(tree.frames)
             ),
             _structs(f"@_frame {name}_frames[]", frames),
             _structs(f"@_row {name}_rows[]", rows or ["{0, 0, 0}"]),

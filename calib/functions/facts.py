@@ -187,8 +187,8 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
     kept = np.flatnonzero(closed.ok)
     if len(kept) == 0:
         raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
-    found = configured(robot, commands[kept], closed.at(kept))
-    return commands[kept], np.hstack([found.actuated, found.passive])
+    configurations = configured(robot, commands[kept], closed.at(kept))
+    return commands[kept], np.hstack([configurations.actuated, configurations.passive])
 
 
 def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:

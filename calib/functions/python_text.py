@@ -74,8 +74,10 @@ def _numbers(facts: RobotFacts) -> str:
         "_TURN": 2.0 * np.pi,
         "_WORLD": np.eye(4, 3),
         "_WORLD_ROW": np.eye(4)[3:],
-        "_SHARES": [(one.driven, SOURCES[one.source], one.place, one.knee, one.rate) for one in facts.shares],
-        "_WAVES": [(one.driven, one.place, one.base, one.sine, one.cosine) for one in facts.waves],
+        "_SHARES": [
+            (share.driven, SOURCES[share.source], share.place, share.knee, share.rate) for share in facts.shares
+        ],
+        "_WAVES": [(wave.driven, wave.place, wave.base, wave.sine, wave.cosine) for wave in facts.waves],
         "_GRAVITY": None if facts.gravity is None else _gravity(facts.gravity),
         "_ROBOT": _tree(facts.tree),
     }
@@ -98,11 +100,12 @@ def _tree(tree: Tree) -> dict[str, Any]:
     return {
         "n_driven": tree.n_driven,
         "joints": [
-            (one.before, one.slides, one.coordinate, one.factor, one.offset, one.placement) for one in tree.joints
+            (joint.before, joint.slides, joint.coordinate, joint.factor, joint.offset, joint.placement)
+            for joint in tree.joints
         ],
-        "frames": [(one.after, one.placement, one.moved_by.astype(int)) for one in tree.frames],
-        "closures": [(one.a, one.b) for one in tree.closures],
-        "rows": [3 * k + row for k, one in enumerate(tree.closures) for row in one.rows],
+        "frames": [(frame.after, frame.placement, frame.moved_by.astype(int)) for frame in tree.frames],
+        "closures": [(closure.a, closure.b) for closure in tree.closures],
+        "rows": [3 * k + row for k, closure in enumerate(tree.closures) for row in closure.rows],
         "follows": tree.follows,
         "order": _order(tree),
         "scale": tree.scale,
@@ -128,7 +131,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return tuple(_plain(one) for one in value)
+        return tuple(_plain(item) for item in value)
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     return value + 0.0 if isinstance(value, float) else value

@@ -177,11 +177,11 @@ def _folded(
     mechanism: Mechanism, select: FloatArray, shared: BoolArray, needed: BoolArray
 ) -> tuple[tuple[Joint, ...], list[_At]]:
     """Return the joints that move, and where each frame of the mechanism is."""
-    here = pin.SE3.Identity()
-    at, joints = [_At(0, here)], list[Joint]()
+    identity = pin.SE3.Identity()
+    at, joints = [_At(0, identity)], list[Joint]()
     for k in range(mechanism.n_joints):
         if shared[k]:  # all frames of interest stand on it
-            at.append(_At(0, here))
+            at.append(_At(0, identity))
             continue
         before = at[mechanism.model.parents[k + 1]]
         place = before.place * mechanism.model.jointPlacements[k + 1]

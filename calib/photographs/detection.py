@@ -36,7 +36,7 @@ _TRIES = 2  # images of a set in which other dictionaries are looked for
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DetectedImage:
     """What was found in one image.
 
     Attributes:
@@ -71,20 +71,20 @@ class Detection:
     """
 
     board: Board
-    images: tuple[Found, ...]
+    images: tuple[DetectedImage, ...]
 
     @property
-    def usable(self) -> tuple[Found, ...]:
+    def usable(self) -> tuple[DetectedImage, ...]:
         """Images in which enough was found."""
-        return tuple(one for one in self.images if one.usable)
+        return tuple(image for image in self.images if image.usable)
 
     @property
     def n_points(self) -> int:
         """Number of points in these."""
-        return sum(len(one.points) for one in self.usable)
+        return sum(len(image.points) for image in self.usable)
 
 
-def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[Found | Detection]:
+def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
     """Find a board in images; yield what was found in each, then all together.
 
     Of a ChArUco board with an even number of rows whose layout is not known, both are tried, and the one that shows
@@ -101,20 +101,20 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
     detectors = [
         _Detector(board.model_copy(update={"legacy": legacy} if board.kind == "charuco" else {})) for legacy in layouts
     ]
-    each: list[list[Found]] = [[] for _ in layouts]
+    each: list[list[DetectedImage]] = [[] for _ in layouts]
     for name, image in images:
         if isinstance(image, str):
-            shown = [Found(name, (0, 0), (), np.zeros((0, 2)), image)] * len(layouts)
+            shown = [DetectedImage(name, (0, 0), (), np.zeros((0, 2)), image)] * len(layouts)
         else:
             shown = [detector.find(name, image) for detector in detectors]
-            if not any(one.usable for one in shown):
+            if not any(detected.usable for detected in shown):
                 mirrored = np.ascontiguousarray(image[:, ::-1])
                 ahead = max(detectors, key=lambda detector: len(detector.points(mirrored)))
                 shown = [ahead.explained(shown[0], image)] * len(layouts)
-        for own, one in zip(each, shown, strict=True):
-            own.append(one)
-        yield max(shown, key=lambda one: len(one.points))
-    best = max(range(len(layouts)), key=lambda k: sum(len(one.points) for one in each[k]))
+        for of_layout, detected in zip(each, shown, strict=True):
+            of_layout.append(detected)
+        yield max(shown, key=lambda detected: len(detected.points))
+    best = max(range(len(layouts)), key=lambda k: sum(len(detected.points) for detected in each[k]))
     yield Detection(detectors[best].board, tuple(each[best]))
 
 
@@ -128,7 +128,7 @@ class _Detector:
         self._dictionary = ""
         self._board = opencv_board(board, bool(board.legacy)) if board.dictionary else None
 
-    def find(self, name: str, image: GreyImage) -> Found:
+    def find(self, name: str, image: GreyImage) -> DetectedImage:
         """Return what is in an image."""
         points = self.points(image)
         if 0 < len(points) < self._n_points / 2 and len(self.points(np.ascontiguousarray(image[:, ::-1]))) > 2 * len(
@@ -146,7 +146,7 @@ class _Detector:
             remark = f"{counted(off, 'point')} left out that cannot be where the others put the board"
         elif len(points) >= FEWEST and self.board.dictionary:
             remark = self._strangers(_marker_numbers(image, self.board.dictionary))
-        return Found(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
+        return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
 
     def points(self, image: GreyImage) -> dict[str, FloatArray]:
         """Return the points that are in an image."""
@@ -158,9 +158,11 @@ class _Detector:
             return _charuco(self._board, image)
         return _markers(self.board, image, self.board.dictionary or "")
 
-    def explained(self, found: Found, image: GreyImage) -> Found:
+    def explained(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
         """Return what was found with a remark that says why it is too little."""
-        return Found(found.name, found.size, found.points, found.pixels, self._why(image, len(found.points)))
+        return DetectedImage(
+            detected.name, detected.size, detected.points, detected.pixels, self._why(image, len(detected.points))
+        )
 
     def _why(self, image: GreyImage, n: int) -> str:
         few = f"only {counted(n, 'point')} found" if n else "no board found"
@@ -168,9 +170,9 @@ class _Detector:
             return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         board = self.board
         if board.dictionary is None:
-            for other, what in _other_counts(board):
+            for other, noun in _other_counts(board):
                 if len(_Detector(other).points(image)) >= FEWEST:
-                    return f"{few}, but one of {other.columns} x {other.rows} {what}: correct the board"
+                    return f"{few}, but one of {other.columns} x {other.rows} {noun}: correct the board"
             return few + _blur_remark(image)
         markers = _marker_numbers(image, board.dictionary)
         if len(markers) == 0:
@@ -194,13 +196,13 @@ class _Detector:
 
     def _strangers(self, markers: list[int]) -> str:
         """What markers in an image that the board does not have say; empty without any."""
-        own = marker_numbers(self.board)
-        strange = sorted(set(markers) - set(own))
+        board_numbers = marker_numbers(self.board)
+        strange = sorted(set(markers) - set(board_numbers))
         if not strange:
             return ""
         return (
-            f"marker {strange[0]} is in the image, and the board as described has markers {own[0]} to"
-            f" {own[-1]}; correct"
+            f"marker {strange[0]} is in the image, and the board as described has markers {board_numbers[0]} to"
+            f" {board_numbers[-1]}; correct"
             " columns, rows or first_marker"
         )
 
@@ -251,27 +253,27 @@ def _charuco(board: object, image: GreyImage) -> dict[str, FloatArray]:
     return {f"c{int(k)}": place for k, place in zip(np.ravel(numbers), places, strict=True)}
 
 
-def _found_markers(image: GreyImage, name: str) -> tuple[list[FloatArray], list[int]]:
+def _detected_markers(image: GreyImage, name: str) -> tuple[list[FloatArray], list[int]]:
     aruco = opencv().aruco
     settings = aruco.DetectorParameters()
     settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
     corners, numbers, _ = aruco.ArucoDetector(dictionary(name), settings).detectMarkers(image)
     if numbers is None:
         return [], []
-    return [np.asarray(one, dtype=float).reshape(4, 2) for one in corners], [int(k) for k in np.ravel(numbers)]
+    return [np.asarray(quad, dtype=float).reshape(4, 2) for quad in corners], [int(k) for k in np.ravel(numbers)]
 
 
 def _marker_numbers(image: GreyImage, name: str) -> list[int]:
-    return _found_markers(image, name)[1]
+    return _detected_markers(image, name)[1]
 
 
 def _markers(board: Board, image: GreyImage, name: str) -> dict[str, FloatArray]:
-    own = marker_numbers(board)
-    corners, numbers = _found_markers(image, name)
+    board_numbers = marker_numbers(board)
+    corners, numbers = _detected_markers(image, name)
     return {
         f"m{number}.{k}": places[k]
         for places, number in sorted(zip(corners, numbers, strict=True), key=lambda pair: pair[1])
-        if number in own and numbers.count(number) == 1
+        if number in board_numbers and numbers.count(number) == 1
         for k in range(4)
     }
 
@@ -344,14 +346,14 @@ def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
 
 def _other_counts(board: Board) -> Iterable[tuple[Board, str]]:
     """Boards that a miscount or an exchange makes of one without markers."""
-    what = "squares" if board.kind == "chessboard" else "dots"
+    noun = "squares" if board.kind == "chessboard" else "dots"
     pairs = [(board.rows, board.columns)]
     if board.kind == "chessboard":  # inner corners were counted, or corners and squares mixed
         pairs += [(board.columns + 1, board.rows + 1), (board.rows + 1, board.columns + 1)]
     for columns, rows in pairs:
         even = (columns + rows) % 2 == 0 if board.kind == "chessboard" else rows % 2 == 0
         if not even:
-            yield board.model_copy(update={"columns": columns, "rows": rows}), what
+            yield board.model_copy(update={"columns": columns, "rows": rows}), noun
 
 
 def _blur_remark(image: GreyImage) -> str:
@@ -365,10 +367,10 @@ def on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, Float
     if len(points) <= FEWEST:
         return points
     cv2, places = opencv(), board.points()
-    own = np.array([places[name][:2] for name in points])
+    on_board = np.array([places[name][:2] for name in points])
     pixels = np.array(list(points.values()))
     allowed = max(_LEAST_OFF, _OFF * float(np.max(np.ptp(pixels, axis=0))))
-    _, inside = cv2.findHomography(own, pixels, cv2.RANSAC, allowed)
+    _, inside = cv2.findHomography(on_board, pixels, cv2.RANSAC, allowed)
     if inside is None:
         return {}
     return {name: place for (name, place), keep in zip(points.items(), np.ravel(inside), strict=True) if keep}

@@ -127,9 +127,9 @@ def normal_equations(
     c = float(np.sum(linear.rr - np.einsum("na,nab,nb->n", linear.gr, gain, linear.gr))) / square
     if prior is not None and len(now):
         weight = 1.0 / prior.sigma**2
-        own = 12 + np.arange(len(now))
-        a[own, own] += weight
-        b[own] += weight * (now - prior.values)
+        lens = 12 + np.arange(len(now))
+        a[lens, lens] += weight
+        b[lens] += weight * (now - prior.values)
         c += float(np.sum(weight * (now - prior.values) ** 2))
     return a, b, c
 
@@ -196,12 +196,12 @@ def _differences(cost: Callable[[FloatArray], float], at: FloatArray, free: IntA
     h, k = 1e-3, len(free)
     gradient, curvature = np.zeros(k), np.zeros((k, k))
     unit = np.eye(len(at))[free] * h
-    here = cost(at)
-    ahead = [cost(at + one) for one in unit]
-    back = [cost(at - one) for one in unit]
+    centre = cost(at)
+    ahead = [cost(at + step) for step in unit]
+    back = [cost(at - step) for step in unit]
     for i in range(k):
         gradient[i] = (ahead[i] - back[i]) / (2 * h)
-        curvature[i, i] = (ahead[i] - 2 * here + back[i]) / h**2
+        curvature[i, i] = (ahead[i] - 2 * centre + back[i]) / h**2
         for j in range(i):
             corners = [cost(at + a * unit[i] + b * unit[j]) * a * b for a in (1, -1) for b in (1, -1)]
             curvature[i, j] = curvature[j, i] = sum(corners) / (4 * h**2)
@@ -329,8 +329,8 @@ def plain(
     return placed, weights
 
 
-def _alike(one: Noise, other: Noise) -> bool:
-    first, second = (np.array([n.pixel, n.shift, n.turn]) for n in (one, other))
+def _alike(noise: Noise, other: Noise) -> bool:
+    first, second = (np.array([n.pixel, n.shift, n.turn]) for n in (noise, other))
     return bool(np.all(np.abs(first - second) <= _NOISE_STANDS * np.maximum(first, second) + 1e-12))
 
 
@@ -358,8 +358,8 @@ def _finished(
         )
         scatter = scatter / weights.pixel**4
         if prior is not None and free:
-            own = 12 + np.arange(len(free))
-            scatter[own, own] += 1.0 / prior.sigma**2
+            lens = 12 + np.arange(len(free))
+            scatter[lens, lens] += 1.0 / prior.sigma**2
         return inverse @ scatter @ inverse
 
     def cost(at: FloatArray) -> float:
@@ -368,11 +368,11 @@ def _finished(
     covariance = covariance_of(logs)
     _, curvature = _differences(cost, logs, sizes)
     unit = np.eye(3)[sizes] * 1e-3
-    slopes = [(np.diag(covariance_of(logs + one)) - np.diag(covariance_of(logs - one))) / 2e-3 for one in unit]
+    slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
     spread = np.linalg.pinv(curvature / 2, hermitian=True)
-    own = np.einsum("ik,ij,jk->k", slope, spread, slope)
-    freedom = np.where(own > 0, 2 * np.diag(covariance) ** 2 / np.maximum(own, 1e-300), 1e6)
+    variance = np.einsum("ik,ij,jk->k", slope, spread, slope)
+    freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), 1e6)
     return Estimate(placed, free, noise, weights, covariance, np.clip(freedom, 1.0, 1e6), scaled)
 
 

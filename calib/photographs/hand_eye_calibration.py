@@ -72,7 +72,7 @@ class HandEye(ReadOnlyArrays):
 
     Attributes:
         scene: The images that were used.
-        found: What they say.
+        fitted: What they say.
         left: The images left out in turn.
         alone: What the camera alone leaves, (m, 2) [px]; NaN where too few points were seen.
         off: Images that were set aside.
@@ -83,7 +83,7 @@ class HandEye(ReadOnlyArrays):
     """
 
     scene: Scene
-    found: Estimate
+    fitted: Estimate
     left: LeftOut
     alone: FloatArray
     off: tuple[OffImage, ...]
@@ -95,17 +95,17 @@ class HandEye(ReadOnlyArrays):
     @property
     def pixels(self) -> FloatArray:
         """Predicted minus found, (m, 2) [px]."""
-        return residuals(self.scene, self.found.placed)
+        return residuals(self.scene, self.fitted.placed)
 
     @property
     def board(self) -> FloatArray:
         """How far pixels lie from their points on the board, (m, 2) [m]."""
-        return on_board(self.scene, self.found.placed)
+        return on_board(self.scene, self.fitted.placed)
 
     @property
     def lens_found(self) -> bool:
         """Whether intrinsics were found."""
-        return bool(self.found.free)
+        return bool(self.fitted.free)
 
     def by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square of errors (m, 2) of each image, (n,)."""
@@ -124,16 +124,16 @@ class HandEye(ReadOnlyArrays):
         squares = self.by_image(self.left.board) ** 2
         n, mean = len(squares), float(np.mean(squares))
         ratio = rms(self.alone) / rms(self.left.pixels)
-        own = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares
-        most = 1.0 / ((1.0 - own) ** 2 / (2 * n) + own**2 / (2 * len(self.scene.pixels)))
+        point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares
+        most = 1.0 / ((1.0 - point_share) ** 2 / (2 * n) + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n
         freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most
         return float(np.sqrt(mean * freedom / scipy.special.chdtri(freedom, 0.95)))
 
     def uncertainty(self) -> dict[str, tuple[float, float]]:
         """Return half widths of 95 % intervals of camera and board: along the worst axis, and about it [m], [rad]."""
-        factor = scipy.special.stdtrit(self.found.freedom[:12], 0.975)
-        half = factor * np.sqrt(np.diag(self.found.covariance)[:12])
+        factor = scipy.special.stdtrit(self.fitted.freedom[:12], 0.975)
+        half = factor * np.sqrt(np.diag(self.fitted.covariance)[:12])
         return {
             name: (float(np.max(half[k : k + 3])), float(np.max(half[k + 3 : k + 6])))
             for name, k in (("camera", 0), ("board", 6))
@@ -179,34 +179,34 @@ def calibrate(
     sure = replace(begin.scene)
     kept, begin = _without_off(sure, begin, intrinsics, lens)
     off = _named_off(sure, kept, begin)
-    own = sure.only(kept)
+    kept_scene = sure.only(kept)
     tell(2, 5)
-    prior = _prior(first, own, intrinsics is not None)
-    choices = _lenses(own, begin.placed, prior, intrinsics, lens)
+    prior = _prior(first, kept_scene, intrinsics is not None)
+    choices = _lenses(kept_scene, begin.placed, prior, intrinsics, lens)
     chosen = choices[0]
     better = chosen
     for other in choices[1:]:
-        if _gain(better.left, other.left, len(own)) > _GAIN:
+        if _gain(better.left, other.left, len(kept_scene)) > _GAIN:
             better = other
     chosen = choices[0] if lens == "given" else better
     rms_given = float("nan") if choices[0].free else rms(choices[0].left.pixels)
     tell(3, 5)
-    found, left = estimate(own, chosen.placed, chosen.free, chosen.prior), chosen.left
+    fitted, left = estimate(kept_scene, chosen.placed, chosen.free, chosen.prior), chosen.left
     used, weighed = chosen.prior, False
-    if found.noise.shift > 0 or found.noise.turn > 0:
+    if fitted.noise.shift > 0 or fitted.noise.turn > 0:
         try:
-            other_found = estimate(own, found.placed, found.free, used, weighed=True, near=found.noise)
-            other_left = _left(own, other_found.placed, other_found.free, other_found.weights, used)
-            if _gain(left, other_left, len(own)) > _GAIN:
-                found, left, weighed = other_found, other_left, True
+            other_fitted = estimate(kept_scene, fitted.placed, fitted.free, used, weighed=True, near=fitted.noise)
+            other_left = _left(kept_scene, other_fitted.placed, other_fitted.free, other_fitted.weights, used)
+            if _gain(left, other_left, len(kept_scene)) > _GAIN:
+                fitted, left, weighed = other_fitted, other_left, True
         except ComputationError:
             pass  # weights that cannot be found are not used
     tell(4, 5)
-    alone, _ = camera_alone(own, found.placed.intrinsics, found.free)
-    of_lens = found if better is chosen else estimate(own, better.placed, better.free, better.prior)
-    mistakes = find_mistakes(sure, own, found, used, intrinsics, first, of_lens)
+    alone, _ = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
+    of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
+    mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens)
     tell(5, 5)
-    return HandEye(own, found, left, alone, off, mistakes, intrinsics, rms_given, weighed)
+    return HandEye(kept_scene, fitted, left, alone, off, mistakes, intrinsics, rms_given, weighed)
 
 
 def _in_order_of_content(scene: Scene) -> Scene:
@@ -222,9 +222,9 @@ def _gain(before: LeftOut, after: LeftOut, n: int) -> float:
 def _left(scene: Scene, placed: Placed, free: tuple[int, ...], weights: Noise, prior: Prior | None) -> LeftOut:
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
     for i, without in enumerate(left_out(scene, placed, free, weights, prior)):
-        own = scene.image == i
+        in_image = scene.image == i
         part = scene.only(np.arange(len(scene)) == i)
-        pixels[own], board[own] = residuals(part, without), on_board(part, without)
+        pixels[in_image], board[in_image] = residuals(part, without), on_board(part, without)
     return LeftOut(pixels, board)
 
 
@@ -295,15 +295,15 @@ def _foretold(
     scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None
 ) -> FloatArray | None:
     """How far off each image is from where the kept ones put it, itself aside, (n,) [px]; None if that is not known."""
-    own = scene.only(kept)
-    prior = _prior(begin.intrinsics, own, intrinsics is not None) if free else None
+    kept_scene = scene.only(kept)
+    prior = _prior(begin.intrinsics, kept_scene, intrinsics is not None) if free else None
     try:
-        placed, weights = plain(own, begin, free, prior)
+        placed, weights = plain(kept_scene, begin, free, prior)
     except ComputationError:
         return None
     result = np.zeros(len(scene))
-    left = _left(own, placed, free, weights, prior)
-    result[kept] = np.sqrt(own.sums(np.sum(left.pixels**2, axis=1)) / own.counts)
+    left = _left(kept_scene, placed, free, weights, prior)
+    result[kept] = np.sqrt(kept_scene.sums(np.sum(left.pixels**2, axis=1)) / kept_scene.counts)
     for i in np.flatnonzero(~kept):
         part = scene.only(np.arange(len(scene)) == i)
         result[i] = rms(residuals(part, placed))
@@ -328,7 +328,7 @@ def _named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, .
                 float(np.linalg.norm(error[3:])),
             )
         )
-    return tuple(sorted(named, key=lambda one: -one.rms))
+    return tuple(sorted(named, key=lambda image: -image.rms))
 
 
 def require_images(count: int) -> None:

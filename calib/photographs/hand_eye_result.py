@@ -48,12 +48,12 @@ def judge(result: HandEye) -> Judgement:
     tell. PASS: nothing of that, so that the error of new images is as told.
     """
     scene, reasons, advice = result.scene, [], []
-    failed = [one.text for one in result.mistakes if one.whole]
-    reasons += [one.text for one in result.mistakes if not one.whole]
-    for one in result.off:
+    failed = [mistake.text for mistake in result.mistakes if mistake.whole]
+    reasons += [mistake.text for mistake in result.mistakes if not mistake.whole]
+    for image in result.off:
         reasons.append(
-            f"image {one.name} is off by {one.rms:.0f} px, as if the tool were {_MM * one.shift:.1f} mm and"
-            f" {np.rad2deg(one.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
+            f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
+            f" {np.rad2deg(image.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
         )
     axes = turning(scene)
     if len(scene) < _FEW:
@@ -90,7 +90,7 @@ def transform(pose: FloatArray) -> dict[str, float]:
 
 def report(result: HandEye, frames: Frames) -> str:
     """Return a calibration in words."""
-    scene, found = result.scene, result.found
+    scene, fitted = result.scene, result.fitted
     judgement, half = judge(result), result.uncertainty()
     lines = [f"Hand-eye calibration of {counted(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
     lines.append(f"Verdict: {judgement.grade}")
@@ -102,14 +102,14 @@ def report(result: HandEye, frames: Frames) -> str:
             f" out in turn; below {_MM * result.limit:.3f} mm with a chance of 95 %),"
             f" {rms(result.left.pixels):.3f} px in the image"
         )
-    errors, own = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
+    errors, by_image = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
     lines.append(
         f"Images used: {rms(result.pixels):.3f} px RMS; on the board {_MM * rms(result.board):.3f} mm RMS, mean"
         f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
     )
     lines.append(_shares(result))
-    worst = np.argsort(-own)[:3]
-    lines.append("Largest: " + listed([f"image {scene.names[i]} {own[i]:.2f} px" for i in worst]))
+    worst = np.argsort(-by_image)[:3]
+    lines.append("Largest: " + listed([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
         lines.append(
             f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px;"
@@ -120,21 +120,21 @@ def report(result: HandEye, frames: Frames) -> str:
     else:
         lines.append("Lens: as given")
     if result.lens_found:
-        numbers = zip(found.free, np.sqrt(np.diag(found.covariance)[12 : 12 + len(found.free)]), strict=True)
+        numbers = zip(fitted.free, np.sqrt(np.diag(fitted.covariance)[12 : 12 + len(fitted.free)]), strict=True)
         lines.append(
             "  "
             + ", ".join(
-                f"{NAMES[k]} {found.placed.intrinsics[k]:.{2 if k < 4 else 4}f} ± {std:.{2 if k < 4 else 4}f}"
+                f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{2 if k < 4 else 4}f} ± {std:.{2 if k < 4 else 4}f}"
                 for k, std in numbers
             )
         )
     lines += [
-        f"{what}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
+        f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
         f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis"
-        for what, key, pose in (
-            (f"Camera in {parents(result, frames)[0]}", "camera", transform(found.placed.camera)),
-            (f"Board in {parents(result, frames)[1]}", "board", transform(found.placed.board)),
+        for title, key, pose in (
+            (f"Camera in {parents(result, frames)[0]}", "camera", transform(fitted.placed.camera)),
+            (f"Board in {parents(result, frames)[1]}", "board", transform(fitted.placed.board)),
         )
     ]
     lines += [f"Next: {text}" for text in judgement.advice]
@@ -143,7 +143,7 @@ def report(result: HandEye, frames: Frames) -> str:
 
 def _shares(result: HandEye) -> str:
     """What the camera alone leaves, and what comes with the robot."""
-    all_, alone, noise = rms(result.pixels), rms(result.alone), result.found.noise
+    all_, alone, noise = rms(result.pixels), rms(result.alone), result.fitted.noise
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
@@ -167,7 +167,7 @@ def parents(result: HandEye, frames: Frames) -> tuple[str, str]:
 
 def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
-    scene, found, judgement, half = result.scene, result.found, judge(result), result.uncertainty()
+    scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
     above = parents(result, frames)
     images = zip(
         scene.names, scene.counts, result.by_image(result.pixels), result.by_image(result.left.pixels),
@@ -178,23 +178,24 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         "reasons": list(judgement.reasons),
         "next": list(judgement.advice),
         "camera_on": scene.mount,
-        "camera": _place(above[0], frames.camera, found.placed.camera, half["camera"]),
-        "board": _place(above[1], frames.board, found.placed.board, half["board"]),
-        "intrinsics": dict(zip(NAMES, map(float, found.placed.intrinsics), strict=True))
-        | {"found": [NAMES[k] for k in found.free], "image": list(scene.size)},
+        "camera": _place(above[0], frames.camera, fitted.placed.camera, half["camera"]),
+        "board": _place(above[1], frames.board, fitted.placed.board, half["board"]),
+        "intrinsics": dict(zip(NAMES, map(float, fitted.placed.intrinsics), strict=True))
+        | {"found": [NAMES[k] for k in fitted.free], "image": list(scene.size)},
         "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left.pixels), "camera_alone": rms(result.alone),
                    "left_out_with_given_intrinsics": result.rms_given},
         "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left.board), "limit95": result.limit},
-        "noise": {"pixel": found.noise.pixel, "tool_shift_m": found.noise.shift, "tool_turn_rad": found.noise.turn},
+        "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn},
         "weighed": result.weighed,
         "images": [
             {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}
             for name, n, px, lpx, mm, lmm in images
         ],
         "set_aside": [
-            {"name": one.name, "rms_px": one.rms, "shift_m": one.shift, "turn_rad": one.turn} for one in result.off
+            {"name": image.name, "rms_px": image.rms, "shift_m": image.shift, "turn_rad": image.turn}
+            for image in result.off
         ],
-        "mistakes": [{"code": one.code, "text": one.text} for one in result.mistakes],
+        "mistakes": [{"code": mistake.code, "text": mistake.text} for mistake in result.mistakes],
     }  # fmt: skip
 
 
@@ -207,17 +208,17 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
 
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
-    pose, above = transform(result.found.placed.camera), parents(result, frames)[0]
+    pose, above = transform(result.fitted.placed.camera), parents(result, frames)[0]
     numbers = {key: f"{value:.9f}" for key, value in pose.items()}
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
     arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
     hand = result.scene.mount == "tool"
-    matrix = "\n".join(" ".join(f"{value:.12g}" for value in row) for row in result.found.placed.camera)
-    own = (
+    matrix = "\n".join(" ".join(f"{value:.12g}" for value in row) for row in result.fitted.placed.camera)
+    frame_lines = (
         f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
     )
     inside = "".join(f"  {key}: {numbers[key]}\n" for key in ("x", "y", "z", "qx", "qy", "qz", "qw"))
-    intrinsics = result.found.placed.intrinsics
+    intrinsics = result.fitted.placed.intrinsics
     width, height = result.scene.size
     return {
         "hand_eye.json": (json.dumps(as_data(content(result, frames)), indent=1, allow_nan=False) + "\n").encode(),
@@ -229,12 +230,12 @@ def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
         "camera_pose.launch.py": _launch(arguments, hand).encode(),
         "easy_handeye.yaml": (
             f"parameters:\n  eye_on_hand: {str(hand).lower()}\n"
-            + "".join(f"  {line}\n" for line in own.splitlines())
+            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
             + f"transformation:\n{inside}"
         ).encode(),
         "easy_handeye2.calib": (
             f"parameters:\n  name: camera\n  calibration_type: {'eye_in_hand' if hand else 'eye_on_base'}\n"
-            + "".join(f"  {line}\n" for line in own.splitlines())
+            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
             + f"  tracking_marker_frame: {frames.board}\n  freehand_robot_movement: true\n"
             + f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
             + f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"

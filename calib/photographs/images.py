@@ -70,12 +70,12 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
         files = _files(source)
         result += [Shot(Path(file).stem, file) for file in sorted(files, key=_natural)]
     seen: dict[str, str] = {}
-    for one in result:
-        if one.name in seen:
+    for shot in result:
+        if shot.name in seen:
             raise InputError(
-                f"{one.path} and {seen[one.name]}: both are called '{one.name}'; give images names of their own"
+                f"{shot.path} and {seen[shot.name]}: both are called '{shot.name}'; give images names of their own"
             )
-        seen[one.name] = one.path
+        seen[shot.name] = shot.path
     return result
 
 
@@ -113,7 +113,7 @@ def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
     chosen = topics[0] if topic is None else topic
     if chosen not in topics:
         raise InputError(f"{source}: has no images of the topic {chosen}; it has {', '.join(topics)}")
-    images = [one for one in images if one[0] == chosen]
+    images = [recorded for recorded in images if recorded[0] == chosen]
     names, values, still = joints_of_bag(source, np.array([stamp for _, stamp, *_ in images]))
     for k, (_, _, kind, message) in enumerate(images):
         joints = dict(zip(names, map(float, values[k]), strict=True)) if still[k] else None
@@ -153,7 +153,7 @@ def _raw_image(message: Any) -> GreyImage:
 
 def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
     """Return the joints of images of a bag: names, and values (n_images, n_joints); none where an image has none."""
-    known = [one.joints for one in shots_used]
+    known = [shot.joints for shot in shots_used]
     if not known or any(joints is None for joints in known):
         return [], np.zeros((len(shots_used), 0))
     names = list(known[0] or {})

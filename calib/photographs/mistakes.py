@@ -57,8 +57,8 @@ class Mistake:
 
 def find_mistakes(
     every: Scene,
-    own: Scene,
-    found: Estimate,
+    used: Scene,
+    fitted: Estimate,
     prior: Prior | None,
     given: FloatArray | None,
     first: FloatArray,
@@ -68,22 +68,26 @@ def find_mistakes(
 
     Args:
         every: All images.
-        own: Those that were used.
-        found: What they say.
+        used: Those that were used.
+        fitted: What they say.
         prior: What was expected of the lens.
         given: Intrinsics as given, (9,); None without.
         first: The same, or those to begin with, (9,).
-        better: With the lens found, where that tells images left out better; else `found`.
+        better: With the lens found, where that tells images left out better; else `fitted`.
     """
-    result = list(_of_the_whole(every, found, first))
+    result = list(_of_the_whole(every, fitted, first))
     if not result:
-        result += [one for one in (_square_size(own, found, prior), _moved(own, found, prior)) if one is not None]
-    result += _of_the_lens(own, better, given, bool(found.free))
+        result += [
+            mistake
+            for mistake in (_square_size(used, fitted, prior), _moved(used, fitted, prior))
+            if mistake is not None
+        ]
+    result += _of_the_lens(used, better, given, bool(fitted.free))
     return tuple(result)
 
 
-def _of_the_whole(scene: Scene, found: Estimate, intrinsics: FloatArray) -> list[Mistake]:
-    errors = residuals(scene, found.placed)
+def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray) -> list[Mistake]:
+    errors = residuals(scene, fitted.placed)
     image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
     typical = float(np.median(image))
     if not typical > _FAR_PIXELS:
@@ -96,17 +100,17 @@ def _of_the_whole(scene: Scene, found: Estimate, intrinsics: FloatArray) -> list
     n = len(scene)
     for shift in _SHIFTS:
         pairs = np.arange(n) + shift
-        there = (pairs >= 0) & (pairs < n)
-        if np.sum(there) < 4:
+        paired = (pairs >= 0) & (pairs < n)
+        if np.sum(paired) < 4:
             continue
         tool = scene.tool.copy()
-        tool[there] = scene.tool[pairs[there]]
+        tool[paired] = scene.tool[pairs[paired]]
         rows_ = abs(shift)
         text = (
             f"images and poses are shifted: each image fits the pose {rows_} {'row' if rows_ == 1 else 'rows'}"
             f" {'further on' if shift > 0 else 'before'}"
         )
-        tried.append(("pairs_shifted", text, replace(scene, tool=tool).only(there)))
+        tried.append(("pairs_shifted", text, replace(scene, tool=tool).only(paired)))
     inverted = replace(scene, tool=np.linalg.inv(scene.tool))
     tried.append(("poses_inverted", "the poses are inverted: the base in the tool, not the tool in the base", inverted))
     mirrored = scene.pixels * [-1, 1] + [scene.size[0] - 1, 0]
@@ -146,21 +150,26 @@ def _likelihood(linear: Linear, near: Estimate, prior: Prior | None, now: FloatA
     return -(log_v + c + float(b @ step)), step
 
 
-def _square_size(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None:
+def _square_size(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake | None:
     """Whether the board has another size than described."""
     try:
-        other = estimate(scene, found.placed, found.free, prior, scaled=True, near=found.noise)
+        other = estimate(scene, fitted.placed, fitted.free, prior, scaled=True, near=fitted.noise)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
-    k = 12 + len(found.free)
+    k = 12 + len(fitted.free)
     std, change = float(np.sqrt(other.covariance[k, k])), other.placed.scale - 1.0
     freedom = float(other.freedom[k])
     chance = 2 * float(scipy.special.stdtr(freedom, -abs(change) / std))
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
-    ends = [left_out(scene, one.placed, one.free, one.weights, prior, scaled=one.scaled) for one in (found, other)]
+    ends = [
+        left_out(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled) for each in (fitted, other)
+    ]
     before, after = (
-        sum(float(np.sum(residuals(scene.only(np.arange(len(scene)) == i), one) ** 2)) for i, one in enumerate(every))
+        sum(
+            float(np.sum(residuals(scene.only(np.arange(len(scene)) == i), placed) ** 2))
+            for i, placed in enumerate(every)
+        )
         for every in ends
     )
     if not after < _BETTER * before:
@@ -173,31 +182,31 @@ def _square_size(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake 
     )
 
 
-def _moved(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None:
+def _moved(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake | None:
     """Whether board or camera is elsewhere from some image on."""
     n = len(scene)
     if n < 8:
         return None
-    free = found.free
-    now = found.placed.intrinsics[list(free)]
-    linear = linearised(scene, found.placed, free)
-    before, _ = _likelihood(linear, found, prior, now)
-    a, b, _ = normal_equations(linear, found.noise, prior, now)
+    free = fitted.free
+    now = fitted.placed.intrinsics[list(free)]
+    linear = linearised(scene, fitted.placed, free)
+    before, _ = _likelihood(linear, fitted, prior, now)
+    a, b, _ = normal_equations(linear, fitted.noise, prior, now)
     unmoved = float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
         promised = []  # with the noise as it is: which image it may be
         for k in range(3, n - 2):
-            a, b, _ = normal_equations(_extended(linear, np.arange(n) >= k, first), found.noise, prior, now)
+            a, b, _ = normal_equations(_extended(linear, np.arange(n) >= k, first), fitted.noise, prior, now)
             promised.append((float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0]) - unmoved, k))
         k = max(promised)[1]
-        likelihood, step = _likelihood(_extended(linear, np.arange(n) >= k, first), found, prior, now)
+        likelihood, step = _likelihood(_extended(linear, np.arange(n) >= k, first), fitted, prior, now)
         if likelihood - before > best[0]:
             best = likelihood - before, k, which, step[-6:]
     gained, k, which, step = best
     moved, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     chance = 2 * (n - 5) * float(scipy.special.chdtrc(6, max(gained, 0.0)))
-    if chance > _CHANCE or (moved < _MOVED and turned < _TURNED) or not _explains(scene, found, k, which):
+    if chance > _CHANCE or (moved < _MOVED and turned < _TURNED) or not _explains(scene, fitted, k, which):
         return None
     return Mistake(
         "moved",
@@ -209,26 +218,32 @@ def _moved(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None
 
 def _extended(linear: Linear, later: BoolArray, first: int) -> Linear:
     """The problem with six more unknowns: a step of camera or board that only later images have."""
-    own = slice(first, first + 6)
+    moved_columns = slice(first, first + 6)
     on = later.astype(float)
     jj = np.concatenate(
         [
-            np.concatenate([linear.jj, linear.jj[:, :, own] * on[:, None, None]], axis=2),
-            np.concatenate([linear.jj[:, own] * on[:, None, None], linear.jj[:, own, own] * on[:, None, None]], axis=2),
+            np.concatenate([linear.jj, linear.jj[:, :, moved_columns] * on[:, None, None]], axis=2),
+            np.concatenate(
+                [
+                    linear.jj[:, moved_columns] * on[:, None, None],
+                    linear.jj[:, moved_columns, moved_columns] * on[:, None, None],
+                ],
+                axis=2,
+            ),
         ],
         axis=1,
     )
-    jg = np.concatenate([linear.jg, linear.jg[:, own] * on[:, None, None]], axis=1)
-    jr = np.concatenate([linear.jr, linear.jr[:, own] * on[:, None]], axis=1)
+    jg = np.concatenate([linear.jg, linear.jg[:, moved_columns] * on[:, None, None]], axis=1)
+    jr = np.concatenate([linear.jr, linear.jr[:, moved_columns] * on[:, None]], axis=1)
     return Linear(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
 
 
-def _explains(scene: Scene, found: Estimate, k: int, which: str) -> bool:
+def _explains(scene: Scene, fitted: Estimate, k: int, which: str) -> bool:
     """Whether images left out are told better by one move: the sum over them, each by the linear problem without it."""
     later = np.arange(len(scene)) >= k
-    r, j, _ = rows(scene, found.placed, found.free)
-    own = slice(6, 12) if which == "board" else slice(0, 6)
-    wide = np.concatenate([j, j[:, :, own] * later[scene.image][:, None, None]], axis=2)
+    r, j, _ = rows(scene, fitted.placed, fitted.free)
+    moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
+    wide = np.concatenate([j, j[:, :, moved_columns] * later[scene.image][:, None, None]], axis=2)
 
     def error(columns: FloatArray) -> float:
         total = 0.0
@@ -244,7 +259,7 @@ def _explains(scene: Scene, found: Estimate, k: int, which: str) -> bool:
     return error(wide) < _BETTER * error(j)
 
 
-def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None, used: bool) -> list[Mistake]:
+def _of_the_lens(scene: Scene, fitted: Estimate, given: FloatArray | None, used: bool) -> list[Mistake]:
     width, height = scene.size
     result = []
     if given is not None:
@@ -266,19 +281,19 @@ def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None, used: 
                     "focal", f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"
                 )
             )
-    if given is not None and found.free:
-        std = np.sqrt(np.diag(found.covariance)[12 : 12 + len(found.free)])
-        change = (found.placed.intrinsics - given)[list(found.free)]
+    if given is not None and fitted.free:
+        std = np.sqrt(np.diag(fitted.covariance)[12 : 12 + len(fitted.free)])
+        change = (fitted.placed.intrinsics - given)[list(fitted.free)]
         sure = np.abs(change) / std
         k = int(np.argmax(sure))
         # a focal length that is off by a percent is a distance that is off by a percent
-        if not used or (sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / found.placed.intrinsics[0]) > 0.02):
-            name = NAMES[found.free[k]]
+        if not used or (sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / fitted.placed.intrinsics[0]) > 0.02):
+            name = NAMES[fitted.free[k]]
             result.append(
                 Mistake(
                     "lens_given",
-                    f"the intrinsics given contradict the photographs: {name} is {given[found.free[k]]:.1f} there and"
-                    f" {found.placed.intrinsics[found.free[k]]:.1f} ± {std[k]:.1f}"
+                    f"the intrinsics given contradict the photographs: {name} is {given[fitted.free[k]]:.1f} there and"
+                    f" {fitted.placed.intrinsics[fitted.free[k]]:.1f} ± {std[k]:.1f}"
                     f" here; {'those found are used' if used else 'let them be found (leave out --lens given)'}",
                 )
             )

@@ -49,7 +49,7 @@ def dictionary(name: str) -> Any:
     """
     aruco = opencv().aruco
     names = dictionaries()
-    known = {one.casefold(): one for one in names}
+    known = {original.casefold(): original for original in names}
     if name.casefold() not in known:
         raise DescriptionError(f"no dictionary '{name}'{nearest(name, names)}")
     return aruco.getPredefinedDictionary(getattr(aruco, known[name.casefold()]))

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.photographs.detection import Found
+from calib.photographs.detection import DetectedImage
 from calib.photographs.opencv import GreyImage, encoded, opencv
 
 _WIDTH = 480  # px of the small copies
@@ -32,14 +32,14 @@ class Picture:
     """One image of a page.
 
     Attributes:
-        found: What was found in it.
+        image: What was detected in it.
         small: Its small copy as JPEG; empty where there is no image.
         caption: What to say below it.
         off: Whether it is marked as off.
         arrows: From where points were found to where the calibration puts them, (n, 2) [px]; empty for none.
     """
 
-    found: Found
+    image: DetectedImage
     small: bytes
     caption: str
     off: bool = False
@@ -69,7 +69,7 @@ def page(title: str, lines: Sequence[str], pictures: Sequence[Picture], table: M
     """
     rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in (table or {}).items())
     shown = "".join(f"<p>{escape(line)}</p>\n" for line in lines)
-    figures = "\n".join(_figure(one) for one in pictures)
+    figures = "\n".join(_figure(picture) for picture in pictures)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
@@ -79,26 +79,26 @@ def page(title: str, lines: Sequence[str], pictures: Sequence[Picture], table: M
     )
 
 
-def _figure(one: Picture) -> str:
-    width, height = one.found.size
-    words = f'<span class="{"off" if one.off else "fine"}">{escape(one.caption)}</span>'
-    if not one.small or not width:
-        return f"<figure><figcaption><b>{escape(one.found.name)}</b>: {words}</figcaption></figure>"
+def _figure(picture: Picture) -> str:
+    width, height = picture.image.size
+    words = f'<span class="{"off" if picture.off else "fine"}">{escape(picture.caption)}</span>'
+    if not picture.small or not width:
+        return f"<figure><figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
     radius = max(width, height) / 160
-    address = f"data:image/jpeg;base64,{base64.b64encode(one.small).decode()}"
-    marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in one.found.pixels)
-    line = "".join(_arrow(start, end) for start, end in zip(one.found.pixels, one.arrows, strict=False))
+    address = f"data:image/jpeg;base64,{base64.b64encode(picture.small).decode()}"
+    marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in picture.image.pixels)
+    line = "".join(_arrow(start, end) for start, end in zip(picture.image.pixels, picture.arrows, strict=False))
     first = ""
-    if len(one.found.pixels):
-        (u, v), name = one.found.pixels[0], one.found.points[0]
+    if len(picture.image.pixels):
+        (u, v), name = picture.image.pixels[0], picture.image.points[0]
         where = f'x="{u:.1f}" y="{v - 2 * radius:.1f}" font-size="{4 * radius:.1f}"'
         first = f'<text {where} fill="#e0007a">{escape(name)}</text>'
     return (
-        f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(one.found.name)}">'
+        f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(picture.image.name)}">'
         f'<image href="{address}" width="{width}" height="{height}"/>'
         f'<g fill="none" stroke="#00a2ff" stroke-width="{radius / 2.5:.2f}">{marks}</g>'
         f'<g stroke="#e0007a" stroke-width="{radius / 2:.2f}">{line}</g>{first}</svg>'
-        f"<figcaption><b>{escape(one.found.name)}</b>: {words}</figcaption></figure>"
+        f"<figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
     )
 
 

@@ -62,7 +62,7 @@ def shapes(board: Board) -> Shapes:
     if board.kind == "chessboard":
         return Shapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
     made: Any = opencv_board(board, bool(board.legacy))
-    corners = np.array([np.asarray(one)[:, :2] for one in made.getObjPoints()], dtype=float)
+    corners = np.array([np.asarray(marker)[:, :2] for marker in made.getObjPoints()], dtype=float)
     cells = [
         _cells(board.dictionary or "", int(number), places[0], float(places[1, 0] - places[0, 0]))
         for number, places in zip(np.ravel(made.getIds()), corners, strict=True)
@@ -107,9 +107,9 @@ class Paper:
         self._edges = [np.unique(np.round(black.rectangles[:, (k, k + 2)], 12)) for k in (0, 1)]
         across, down = (len(edges) + 1 for edges in self._edges)
         self._cells = np.zeros((across, down), dtype=bool)
-        for one in black.rectangles:
+        for rectangle in black.rectangles:
             (x0, x1), (y0, y1) = (
-                np.searchsorted(self._edges[k], np.round(one[[k, k + 2]], 12), side="right") for k in (0, 1)
+                np.searchsorted(self._edges[k], np.round(rectangle[[k, k + 2]], 12), side="right") for k in (0, 1)
             )
             self._cells[x0:x1, y0:y1] = True
         self._discs = scipy.spatial.cKDTree(black.discs[:, :2]) if len(black.discs) else None

@@ -64,8 +64,8 @@ class Photographer:
         width, height = self.size
         fine = np.full((_RAYS * height, _RAYS * width), _TABLE)
         part = self._shown(T_camera_board, margin)
-        own = self._rays[part].reshape(-1, 2)  # type: ignore[attr-defined]
-        directions = np.hstack([own, np.ones((len(own), 1))])
+        pixel_rays = self._rays[part].reshape(-1, 2)  # type: ignore[attr-defined]
+        directions = np.hstack([pixel_rays, np.ones((len(pixel_rays), 1))])
         normal, place = T_camera_board[:3, 2], T_camera_board[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (normal @ place) / (directions @ normal)

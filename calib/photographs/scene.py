@@ -138,7 +138,7 @@ class Linear(ReadOnlyArrays):
     def times(self, weight: FloatArray) -> Linear:
         """Return the sums with weights of images, (n,)."""
         parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
-        jj, jg, gg, jr, gr, rr = (one * weight.reshape(-1, *[1] * (one.ndim - 1)) for one in parts)
+        jj, jg, gg, jr, gr, rr = (part * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in parts)
         return Linear(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows)
 
 

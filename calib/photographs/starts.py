@@ -65,8 +65,8 @@ def first_focal(scene: Scene) -> float:
     middle = np.array(scene.size) / 2
     left, right = [], []
     for i in np.flatnonzero(scene.counts >= 6):
-        own = scene.image == i
-        h = _homography(scene.body[own, :2], (scene.pixels[own] - middle) / middle[0])
+        in_image = scene.image == i
+        h = _homography(scene.body[in_image, :2], (scene.pixels[in_image] - middle) / middle[0])
         if h is None:
             continue
         a, b = h[:, 0], h[:, 1]
@@ -138,8 +138,8 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     usable = np.flatnonzero(np.isfinite(errors))
     best: Start | None = None
     for mount in mounts:
-        one = _started(replace(scene, mount=mount), intrinsics, views, usable)
-        best = one if best is None or one.typical < best.typical else best
+        candidate = _started(replace(scene, mount=mount), intrinsics, views, usable)
+        best = candidate if best is None or candidate.typical < best.typical else best
         if best.typical < _GOOD:
             break
     assert best is not None
@@ -155,7 +155,7 @@ def _started(scene: Scene, intrinsics: FloatArray, views: FloatArray, usable: In
     subsets = [generator.choice(usable, _AT_ONCE, replace=False) for _ in range(_TRIALS)]
     tried = [Placed(*fixed_poses(links[some], views[some], now, none), intrinsics) for some in subsets]
     tried.sort(key=lambda placed: _median_error(scene, placed))
-    return min([whole, *(_robust(scene, placed) for placed in tried[:3])], key=lambda one: one.typical)
+    return min([whole, *(_robust(scene, placed) for placed in tried[:3])], key=lambda candidate: candidate.typical)
 
 
 def _median_error(scene: Scene, placed: Placed) -> float:
@@ -183,7 +183,7 @@ def _robust(scene: Scene, placed: Placed) -> Start:
         step = -size * np.linalg.solve(size[:, None] * a * size + damping * np.eye(12), size * b)
         tried = placed.moved(step, ())
         ahead = image_rms(scene, tried)
-        cost, new_cost = (float(np.sum(np.log1p((one / scale) ** 2))) for one in (rms, ahead))
+        cost, new_cost = (float(np.sum(np.log1p((errors / scale) ** 2))) for errors in (rms, ahead))
         if new_cost <= cost:
             settled = cost - new_cost < 1e-6 * max(cost, 1e-12)
             placed, rms, damping = tried, ahead, damping / 10
@@ -209,14 +209,14 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
     use = scene.counts >= 6
     if free and np.sum(use) < LEAST_IMAGES:
         free = ()
-    own = scene.only(use)
+    used = scene.only(use)
     result = np.full_like(scene.pixels, np.nan)
-    if len(own) == 0:
+    if len(used) == 0:
         return result, intrinsics
-    views, _ = single_views(own, intrinsics)
+    views, _ = single_views(used, intrinsics)
     # each image a robot pose of its own: the camera in the base, the board on the tool at the origin
     placed = Placed(np.eye(4), np.eye(4), intrinsics)
-    alone = replace(own, tool=views, mount="base")
+    alone = replace(used, tool=views, mount="base")
     for _ in range(_ROUNDS):
         linear = linearised(alone, placed, free)
         if np.max(np.linalg.cond(linear.gg)) > _LOST or not np.all(np.isfinite(linear.gg)):
@@ -235,8 +235,8 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
         steps = -np.einsum("nab,nb->na", inverse, pull)
         moved = np.array(
             [
-                Placed(pose, np.eye(4), intrinsics).moved(np.r_[one, np.zeros(6)], ()).camera
-                for pose, one in zip(alone.tool, steps, strict=True)
+                Placed(pose, np.eye(4), intrinsics).moved(np.r_[step, np.zeros(6)], ()).camera
+                for pose, step in zip(alone.tool, steps, strict=True)
             ]
         )
         alone = replace(alone, tool=moved)

@@ -18,7 +18,7 @@ def solve(problem: Photographs) -> Answer:
     with fit_time():
         result = calibrate(scene, np.array([*problem.intrinsics, 0, 0, 0, 0, 0]), mounts=("base",))
     # -- end
-    placed = result.found.placed
+    placed = result.fitted.placed
     lens = placed.intrinsics[[0, 1, 2, 3, 4, 5]]
     version = f"this project {calib.__version__} (lens {'found' if result.lens_found else 'as published'})"
     left = rms(result.left.pixels)

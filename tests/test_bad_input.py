@@ -265,7 +265,7 @@ BAD_OPTIONS = {
     "no out": ("fit arm.yaml data.csv", "Missing option '--out'"),
     "no data": ("fit arm.yaml --out out", "Missing argument 'DATA...'"),
     "unknown command": ("fitt arm.yaml data.csv --out out", "No such command 'fitt'. Did you mean 'fit'?"),
-    "unknown option": (f"{FIT} --sigma 1", "No such option '--sigma'. Did you mean '--sigma-mm'?"),
+    "unknown option": (f"{FIT} --sigma 1", "no option '--sigma'; here: --sigma-mm 0.04"),
     "one argument too many": (f"{PREDICT} more.csv", "Got unexpected extra argument"),
     "one file too many": (f"{FIT} more.csv", "more.csv: no such file"),
     "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "--parameters and --result exclude each"),

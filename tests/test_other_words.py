@@ -92,6 +92,12 @@ RUN = {
     "validation= a part": lambda t: len(t.fit.validation.data) == 20,
     "progress=": lambda t: progress_of(lambda told: calib.fit(t.robot, t.data, progress=told))[-1] == (3, 3),
     # results
+    "verify(fit, path)": lambda t: calib.verify(t.fit, READ).verdict == "agrees",
+    "verify(load_result(folder), path)": lambda t: (
+        t.fit.save(t.folder / "saved") is None
+        and calib.verify(calib.load_result(t.folder / "saved"), READ).p_value
+        == pytest.approx(calib.verify(t.fit, t.data).p_value, rel=1e-6)
+    ),
     "summary": lambda t: t.fit.summary().startswith("Calibration of") and t.fit.summary() in t.fit.report(),
     "to_dict": lambda t: t.fit.to_dict()["n_poses"] == 60,
     "errors": lambda t: (
@@ -161,6 +167,20 @@ ANSWERED = {
     "calib.fit(t.robot, t.data, callback=print)": "progress=",
     "calib.fit(t.robot, t.data, verbose=2)": "progress=",
     "calib.fit(t.robot, t.data, los='huber')": "did you mean 'loss'",
+    "t.fit['joint_3.z']": 'fit.parameters["joint_3.z"]',
+    "t.fit.residuals.mean()": "fit.residuals[",
+    "t.fit.errors.max()": "fit.errors[",
+    "t.fit.condition_number": "fit.rank.singular_values",
+    "t.fit.plot.qq()": "fit.plot.normal()",
+    "t.fit.verdict.status": "valid: claim, grade",
+    "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
+    "calib.fit(t.robot, t.data, units='mm')": "numbers are SI",
+    # what is left out, or comes in another order
+    "calib.fit(t.robot)": "data is missing; it takes robot, data in this order",
+    "calib.fit(READ, ARM)": "the robot comes first",
+    "calib.robot(ARM)": "calib.load(",
+    "calib.verify('folder', t.data)": "calib.load_result(folder)",
+    "calib.verify(t.robot, t.data)": "not Robot",
     # scikit-learn
     "t.fit.score(t.data)": "calib.verify",
     "t.fit.coef_": "fit.parameters",
@@ -229,7 +249,7 @@ ANSWERED = {
 @pytest.mark.parametrize("typed", ANSWERED)
 def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
     with pytest.raises(calib.InputError) as caught:
-        eval(typed, {"calib": calib, "t": t})
+        eval(typed, {"calib": calib, "t": t, "READ": READ, "ARM": ARM})
     assert ANSWERED[typed] in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -319,6 +339,8 @@ def test_what_the_table_names_is_there(t):
         (["fit", ARM, READ, "--bounds", "1"], "there are no bounds"),
         (["calibrate", ARM, READ], "calib fit ROBOT DATA --out DIR"),
         (["plot", ARM], "calib view ROBOT"),
+        (["fit", ARM, READ, "--tool", "tcp"], "no option '--tool'; here: the robot description: targets:"),
+        (["demo"], "no command 'demo'; here: medrue demo"),
     ],
 )
 def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):

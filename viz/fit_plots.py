@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from calib import Fit
 from calib.base.errors import InputError, nearest
+from calib.base.other_words import Worded
 from viz.part_plots import draw_residuals, of_positions
 from viz.plots import draw_course, draw_histogram, draw_normal
 from viz.pose_sources import from_fit
@@ -17,7 +18,7 @@ from viz.scene import joints_of
 from viz.svg import BLUE, GREY
 
 
-class FitPlots:
+class FitPlots(Worded):
     """The figures of a fit; each method draws into `axes`, or into those of a new figure, and returns them.
 
     Args:
@@ -26,6 +27,8 @@ class FitPlots:
     Raises:
         InputError: No errors of points are known; these figures are about them.
     """
+
+    _other_words = "figures of a fit"
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit

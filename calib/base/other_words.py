@@ -122,6 +122,9 @@ class Worded(metaclass=_Worded):
                 return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
             raise UnknownNameError(_no_name(type(self).__name__, name, self._other_words, dir(self)))
 
+        def __getitem__(self, key: Any) -> Any:
+            raise UnknownOptionError(f"{type(self).__name__}: takes no [{key!r:.40}]{way('[]', self._other_words)}")
+
 
 def _no_name(of: str, name: str, place: str, names: list[str]) -> str:
     public = [candidate for candidate in names if candidate[0] != "_" and candidate.isidentifier()]
@@ -145,6 +148,7 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
     parameters = signature(function).parameters
     known = [name for name in parameters if name != "self"]
     in_order = [name for name, parameter in parameters.items() if parameter.kind is not Parameter.KEYWORD_ONLY]
+    needed = [name for name in in_order if parameters[name].default is Parameter.empty]
     place = f"arguments of {function.__name__}"
 
     @functools.wraps(function)
@@ -157,6 +161,13 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
             names = ", ".join(name for name in in_order if name != "self")
             raise UnknownOptionError(
                 f"{function.__name__}: takes {names} in this order, and the rest by name{way('another', place)}"
+            )
+        missing = [name for name in needed[len(args) :] if name not in options]
+        if missing:
+            names = ", ".join(name for name in in_order if name != "self")
+            raise UnknownOptionError(
+                f"{function.__name__}: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing;"
+                f" it takes {names} in this order, and the rest by name"
             )
         return function(*args, **options)
 

@@ -27,10 +27,13 @@ class OneLineError(click.ClickException):
         self.exit_code = exit_code  # type: ignore[misc]  # click declares it on the class, and documents setting it
 
 
-def _way(error: click.UsageError) -> str:
-    """What to write in place of an option or a command of other packages."""
+def _usage(error: click.UsageError) -> str:
+    """What was wrong; with what to write in place of an option or a command of other packages."""
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
-    return way(typed, "the command line") if typed else ""
+    told = way(typed, "the command line") if typed else ""
+    if told:  # in place of names that are spelt alike
+        return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{told}"
+    return _one_line(error.format_message())
 
 
 def run_program(group: click.Group) -> None:
@@ -44,7 +47,7 @@ def run_program(group: click.Group) -> None:
         sys.exit(2)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else group.name
-        click.echo(f"{path}: {_one_line(error.format_message())}{_way(error)} (see {path} --help)", err=True)
+        click.echo(f"{path}: {_usage(error)} (see {path} --help)", err=True)
         sys.exit(2)
     except click.ClickException as error:
         click.echo(f"{group.name}: {_one_line(error.format_message())}", err=True)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.other_words import Worded
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.estimates import Correlation, Covariance, Estimates, estimates
@@ -71,6 +72,18 @@ class NoiseEstimate:
     sigma: float
     stated: float | None
     freedom: float
+
+
+class Errors(dict[str, dict[str, dict[str, object]]], Worded):
+    """Errors by set of rows, state and quantity."""
+
+    _other_words = "errors of a fit"
+
+
+class Residuals(dict[str, FloatArray], Worded):
+    """Residuals by instrument."""
+
+    _other_words = "residuals of a fit"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,12 +229,12 @@ class Fit(ReadOnlyArrays):
         """
         sets = {"identification": self.identification, "validation": self.validation}
         sets["cross_validation"] = None if self.folds is None else self.folds.errors
-        return {name: error_set.table() for name, error_set in sets.items() if error_set is not None}
+        return Errors({name: error_set.table() for name, error_set in sets.items() if error_set is not None})
 
     @property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
-        return dict(self.identification.after)
+        return Residuals(self.identification.after)
 
     @property
     def free_names(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import TypeAdapter, ValidationError
 
 from calib.base.errors import InputError, nearest
+from calib.base.other_words import way
 from calib.base.registry import Registry, entry
 from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.one_coefficient import (
@@ -78,7 +79,7 @@ def listed_terms(text: str) -> tuple[TermSection, ...]:
     for item in text.split(","):
         joint, _, term = (part.strip() for part in item.rpartition("="))
         if term not in TERMS:
-            raise InputError(f"terms '{text}': no term '{term}'{nearest(term, TERMS)}")
+            raise InputError(f"terms '{text}': no term '{term}'{way(term, 'joint terms') or nearest(term, TERMS)}")
         try:
             sections.append(TERMS[term].section(joint=joint or "all", term=term))
         except ValidationError:

@@ -41,13 +41,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, nearest
-from calib.data.in_memory import as_poses
-from calib.data.measurements import Measurements, Poses
+from calib.base.other_words import Worded, worded
+from calib.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
-from calib.judging.promise import Change, Promise, System, candidates, six_digits, without_outliers
+from calib.judging.promise import Change, HasPromise, Promise, System, candidates, six_digits, without_outliers
 from calib.judging.repeatability import repeatability
 from calib.numerics.chances import FALSE_ALARM
 from calib.rows.simulate import simulate
@@ -56,7 +55,7 @@ _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
 @dataclass(frozen=True, eq=False)
-class Acceptance:
+class Acceptance(Worded):
     """What new measurements say of a calibrated robot.
 
     Attributes:
@@ -94,19 +93,22 @@ class Acceptance:
     left_open: float
 
 
-def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = False) -> Acceptance:
+@worded
+def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, same_setup: bool = False) -> Acceptance:
     """Judge a calibrated robot by new measurements.
 
     Args:
-        promise: What its calibration promises, or the fit itself.
-        data: Measurements that the calibration has not seen.
+        calibrated: The fit, or what `load_result` loads; or what a calibration promises.
+        data: Measurements that the calibration has not seen; or files or data frames of them.
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 
     Raises:
+        InputError: What is given promises nothing.
         DataError: Too few readings to judge anything.
         UnreachablePoseError: A pose cannot be assembled.
     """
-    promise = Promise.of(promise) if isinstance(promise, Fit) else promise
+    promise = Promise.of(calibrated)
+    data = as_measurements(promise.robot, data)
     system = System.of(promise, data, same_setup)
     system, left_out = without_outliers(system)
     independent = system.freedom / promise.shared**2
@@ -144,7 +146,7 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
 
 
 def visible_changes(
-    promise: Promise | Fit, poses: Poses | FloatArray, *, same_setup: bool = False
+    calibrated: Fit | HasPromise | Promise, poses: PosesLike, *, same_setup: bool = False
 ) -> tuple[Change, ...]:
     """Return the smallest change of every candidate that readings at these poses will show.
 
@@ -155,7 +157,7 @@ def visible_changes(
         poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
-    promise = Promise.of(promise) if isinstance(promise, Fit) else promise
+    promise = Promise.of(calibrated)
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     changes = System.of(promise, data, same_setup).changes()
@@ -164,7 +166,7 @@ def visible_changes(
 
 
 def poses_needed(
-    promise: Promise | Fit, poses: Poses | FloatArray, name: str, size: float, *, same_setup: bool = False
+    calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:
     """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all are too few.
 
@@ -178,7 +180,7 @@ def poses_needed(
     Raises:
         DataError: No such candidate, or no size.
     """
-    promise = Promise.of(promise) if isinstance(promise, Fit) else promise
+    promise = Promise.of(calibrated)
     planned = as_poses(promise.robot, poses)
     if not (np.isfinite(size) and size != 0):
         raise DataError(f"change of '{name}': {size:g} is no change; give a number other than zero")

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.errors import DataError
+from calib.base.errors import DataError, InputError
 from calib.base.units import Dimension
 from calib.data.measurements import Measurements
 from calib.fitting.error_sets import ErrorSet
@@ -53,12 +54,34 @@ class Promise:
     shared: float
 
     @staticmethod
-    def of(fit: Fit) -> Promise:
-        """Return what a fit promises."""
-        sigma = {(estimate.group.name, estimate.group.part): estimate.sigma for estimate in fit.noise}
-        statistics = fit.statistics
-        shared = 1.0 if statistics.shared is None else statistics.shared.ratio
-        return Promise(fit.robot, fit.covariance.values, statistics.freedom, sigma, shared)
+    def of(calibrated: Fit | Promise | HasPromise) -> Promise:
+        """Return what a fit or a loaded result promises.
+
+        Raises:
+            InputError: It promises nothing, such as a robot alone, or the path of a result's folder.
+        """
+        if isinstance(calibrated, Promise):
+            return calibrated
+        if isinstance(calibrated, Fit):
+            sigma = {(noise.group.name, noise.group.part): noise.sigma for noise in calibrated.noise}
+            statistics = calibrated.statistics
+            shared = 1.0 if statistics.shared is None else statistics.shared.ratio
+            return Promise(calibrated.robot, calibrated.covariance.values, statistics.freedom, sigma, shared)
+        if isinstance(calibrated, HasPromise):
+            return calibrated.promise
+        raise InputError(
+            f"calibrated: expected a fit, or a result as calib.load_result(folder) loads it, not"
+            f" {type(calibrated).__name__}"
+        )
+
+
+@runtime_checkable
+class HasPromise(Protocol):
+    """What knows its promise by itself, such as a loaded result."""
+
+    @property
+    def promise(self) -> Promise:
+        """What its calibration promises."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Literal, Self
 
+from calib.base.other_words import Worded
 from calib.judging.claim import Claim
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
@@ -157,7 +158,7 @@ class Code(StrEnum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Worded):
     """The judgement of a fit.
 
     Attributes:

@@ -14,8 +14,9 @@ from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
 from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
+from calib.judging.promise import Promise
 from calib.judging.reasons import Code
-from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
+from calib.reporting.result_reading import joints_used, load, load_promise, load_uncertainty, read_result
 from calib.robots.held import Holds
 from calib.robots.robot import Robot
 from calib.rows.known_robot import KnownRobot
@@ -61,6 +62,11 @@ class LoadedResult(ReadOnlyArrays):
         """The robot, with how well it is known."""
         codes = self.content.get("verdict", {}).get("codes", ())
         return KnownRobot(self.robot, self.uncertainty, self.joints, Code.NOTHING_TO_CORRECT in codes)
+
+    @property
+    def promise(self) -> Promise:
+        """What its calibration promises of new readings, for `calib.verify`."""
+        return load_promise(self.path, self.robot)
 
     @property
     def free_names(self) -> tuple[str, ...]:

@@ -90,6 +90,8 @@ def robot(
         UrdfError: The URDF is not valid.
         DescriptionError: A key is not valid, or does not fit the URDF.
     """
+    if Path(urdf).suffix in (".yaml", ".yml"):
+        raise DescriptionError(f"{urdf}: is a robot description; load it with calib.load({str(urdf)!r})")
     text, where = read_urdf(Path(urdf)), str(urdf)
     content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
     if motors is None or target is None or base is None:
@@ -116,6 +118,8 @@ def as_robot(robot: RobotLike) -> Robot:
         InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
     """
     if isinstance(robot, (Path, str)):
+        if Path(robot).suffix in (".csv", ".xlsx"):
+            raise InputError(f"{robot}: is a table; the robot comes first: its description or its URDF")
         if Path(robot).is_dir():
             raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
         return load(robot)

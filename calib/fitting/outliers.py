@@ -51,11 +51,11 @@ def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:
     """Return the readings of each instrument, with these weights (n_readings,), as blocks of equally many rows."""
     layout, result = rows.layout, []
     for name in layout.instruments:
-        part, own = layout.rows_of(name), layout.readings_of(name)
-        n = own.stop - own.start
+        part, readings = layout.rows_of(name), layout.readings_of(name)
+        n = readings.stop - readings.start
         residuals = rows.residuals[part].reshape(n, -1)
         columns = rows.jacobian[part].reshape(n, residuals.shape[1], -1)
-        result.append(Blocks(residuals, columns, layout.width[own], weights[own]))
+        result.append(Blocks(residuals, columns, layout.width[readings], weights[readings]))
     return result
 
 

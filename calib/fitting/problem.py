@@ -225,13 +225,15 @@ class Problem(ReadOnlyArrays):
             evaluation: An evaluation near the minimum.
             groups: Scales to start from, (n_groups,).
         """
-        whitening, own = self.whitening, self.unknowns
+        whitening, unknowns = self.whitening, self.unknowns
         tried = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
         if not np.any(tried):
             return self.ratios
         known = self.ratios * whitening.offset_scale(groups)
         # whitened by what is stated alone
-        rows = whitening.rows(evaluation.observed, np.ones(len(groups)), own, own.deviations(evaluation.robot.values))
+        rows = whitening.rows(
+            evaluation.observed, np.ones(len(groups)), unknowns, unknowns.deviations(evaluation.robot.values)
+        )
         components = found_components(
             self._model(rows), groups, whitening.offset_columns * tried, whitening.layout.pose_of_row, known
         )
@@ -280,7 +282,7 @@ class Problem(ReadOnlyArrays):
         """
         way = _Way(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
-        return way.here, solution
+        return way.current, solution
 
 
 class _Way:
@@ -295,13 +297,13 @@ class _Way:
 
     Attributes:
         begin: u at the start, (n_unknowns,).
-        here: Where the solver is: where it last asked for a derivative.
+        current: Where the solver is: where it last asked for a derivative.
     """
 
     def __init__(
         self, problem: Problem, start: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None
     ) -> None:
-        self.begin, self.here = unknowns.deviations(start.robot.values), start
+        self.begin, self.current = unknowns.deviations(start.robot.values), start
         self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
         self._last: tuple[Evaluation, Rows] | None = None
@@ -311,7 +313,7 @@ class _Way:
         for known, evaluation in self._looked_at:
             if np.array_equal(known, u):
                 return evaluation
-        evaluation = self._problem.evaluate_if_closed(self._unknowns.moved(self.here.robot, u), self.here)
+        evaluation = self._problem.evaluate_if_closed(self._unknowns.moved(self.current.robot, u), self.current)
         self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
         return evaluation
 
@@ -333,7 +335,7 @@ class _Way:
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        self.here = evaluation
+        self.current = evaluation
         return np.vstack([self._rows(evaluation).jacobian, self._unknowns.prior.rows])
 
 

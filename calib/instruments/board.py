@@ -135,14 +135,14 @@ class Board(Section):
         return {f"c{k}": (x, y, 0.0) for k, (x, y) in enumerate(places)}
 
     def __str__(self) -> str:
-        what = {"circles": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
+        shapes = {"circles": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
         numbers = [
             f"{key} {1e3 * value:g} mm"
             for key in ("square", "marker", "gap", "spacing")
             if (value := getattr(self, key)) is not None
         ]
         sizes = ", ".join([*numbers, *filter(None, [self.dictionary])])
-        return f"{self.kind} of {self.columns} x {self.rows} {what}, {sizes}"
+        return f"{self.kind} of {self.columns} x {self.rows} {shapes}, {sizes}"
 
 
 def checked_board(content: object, where: str) -> Board:

@@ -171,15 +171,19 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     counts = np.bincount(view, minlength=n_views)
     order = np.argsort(view, kind="stable")
     width = int(counts.max(initial=1))
-    body, rays_, there = np.zeros((n_views, width, 3)), np.zeros((n_views, width, 2)), np.zeros((n_views, width), bool)
+    body, rays_, present = (
+        np.zeros((n_views, width, 3)),
+        np.zeros((n_views, width, 2)),
+        np.zeros((n_views, width), bool),
+    )
     place = np.arange(len(view)) - np.repeat(np.cumsum(counts) - counts, counts)
     body[view[order], place], rays_[view[order], place] = points[order], seen[order]
-    there[view[order], place] = True
+    present[view[order], place] = True
     starts = cube_rotations()
     k = len(starts)
-    body, rays_, there = (np.repeat(array, k, axis=0) for array in (body, rays_, there))
-    poses = _first_poses(body, rays_, there, np.tile(starts, (n_views, 1, 1)))
-    poses, miss = _settled(poses, body, rays_, there)
+    body, rays_, present = (np.repeat(array, k, axis=0) for array in (body, rays_, present))
+    poses = _first_poses(body, rays_, present, np.tile(starts, (n_views, 1, 1)))
+    poses, miss = _settled(poses, body, rays_, present)
     miss = miss.reshape(n_views, k)
     best = np.argmin(miss, axis=1)
     best_poses = poses.reshape(n_views, k, 4, 4)[np.arange(n_views), best]
@@ -187,13 +191,13 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     return best_poses, np.where(counts >= LEAST_POINTS, error, np.inf)
 
 
-def _first_poses(body: FloatArray, seen: FloatArray, there: BoolArray, turned: FloatArray) -> FloatArray:
+def _first_poses(body: FloatArray, seen: FloatArray, present: BoolArray, turned: FloatArray) -> FloatArray:
     """Poses at the depth that the spread of the rays suggests."""
-    n = np.maximum(np.sum(there, axis=1), 1)[:, None]
-    middle = np.sum(body * there[:, :, None], axis=1) / n
-    ray = np.sum(seen * there[:, :, None], axis=1) / n
-    size = np.sqrt(np.sum(((body - middle[:, None]) * there[:, :, None]) ** 2, axis=(1, 2)))
-    spread = np.sqrt(np.sum(((seen - ray[:, None]) * there[:, :, None]) ** 2, axis=(1, 2)))
+    n = np.maximum(np.sum(present, axis=1), 1)[:, None]
+    middle = np.sum(body * present[:, :, None], axis=1) / n
+    ray = np.sum(seen * present[:, :, None], axis=1) / n
+    size = np.sqrt(np.sum(((body - middle[:, None]) * present[:, :, None]) ** 2, axis=(1, 2)))
+    spread = np.sqrt(np.sum(((seen - ray[:, None]) * present[:, :, None]) ** 2, axis=(1, 2)))
     depth = 0.8 * size / np.maximum(spread, 1e-9)
     poses = np.tile(np.eye(4), (len(body), 1, 1))
     poses[:, :3, :3] = turned
@@ -202,20 +206,22 @@ def _first_poses(body: FloatArray, seen: FloatArray, there: BoolArray, turned: F
     return poses
 
 
-def _errors(poses: FloatArray, body: FloatArray, seen: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _errors(poses: FloatArray, body: FloatArray, seen: FloatArray, present: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Errors (n, 2 width) and their derivative by [dp; dw] of the body's pose, (n, 2 width, 6)."""
-    n, width = there.shape
+    n, width = present.shape
     turned = np.einsum("kab,kjb->kja", poses[:, :3, :3], body)
     errors, by_point = plane_errors((turned + poses[:, None, :3, 3]).reshape(-1, 3), seen.reshape(-1, 2))
     by_pose = np.concatenate([by_point, -by_point @ cross_matrices(turned.reshape(-1, 3))], axis=2)
-    weight = there.reshape(-1, 1).astype(float)
+    weight = present.reshape(-1, 1).astype(float)
     return (errors * weight).reshape(n, 2 * width), (by_pose * weight[:, :, None]).reshape(n, 2 * width, 6)
 
 
-def _settled(poses: FloatArray, body: FloatArray, seen: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _settled(
+    poses: FloatArray, body: FloatArray, seen: FloatArray, present: BoolArray
+) -> tuple[FloatArray, FloatArray]:
     """Poses after damped Gauss-Newton steps, and their squared errors (n,)."""
     damping = np.full(len(poses), 1e-3)
-    errors, by_pose = _errors(poses, body, seen, there)
+    errors, by_pose = _errors(poses, body, seen, present)
     cost = np.sum(errors**2, axis=1)
     for _ in range(_ROUNDS):
         square = by_pose.transpose(0, 2, 1) @ by_pose
@@ -226,7 +232,7 @@ def _settled(poses: FloatArray, body: FloatArray, seen: FloatArray, there: BoolA
         tried = poses.copy()
         tried[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
         tried[:, :3, 3] += step[:, :3]
-        new_errors, new_by_pose = _errors(tried, body, seen, there)
+        new_errors, new_by_pose = _errors(tried, body, seen, present)
         new_cost = np.sum(new_errors**2, axis=1)
         better = new_cost < cost
         poses = np.where(better[:, None, None], tried, poses)

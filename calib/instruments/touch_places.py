@@ -135,11 +135,11 @@ def _artefacts(
     inside, places = _in_place(touch)[:, :3], {}
     for a in dict.fromkeys(name for name, _ in keys):
         if scene.unknown[a]:
-            own = [k for k, (name, _) in enumerate(keys) if name == a]
+            index = [k for k, (name, _) in enumerate(keys) if name == a]
             turns = [k for k, name in enumerate(ANGLE_COMPONENTS) if name not in scene.unknown[a]]
-            points = inside[[keys[k][1] for k in own]]
+            points = inside[[keys[k][1] for k in index]]
             held = turns[0] if len(turns) == 1 else None
-            places[a] = posed_artefact(points, positions[own], scene.places[a], held)
+            places[a] = posed_artefact(points, positions[index], scene.places[a], held)
     return places
 
 
@@ -151,8 +151,8 @@ def _in_place(touch: Touching) -> FloatArray:
 
 def _balls(scene: Scene) -> FloatArray:
     """Where the ball's centre is believed to be at each reading, in the link of what it touches, (n, 3) [m]."""
-    own = np.array([scene.places[b][:, 3] for _, b in scene.pairs])[scene.readings.pairs]
-    return np.einsum("nij,nj->ni", scene.links, own)[:, :3]
+    centres = np.array([scene.places[b][:, 3] for _, b in scene.pairs])[scene.readings.pairs]
+    return np.einsum("nij,nj->ni", scene.links, centres)[:, :3]
 
 
 def _moved(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
@@ -228,9 +228,9 @@ def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, held: 
         result[:3, :3] = best_transform(points, seen)[0]
     elif sizes[0] > 0:
         line = directions[0]
-        there = now[:3, :3].T @ (seen_from_centre.T @ (from_centre @ line))
+        turned_line = now[:3, :3].T @ (seen_from_centre.T @ (from_centre @ line))
         axis = int(np.argmax(np.abs(line))) if held is None else held
-        result[:3, :3] = now[:3, :3] @ _turn(line, there / np.linalg.norm(there), axis)
+        result[:3, :3] = now[:3, :3] @ _turn(line, turned_line / np.linalg.norm(turned_line), axis)
     result[:3, 3] = seen.mean(axis=0) - result[:3, :3] @ points.mean(axis=0)
     return result
 

@@ -74,9 +74,9 @@ def unordered(poses: Poses) -> tuple[str, ...]:
     if near < LIKE_SHUFFLED * float(np.mean(apart)):
         return ()
     assumed = isinstance(poses, Measurements) and poses.approach_assumed
-    told = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
-    what = "a drift or a slip" if told else "a drift, a slip or a backlash"
+    stated = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
+    unseen = "a drift or a slip" if stated else "a drift, a slip or a backlash"
     return (
-        f"the rows seem to be in random order and have no time: {what} shows only if this is the order of"
+        f"the rows seem to be in random order and have no time: {unseen} shows only if this is the order of"
         " measurement; if it is not, sort them, or add a column 'time'",
     )

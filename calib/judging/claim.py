@@ -76,7 +76,7 @@ class Claim:
     def words(self) -> str:
         """The claim as a sentence."""
         told = self.told
-        what = "The tool is" if told.is_position else f"Readings ({told.part}) are"
+        subject = "The tool is" if told.is_position else f"Readings ({told.part}) are"
         if np.isfinite(told.limit95):
             off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
             off += f" RMS {told.shown(told.rms)}; before"
@@ -84,7 +84,7 @@ class Claim:
             off = f"off by {told.shown(told.rms)} RMS, {self.region}. Before"
         shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
         narrow = f" Joints that moved through less than half of their limits: {listed(self.narrow)}."
-        return f"{what} {off}: {told.shown(told.before)}.{shown}{narrow if self.narrow else ''}"
+        return f"{subject} {off}: {told.shown(told.before)}.{shown}{narrow if self.narrow else ''}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""

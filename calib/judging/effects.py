@@ -309,11 +309,13 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
 
 def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
     """What moving each target along the axes of its link does to all readings, (n, n_rows, 3) each."""
-    robot, readings = setting.robot, setting.data.readings
-    none = {name: np.zeros((len(own), robot.instrument(name).n_rows, 3)) for name, own in readings.items()}
+    robot, all_readings = setting.robot, setting.data.readings
+    none = {
+        name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
+    }
     result: dict[str, dict[str, FloatArray]] = {}
     joints = robot.mechanism.all_joints(setting.configurations.actuated, setting.configurations.passive)
-    for name, own in readings.items():
+    for name, readings in all_readings.items():
         instrument = robot.instrument(name)
         rows = _position_rows(instrument)
         if len(rows) != 3 or not isinstance(instrument, FrameInstrument):
@@ -322,7 +324,7 @@ def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
         swept = kinematics.sweep(robot.mechanism, joints, pairs)
         poses = np.stack([kinematics.relative_pose(swept, pair) for pair in pairs])
         moved = result.setdefault(instrument.target, {other: zeros.copy() for other, zeros in none.items()})
-        moved[name][:, rows] = -poses[own.pairs, own.visits, :3, :3]
+        moved[name][:, rows] = -poses[readings.pairs, readings.visits, :3, :3]
     return result
 
 

@@ -113,8 +113,8 @@ class _Path:
 def causes_of(robot: Robot) -> tuple[str, ...]:
     """Return the cause that each parameter stands for, (n_parameters,)."""
     places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
-    own = robot.parametrisation.parameters
-    causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in own]
+    parameters = robot.parametrisation.parameters
+    causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in parameters]
     causes += [PLACES for instrument in robot.instruments for _ in instrument.unknowns]
     return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
@@ -207,10 +207,10 @@ def _along(
         taken = placing @ (placing.T @ total)
         moved -= placing @ (placing.T @ moved)
         moved[:, places] += taken
-        own = members * (end.T @ (total - taken))
-        own[places] += end.T @ taken
+        direct = members * (end.T @ (total - taken))
+        direct[places] += end.T @ taken
         removed -= weight * residuals[:, None] * moved
-        gradient += weight / 2.0 * (own + (end.T @ moved).T)
+        gradient += weight / 2.0 * (direct + (end.T @ moved).T)
     of_reading = layout.reading[counted]
     chosen, number = np.unique(of_reading, return_inverse=True)
     squares, sums = np.zeros(len(chosen)), np.zeros((len(chosen), len(members)))
@@ -249,8 +249,8 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
 def _span(columns: FloatArray) -> FloatArray:
     """Return orthonormal directions of what columns (n, k) span, (n, rank); columns of rounding alone count as zero."""
     length = np.linalg.norm(columns, axis=0)
-    there = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
-    u, s, _ = np.linalg.svd(columns[:, there] / length[there], full_matrices=False)
+    nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
+    u, s, _ = np.linalg.svd(columns[:, nonzero] / length[nonzero], full_matrices=False)
     return u[:, s > RANK_TOLERANCE * np.max(s, initial=0.0)]
 
 

@@ -190,24 +190,24 @@ class System:
                 scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
         rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
-        own = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
+        kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
-        values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+        values, vectors = np.linalg.eigh(covariance[np.ix_(kept, kept)])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        known = np.asarray(rows.jacobian[:, own] @ root)
+        known = np.asarray(rows.jacobian[:, kept] @ root)
         candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
         layout = whitening.layout
         errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
-            (known, rows.jacobian[:, ~own]),
+            (known, rows.jacobian[:, ~kept]),
             candidate_columns,
             rows.residuals,
             layout.reading,
             layout.visit,
             layout.group >= 0,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            *_promised(promise, robot, observed, own, root * unknowns.scales[own, None]),
+            *_promised(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
         ).checked(data)
 
     def checked(self, data: Measurements) -> System:
@@ -280,11 +280,11 @@ class System:
         best, smallest = -1, 1.0
         order = np.flatnonzero(self.counts)
         for reading in np.unique(self.reading[order]):
-            own = order[self.reading[order] == reading]
-            spread = np.eye(len(own)) - basis[own] @ basis[own].T
+            rows = order[self.reading[order] == reading]
+            spread = np.eye(len(rows)) - basis[rows] @ basis[rows].T
             values, vectors = np.linalg.eigh(spread)
             determined = values > 1e-6
-            square = float(np.sum((vectors.T @ left[own])[determined] ** 2 / values[determined]))
+            square = float(np.sum((vectors.T @ left[rows])[determined] ** 2 / values[determined]))
             n = int(np.sum(determined))
             chance = float(scipy.special.fdtrc(n, self.promise.freedom, square / n)) if n else 1.0
             if chance < smallest:
@@ -361,7 +361,7 @@ def _noncentrality(level: float, freedom: float) -> float:
 
 
 def _promised(
-    promise: Promise, robot: Robot, observed: Mapping[str, Observed], own: BoolArray, root: FloatArray
+    promise: Promise, robot: Robot, observed: Mapping[str, Observed], kept: BoolArray, root: FloatArray
 ) -> tuple[float, float]:
     """Root mean square distance of measured from predicted positions as promised, and what is no noise of it [m].
 
@@ -369,8 +369,8 @@ def _promised(
         promise: Says noise and shared errors.
         robot: The robot where the readings see it.
         observed: With derivatives by parameters.
-        own: Which of the free parameters are not placed anew, (n_free,).
-        root: A root of their covariance, (n_own, k) [m or rad].
+        kept: Which of the free parameters are not placed anew, (n_free,).
+        root: A root of their covariance, (n_kept, k) [m or rad].
     """
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
     for name, derivatives in observed.items():
@@ -387,9 +387,9 @@ def _promised(
     if not n:
         return float("nan"), float("nan")
     slope = np.concatenate(slopes)
-    placed = np.linalg.svd(unit_columns(slope[:, ~own])[0], full_matrices=False)
+    placed = np.linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
     basis = placed[0][:, placed[1] > RANK_TOLERANCE]
-    spread = slope[:, own] @ root
+    spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
     square *= 1.0 - basis.shape[1] / len(slope)  # what placing them takes up
     left_open = float(np.sum(spread**2))

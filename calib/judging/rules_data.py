@@ -152,10 +152,10 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     known = {key for keys in _reading_keys(used) for key in keys}
     same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
-        what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
+        overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Code.USED_FOR_BOTH.says(
-            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {what}: they prove"
-            " little; validate with other poses"
+            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {overlap}: they"
+            " prove little; validate with other poses"
         )
 
 

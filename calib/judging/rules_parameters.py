@@ -116,9 +116,9 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)
-        what = "altogether" if whole else f"in {listed(fleet.unlike)}"
+        extent = "altogether" if whole else f"in {listed(fleet.unlike)}"
         yield Code.UNLIKE_FLEET.says(
-            f"this robot is unlike the {fleet.robots} of its fleet {what}: the fleet was not used there, so"
+            f"this robot is unlike the {fleet.robots} of its fleet {extent}: the fleet was not used there, so"
             " more poses are needed; look for a repair, a crash, another model or another convention"
         )
 

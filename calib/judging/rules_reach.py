@@ -56,16 +56,16 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
-        here = _uncertain(_relative(fit, _at_used(fit)), fit.covariance.values)
-        there = _uncertain(_relative(fit, elsewhere), fit.covariance.values) if len(elsewhere.actuated) else 0.0
-        if there > _well_known(fit, here):
+        at_used = _uncertain(_relative(fit, _at_used(fit)), fit.covariance.values)
+        away = _uncertain(_relative(fit, elsewhere), fit.covariance.values) if len(elsewhere.actuated) else 0.0
+        if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
             unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"joint {name} moved through {reach:.2g} {unit} only. Positions are known to {millimetres(here):.2g} mm"
-                f" at the poses used, but to {millimetres(there):.2g} mm RMS where it moves further. Measure poses that"
-                " move it through its range"
+                f"joint {name} moved through {reach:.2g} {unit} only. Positions are known to {millimetres(at_used):.2g}"
+                f" mm at the poses used, but to {millimetres(away):.2g} mm RMS where it moves further. Measure poses"
+                " that move it through its range"
             )
 
 
@@ -73,13 +73,13 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     """See whether the poses that were not used lie where the poses used tell little."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
-    here = _rms(fit.identification_uncertainty.located)
-    there = float(np.median(fit.validation_uncertainty.located))
-    if there > _well_known(fit, here):
+    at_used = _rms(fit.identification_uncertainty.located)
+    away = float(np.median(fit.validation_uncertainty.located))
+    if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
-            f"validation poses lie far from the poses used: positions are known to {millimetres(there):.2g} mm there,"
-            f" but to {millimetres(here):.2g} mm RMS at the poses used. Measure there too, and validate among the poses"
-            " used"
+            f"validation poses lie far from the poses used: positions are known to {millimetres(away):.2g} mm there,"
+            f" but to {millimetres(at_used):.2g} mm RMS at the poses used. Measure there too, and validate among the"
+            " poses used"
         )
 
 
@@ -108,10 +108,10 @@ def _at_used(fit: Fit) -> Configurations:
     return fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
 
 
-def _well_known(fit: Fit, here: float) -> float:
-    """Uncertainty of positions up to which they are known well enough [m], if it is `here` at the poses used."""
+def _well_known(fit: Fit, at_used: float) -> float:
+    """Uncertainty of positions up to which they are known well enough [m], if it is `at_used` at the poses used."""
     lengths = fit.first_noise.group.dimension == "length"
-    return max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
+    return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
 
 def _rms(values: FloatArray) -> float:
@@ -152,9 +152,9 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    here = _rms(fit.identification_uncertainty.located)
-    there = np.max(fit.validation_uncertainty.located, axis=1)
-    outside[there <= _well_known(fit, here)] = False
+    at_used = _rms(fit.identification_uncertainty.located)
+    away = np.max(fit.validation_uncertainty.located, axis=1)
+    outside[away <= _well_known(fit, at_used)] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
@@ -215,11 +215,11 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     if len(configurations.actuated) == 0:
         return ""
     covariance, flat = fit.covariance.values, _relative(fit, configurations)
-    here = _uncertain(_relative(fit, _at_used(fit)), covariance)
-    there, alone = _uncertain(flat, covariance), _uncertain(flat, _given(covariance, terms))
-    if there <= max(_well_known(fit, here), WIDENED * alone):
+    at_used = _uncertain(_relative(fit, _at_used(fit)), covariance)
+    away, alone = _uncertain(flat, covariance), _uncertain(flat, _given(covariance, terms))
+    if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""
-    return f"{millimetres(there):.2g} mm RMS there, and to {millimetres(here):.2g} mm at the poses used"
+    return f"{millimetres(away):.2g} mm RMS there, and to {millimetres(at_used):.2g} mm at the poses used"
 
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
@@ -239,8 +239,10 @@ def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
     left, correlation = ~known, covariance / np.outer(size, size)
-    own = correlation[np.ix_(known, known)] + _NO_VARIANCE * np.eye(int(np.sum(known)))  # some may not be determined
+    known_block = correlation[np.ix_(known, known)] + _NO_VARIANCE * np.eye(
+        int(np.sum(known))
+    )  # some may not be determined
     across = correlation[np.ix_(left, known)]
     result = np.zeros_like(covariance)
-    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(own, across.T)
+    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(known_block, across.T)
     return np.asarray(result * np.outer(size, size))

@@ -90,22 +90,22 @@ def scatter(
     decided_parts, fourth = 0.0, 0.0
     for rows in _of_equal_length(block):
         span = jacobian[rows] @ root
-        own, errors, directions = _directions(span, residuals[rows])
+        values, errors, directions = _directions(span, residuals[rows])
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
-        alone = own >= _OWN
-        left = np.where(alone, 1.0, 1.0 - own)
+        alone = values >= _OWN
+        left = np.where(alone, 1.0, 1.0 - values)
         drawn = np.where(alone, 0.0, errors / np.sqrt(left))
         pulls = np.matmul(drawn[:, None, :], directions)[:, 0]
-        decided = directions[alone] * np.repeat(level, own.shape[1], axis=1)[alone][:, None]
+        decided = directions[alone] * np.repeat(level, values.shape[1], axis=1)[alone][:, None]
         core += pulls.T @ pulls + decided.T @ decided
-        w = np.where(alone, 0.0, own)
+        w = np.where(alone, 0.0, values)
         moved += float(np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2))
         mean += float(np.sum(w))
         squares += float(np.sum(w**2) - np.sum((w**2 / left) ** 2))
         scaled = (np.sqrt(w / left)[:, :, None] * directions).reshape(-1, k)
         leverage += scaled.T @ scaled
-        decided_parts += float(np.sum(own))
-        fourth += float(2.0 * np.sum(own**2) + np.sum(np.sum(own, axis=1) ** 2))
+        decided_parts += float(np.sum(values))
+        fourth += float(2.0 * np.sum(values**2) + np.sum(np.sum(values, axis=1) ** 2))
     half_variance = squares + float(np.sum(leverage**2))
     behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0 else 0.0
     if mean <= 0.0 or half_variance <= 0.0 or not np.any(noise > _NONE):
@@ -136,15 +136,15 @@ def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Fl
     """
     n_rows, k = span.shape[1:]
     if n_rows <= k:
-        own, vectors = np.linalg.eigh(np.matmul(span, span.transpose(0, 2, 1)))
+        values, vectors = np.linalg.eigh(np.matmul(span, span.transpose(0, 2, 1)))
         turned = vectors.transpose(0, 2, 1)
-        return np.clip(own, 0.0, 1.0), np.matmul(turned, residuals[:, :, None])[:, :, 0], np.matmul(turned, span)
-    own, vectors = np.linalg.eigh(np.matmul(span.transpose(0, 2, 1), span))
-    own, turned = np.clip(own, 0.0, 1.0), vectors.transpose(0, 2, 1)
-    size = np.sqrt(own)
+        return np.clip(values, 0.0, 1.0), np.matmul(turned, residuals[:, :, None])[:, :, 0], np.matmul(turned, span)
+    values, vectors = np.linalg.eigh(np.matmul(span.transpose(0, 2, 1), span))
+    values, turned = np.clip(values, 0.0, 1.0), vectors.transpose(0, 2, 1)
+    size = np.sqrt(values)
     felt = np.matmul(turned, np.matmul(span.transpose(0, 2, 1), residuals[:, :, None]))[:, :, 0]
     errors = np.where(size > 0, felt / np.where(size > 0, size, 1.0), 0.0)
-    return own, errors, size[:, :, None] * turned
+    return values, errors, size[:, :, None] * turned
 
 
 def pulls_without(
@@ -164,10 +164,10 @@ def pulls_without(
     """
     pulls, largest = np.zeros((n_blocks, root.shape[1])), np.zeros(n_blocks)
     for rows in _of_equal_length(block):
-        own, errors, directions = _directions(jacobian[rows] @ root, residuals[rows])
+        values, errors, directions = _directions(jacobian[rows] @ root, residuals[rows])
         numbers = block[rows[:, 0]]
-        largest[numbers] = np.max(own, axis=1, initial=0.0)
-        left = np.maximum(1.0 - own, _NONE)
+        largest[numbers] = np.max(values, axis=1, initial=0.0)
+        left = np.maximum(1.0 - values, _NONE)
         pulls[numbers] = np.einsum("nd,ndk->nk", errors / left, directions)
     return pulls, largest
 
@@ -188,12 +188,12 @@ def foretold(jacobian: FloatArray, root: FloatArray, residuals: FloatArray, bloc
         span, errors = jacobian[rows] @ root, residuals[rows][:, :, None]
         across = span.transpose(0, 2, 1)
         if span.shape[1] <= span.shape[2]:
-            own, vectors = np.linalg.eigh(np.matmul(span, across))
-            gain = np.where(own < _OWN, own / np.maximum(1.0 - own, 1.0 - _OWN), 0.0)
+            values, vectors = np.linalg.eigh(np.matmul(span, across))
+            gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
             added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
         else:
-            own, vectors = np.linalg.eigh(np.matmul(across, span))
-            gain = np.where(own < _OWN, 1.0 / np.maximum(1.0 - own, 1.0 - _OWN), 0.0)
+            values, vectors = np.linalg.eigh(np.matmul(across, span))
+            gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
             pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
             added = np.matmul(span, np.matmul(vectors, gain[:, :, None] * pulled))
         result[rows] += added[:, :, 0]

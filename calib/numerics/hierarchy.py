@@ -151,8 +151,8 @@ def learn(told: Sequence[Told], kinds: IntArray, start: FloatArray | None = None
         seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
         squares = np.sum(estimates**2, axis=0)
         typical = np.empty(n)
-        for own in members:
-            typical[own] = max(float(np.exp(np.mean(np.log(variance[own])))), _SMALLEST**2)
+        for kind in members:
+            typical[kind] = max(float(np.exp(np.mean(np.log(variance[kind])))), _SMALLEST**2)
         again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
         change, variance = float(np.max(np.abs(again / variance - 1.0))), again
         if change < _STANDS:

@@ -165,7 +165,7 @@ def minimise(
                 x, values = bent, others
         path.go_on(x, values, jacobian)
         message = path.ended()
-    best = path.here
+    best = path.current
     return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
 
 
@@ -298,7 +298,7 @@ class _Path:
     """
 
     def __init__(self, start: _Point, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
-        self.here = start
+        self.current = start
         self._tolerance = tolerance
         self._by_columns = scaling == "jacobian"
         self._scale = np.zeros(len(start.x)) if self._by_columns else np.ones(len(start.x))
@@ -324,40 +324,40 @@ class _Path:
     def ended(self) -> str:
         """Return which stopping rule is met; nothing if none is."""
         allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
-        if self.here.decrease <= allowed * self.here.cost:
+        if self.current.decrease <= allowed * self.current.cost:
             return _COST_STANDS
-        size = self._length(self.here.x) + (0.0 if self._by_columns else 1.0)
-        return _STEP_VANISHES if min(self._length(self.here.newton), self._radius) <= _SMALL_STEP * size else ""
+        size = self._length(self.current.x) + (0.0 if self._by_columns else 1.0)
+        return _STEP_VANISHES if min(self._length(self.current.newton), self._radius) <= _SMALL_STEP * size else ""
 
     def trial(self) -> FloatArray:
         """Return where to look next, (n,)."""
-        here = self.here
-        curvature = here.curvature(self._past) if 2.0 * here.decrease <= here.cost else None
-        self._step, self._promised = here.step(curvature, self._radius, self._scale)
-        return np.asarray(here.x + self._step)
+        current = self.current
+        curvature = current.curvature(self._past) if 2.0 * current.decrease <= current.cost else None
+        self._step, self._promised = current.step(curvature, self._radius, self._scale)
+        return np.asarray(current.x + self._step)
 
     def bent(self, values: FloatArray) -> FloatArray | None:
         """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
-        reached, promised = _cost(values), self.here.cost - self._promised
-        if not np.isfinite(reached) or promised <= 0 or self.here.cost - reached >= _GOOD * promised:
+        reached, promised = _cost(values), self.current.cost - self._promised
+        if not np.isfinite(reached) or promised <= 0 or self.current.cost - reached >= _GOOD * promised:
             return None
-        bend = values - self.here.residuals - self.here.jacobian @ self._step
-        back = self.here.straightened(bend, _BEND * self._length(self._step), self._scale)
-        return None if back is None else np.asarray(self.here.x + self._step + back)
+        bend = values - self.current.residuals - self.current.jacobian @ self._step
+        back = self.current.straightened(bend, _BEND * self._length(self._step), self._scale)
+        return None if back is None else np.asarray(self.current.x + self._step + back)
 
     def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
         """Take the step to x (n,) with these residuals (m,), or stay with a smaller radius."""
         reached = _cost(values)
-        self._undone = not reached < self.here.cost
+        self._undone = not reached < self.current.cost
         if self._undone:
             self._radius = _SHORTER * min(self._length(self._step), self._radius)
             self._cautious, self._past = False, []
             return
         trial = _Point(x, values, jacobian(x))
-        promised = self.here.cost - self._promised
-        self._radius = self._adapted(trial, (self.here.cost - reached) / promised if promised > 0 else 0.0)
-        self._past = [*self._past, self.here][-_KEPT:]
-        self.here = trial
+        promised = self.current.cost - self._promised
+        self._radius = self._adapted(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
+        self._past = [*self._past, self.current][-_KEPT:]
+        self.current = trial
         self._rescale(trial)
 
     def _adapted(self, trial: _Point, part: float) -> float:
@@ -366,7 +366,7 @@ class _Path:
             return self._radius
         length = self._length(self._step)
         if self._cautious and length >= (1.0 - _ON_RADIUS) * self._radius:
-            left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ self._step))
+            left = float(np.linalg.norm(trial.residuals - self.current.residuals - self.current.jacobian @ self._step))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf
         if part < _POOR:

@@ -273,13 +273,15 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     sizes, leverages, largest = [], [], []
     for block in blocks:
         pulled = block.columns @ root
-        own = pulled @ pulled.transpose(0, 2, 1)
-        values, vectors = np.linalg.eigh(np.eye(own.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * own)
+        leverage = pulled @ pulled.transpose(0, 2, 1)
+        values, vectors = np.linalg.eigh(
+            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
+        )
         turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
         squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
         sizes.append(np.sqrt(np.sum(squares, axis=1)))
-        leverages.append(np.trace(own, axis1=1, axis2=2) / block.widths)
-        largest.append(np.linalg.eigvalsh(own)[:, -1])
+        leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
+        largest.append(np.linalg.eigvalsh(leverage)[:, -1])
     size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)

@@ -233,10 +233,10 @@ def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
         square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
         steps = -np.linalg.solve(square, np.einsum("nrk,nr->nk", slope, errors)[..., None])[..., 0]
         tried = rotations @ scipy.spatial.transform.Rotation.from_rotvec(steps).as_matrix()
-        there = tried.reshape(-1, 9) @ F.T - f
-        better = np.sum(there**2, axis=1) < np.sum(errors**2, axis=1)
+        trial_errors = tried.reshape(-1, 9) @ F.T - f
+        better = np.sum(trial_errors**2, axis=1) < np.sum(errors**2, axis=1)
         rotations = np.where(better[:, None, None], tried, rotations)
-        errors = np.where(better[:, None], there, errors)
+        errors = np.where(better[:, None], trial_errors, errors)
         damping = np.where(better, 0.1 * damping, 10 * damping)
         if np.all(np.linalg.norm(steps, axis=1) < _STILL):
             break

@@ -81,17 +81,17 @@ class Prior(ReadOnlyArrays):
 
     def added_to(self, matrix: FloatArray) -> FloatArray:
         """Return matrix + P^T P, (n, n); the matrix itself is used up."""
-        own = self._alone if len(self.together) else np.flatnonzero(self.has)
-        matrix[own, own] += 1.0
+        alone = self._alone if len(self.together) else np.flatnonzero(self.has)
+        matrix[alone, alone] += 1.0
         matrix[np.ix_(self.together, self.together)] += self._precision
         return matrix
 
     def only(self, chosen: BoolArray | IntArray) -> Prior:
         """Return that of some parameters, whatever the others are; a mask (n,), or places (k,)."""
         places = np.arange(len(self.has))[chosen]
-        own = np.flatnonzero(np.isin(places, self.together))
-        number = np.searchsorted(self.together, places[own])
-        return Prior(self.has[places], own, self.correlations[np.ix_(number, number)])
+        kept = np.flatnonzero(np.isin(places, self.together))
+        number = np.searchsorted(self.together, places[kept])
+        return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
 
     def cost(self, u: FloatArray) -> float:
         """Return |P u|^2, of u (n,)."""

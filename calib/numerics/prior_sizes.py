@@ -56,16 +56,16 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
     if not members:
         return np.zeros_like(covariance)
     information = np.eye(len(members))
-    for f, own in enumerate(members):
+    for f, index in enumerate(members):
         for g, others in enumerate(members):
-            shared = covariance[np.ix_(own, others)]
-            information[f, g] += 2.0 * float(np.sum((np.eye(len(own)) - shared if f == g else shared) ** 2))
+            shared = covariance[np.ix_(index, others)]
+            information[f, g] += 2.0 * float(np.sum((np.eye(len(index)) - shared if f == g else shared) ** 2))
     spread = np.linalg.inv(information)
-    slopes = np.stack([2.0 * covariance[:, own] @ deviations[own] for own in members], axis=1)
+    slopes = np.stack([2.0 * covariance[:, index] @ deviations[index] for index in members], axis=1)
     added: FloatArray = slopes @ spread @ slopes.T
-    for f, own in enumerate(members):
-        inner = 4.0 * covariance[np.ix_(own, own)] - 2.0 * np.eye(len(own))
-        added += spread[f, f] * (covariance[:, own] @ inner @ covariance[own])
+    for f, index in enumerate(members):
+        inner = 4.0 * covariance[np.ix_(index, index)] - 2.0 * np.eye(len(index))
+        added += spread[f, f] * (covariance[:, index] @ inner @ covariance[index])
     return added
 
 
@@ -92,8 +92,8 @@ class Products:
         gram, pull = np.empty((n_groups, n, n)), np.empty((n_groups, n))
         square, count = np.empty(n_groups), np.bincount(group[group >= 0], minlength=n_groups)
         for g in range(n_groups):
-            own = group == g
-            rows, right = (jacobian, residuals) if np.all(own) else (jacobian[own], residuals[own])
+            in_group = group == g
+            rows, right = (jacobian, residuals) if np.all(in_group) else (jacobian[in_group], residuals[in_group])
             gram[g], pull[g], square[g] = rows.T @ rows, rows.T @ right, right @ right
         return Products(gram, pull, square, count)
 
@@ -220,10 +220,10 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
                 used = float(np.sum(inverse * (factor[:, None] * products.gram[g] * factor))) / scales[g] ** 2
             change[g] = np.sqrt(left[g] / max(products.count[g] - used, 0.5)) / scales[g]
         growth = np.ones(model.n_families)
-        for f, own in enumerate(members):
-            determined = int(np.sum(own)) - float(np.sum(variances[own]))
+        for f, in_family in enumerate(members):
+            determined = int(np.sum(in_family)) - float(np.sum(variances[in_family]))
             if determined > _SEEN:  # else the data say nothing of it: it stays
-                square = float(np.sum((solved.deviations + solved.step)[own] ** 2))
+                square = float(np.sum((solved.deviations + solved.step)[in_family] ** 2))
                 growth[f] = np.sqrt(square / determined)
                 if sizes[f] * growth[f] < 1.0:
                     growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])

@@ -173,11 +173,11 @@ def check(
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     require_free(robot)
     poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
-    own = np.array([not p.family for p in robot.parameters])
-    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[own]
+    outside_families = np.array([not p.family for p in robot.parameters])
+    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[outside_families]
     noise, assumed = assumed_sigma(robot, sigma)
     configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
-    everything = Unknowns.of(robot, own)
+    everything = Unknowns.of(robot, outside_families)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)
     determined = determination(columns / everything.scales, parameters, free)

@@ -104,12 +104,12 @@ class Pairs:
 def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
     """Return the candidates that poses (n of them) make."""
     n, n_groups = len(poses.rows), len(groups.members)
-    own = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
-    width = max(len(columns) for columns in own)
+    columns_of_groups = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
+    width = max(len(columns) for columns in columns_of_groups)
     rows = poses.rows
     if groups.chosen:
         rows = zeros_with_room((n_groups * n, width, poses.rows.shape[2]), f"rows of {n_groups * n} candidates")
-        for g, columns in enumerate(own):
+        for g, columns in enumerate(columns_of_groups):
             rows[g * n : (g + 1) * n, : len(columns)] = poses.rows[:, columns]
     read = [[np.any(poses.read[:, poses.blocks[name]], axis=1) for name in members] for members in groups.members]
     together = np.all if groups.chosen else np.any
@@ -117,7 +117,7 @@ def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
         np.tile(np.arange(n), n_groups),
         np.repeat(np.arange(n_groups), n) if n_groups > 1 else np.broadcast_to(np.intp(0), n),
         rows,
-        np.concatenate([np.sum(poses.read[:, columns], axis=1) for columns in own]),
+        np.concatenate([np.sum(poses.read[:, columns], axis=1) for columns in columns_of_groups]),
         np.concatenate([together(parts, axis=0) for parts in read]),
     )
 

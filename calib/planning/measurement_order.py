@@ -60,8 +60,8 @@ def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> In
     """
     order, start = [], home
     for number in np.unique(block):
-        own = np.flatnonzero(block == number)
-        order.append(own[shortest_order(joints[own], start)])
+        members = np.flatnonzero(block == number)
+        order.append(members[shortest_order(joints[members], start)])
         start = joints[order[-1][-1]]
     return np.concatenate(order)
 

@@ -108,9 +108,9 @@ def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
         columns = term_columns(robot, part.joints, part.conditions)
         closed = robot.close(part.joints, columns=columns)
         good = np.flatnonzero(closed.ok)
-        there = configurations_at(robot, part.joints, closed, columns, good)
+        configurations = configurations_at(robot, part.joints, closed, columns, good)
         looks = looks_at(robot, part.subset(good))
-        for name, readings in predicted_readings(robot, there, {name: looks[name] for name in result}).items():
+        for name, readings in predicted_readings(robot, configurations, {name: looks[name] for name in result}).items():
             seen = np.isfinite(readings.values).any(axis=1)
             result[name][start + good[readings.visits[seen]]] = True
     return result

@@ -247,9 +247,9 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
 def _of_positions(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
     """Square of the error of each position that was read, (n,) [m^2], by instrument."""
     errors = errors_on(fit.placed, fit.robot, new)
-    for instrument, part, own in errors.parts():
+    for instrument, part, rows in errors.parts():
         if part.is_position:
-            yield instrument.name, np.nansum(errors.after[instrument.name][:, own] ** 2, axis=1)
+            yield instrument.name, np.nansum(errors.after[instrument.name][:, rows] ** 2, axis=1)
 
 
 def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:

@@ -107,8 +107,8 @@ def refine(
         trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
-        there = conditions.at(np.repeat(active, trials.shape[1]))
-        flat = evaluate(trials.reshape(-1, q.shape[1]), seeds, there)
+        trial_conditions = conditions.at(np.repeat(active, trials.shape[1]))
+        flat = evaluate(trials.reshape(-1, q.shape[1]), seeds, trial_conditions)
         inside, points, trial_rows, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):

@@ -101,11 +101,11 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
     """Return the `counts` candidates of each kind whose slope (n_candidates,) is largest, a list by kind."""
     result = []
     for number, count in enumerate(counts):
-        own = np.flatnonzero(kinds == number)
-        if 0 < count < len(own):  # in order of slope: only those that can be among them
-            of_own = slope[own]
-            own = own[of_own >= np.partition(of_own, len(own) - count)[len(own) - count]]
-        result.append(own[np.argsort(-slope[own], kind="stable")[:count]])
+        members = np.flatnonzero(kinds == number)
+        if 0 < count < len(members):  # in order of slope: only those that can be among them
+            slopes = slope[members]
+            members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
+        result.append(members[np.argsort(-slope[members], kind="stable")[:count]])
     return result
 
 
@@ -175,34 +175,34 @@ def _interior_point(
     inner = np.flatnonzero(has_choice[kinds])
     if len(inner):
         settled = problem.rows[unclear[result * ~has_choice[kinds] > 0]].reshape(-1, problem.rows.shape[2])
-        own = np.cumsum(has_choice)[kinds[inner]] - 1
+        kind = np.cumsum(has_choice)[kinds[inner]] - 1
         rows = problem.rows[unclear[inner]]
-        result[inner] = _inner_weights(problem, index, rows, fixed + settled.T @ settled, own, totals[has_choice])
+        result[inner] = _inner_weights(problem, index, rows, fixed + settled.T @ settled, kind, totals[has_choice])
     return result
 
 
 def _inner_weights(
-    problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, own: IntArray, totals: FloatArray
+    problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, kind: IntArray, totals: FloatArray
 ) -> FloatArray:
     """Maximise log phi over weights in [0, 1] of candidates with these rows (n, k, r), with a given sum of each kind.
 
     Primal-dual: slope - level of the kind + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sums w = totals.
     """
-    member = (own[:, None] == np.arange(len(totals))).astype(float)  # (n, n_kinds)
+    member = (kind[:, None] == np.arange(len(totals))).astype(float)  # (n, n_kinds)
     n = len(rows)
-    w = (totals / np.sum(member, axis=0))[own]
+    w = (totals / np.sum(member, axis=0))[kind]
     slope, curvature = _derivatives(problem, index, rows, fixed, w)
-    best = largest(slope, own, np.maximum(np.round(totals).astype(np.intp), 1))
+    best = largest(slope, kind, np.maximum(np.round(totals).astype(np.intp), 1))
     level = np.array([np.min(slope[indices]) for indices in best])
     floor = 0.1 * float(np.mean(np.abs(slope)))
-    lower, upper = np.maximum(level[own] - slope, 0) + floor, np.maximum(slope - level[own], 0) + floor
+    lower, upper = np.maximum(level[kind] - slope, 0) + floor, np.maximum(slope - level[kind], 0) + floor
     for _ in range(_STEPS):
         complementarity = float(w @ lower + (1 - w) @ upper)
         if complementarity < _CLOSE_ENOUGH / 4:
             break
         mu = _CENTRING * complementarity / (2 * n)
         matrix = curvature + np.diag(lower / w + upper / (1 - w))
-        right = slope - level[own] + mu / w - mu / (1 - w)
+        right = slope - level[kind] + mu / w - mu / (1 - w)
         solved = np.linalg.solve(matrix, np.column_stack([right, member]))
         level_step = np.linalg.solve(member.T @ solved[:, 1:], member.T @ (solved[:, 0] + w) - totals)
         step = solved[:, 0] - solved[:, 1:] @ level_step
@@ -214,7 +214,7 @@ def _inner_weights(
         lower, upper, level = lower + dual * lower_step, upper + dual * upper_step, level + dual * level_step
         slope, curvature = _derivatives(problem, index, rows, fixed, w)
     for number, total in enumerate(totals):
-        w[own == number] = _rounded(w[own == number], float(total))
+        w[kind == number] = _rounded(w[kind == number], float(total))
     return w
 
 

@@ -88,12 +88,12 @@ class SelectionSetting:
     def uniform(self) -> IntArray:
         """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
         usable = np.flatnonzero(self.space.usable)
-        return np.concatenate([uniform_start(own, count) for own, count in self.by_kind(usable)])
+        return np.concatenate([uniform_start(members, count) for members, count in self.by_kind(usable)])
 
     def random(self, rng: np.random.Generator) -> IntArray:
         """Return candidates at random, as many of each kind as are wanted, ascending, (count,)."""
         usable = np.flatnonzero(self.space.usable)
-        return np.sort(np.concatenate([rng.choice(own, n, replace=False) for own, n in self.by_kind(usable)]))
+        return np.sort(np.concatenate([rng.choice(members, n, replace=False) for members, n in self.by_kind(usable)]))
 
     @property
     def counts(self) -> IntArray:
@@ -244,10 +244,10 @@ def _require_candidates(request: Request, usable: BoolArray, pairs: Pairs) -> No
     if counts is not None:
         names = request.groups.names
         kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(names)]
-    for name, count, own in kinds:
+    for name, count, members in kinds:
         if count < 0:
             raise InputError(f"count {count}{name}: must be zero or more")
-        left, n = int(np.sum(usable & own)), int(np.sum(own))
+        left, n = int(np.sum(usable & members)), int(np.sum(members))
         if count > left:
             of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
             raise InputError(

@@ -192,9 +192,9 @@ def carry(
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
-        there = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
-        solved, slope, _, ok = newton(there, mode, actuated[index], at)
-        ok &= np.max(np.abs(in_radians(there, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
+        partway = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
+        solved, slope, _, ok = newton(partway, mode, actuated[index], at)
+        ok &= np.max(np.abs(in_radians(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
             solutions.take(solved, slope, ok, index)
         left = np.flatnonzero(~ok)

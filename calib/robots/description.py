@@ -197,8 +197,8 @@ class Description(Section):
                     continue
                 unit = section.unit if section.origin == "all" and unit is None else unit
             listed.append(section)
-        own = {"origin": origin, "components": (component,), "sigma": sigma} | ({"unit": unit} if unit else {})
-        return self.model_copy(update={"parametrisation": (OriginSection.model_validate(own), *listed)})
+        entry = {"origin": origin, "components": (component,), "sigma": sigma} | ({"unit": unit} if unit else {})
+        return self.model_copy(update={"parametrisation": (OriginSection.model_validate(entry), *listed)})
 
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""

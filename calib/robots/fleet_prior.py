@@ -95,17 +95,17 @@ class FleetSection(Section):
         return tuple(self._expected(p, where) if self.knows(p.name) else p for p in parameters)
 
     def _expected(self, parameter: Parameter, where: str) -> Parameter:
-        own = self.parameters[parameter.name]
+        entry = self.parameters[parameter.name]
         try:
-            offset = quantity(own.offset, parameter.dimension, f"{where}: fleet: {parameter.name}, offset")
-            spread = quantity(own.spread, parameter.dimension, f"{where}: fleet: {parameter.name}, spread")
+            offset = quantity(entry.offset, parameter.dimension, f"{where}: fleet: {parameter.name}, offset")
+            spread = quantity(entry.spread, parameter.dimension, f"{where}: fleet: {parameter.name}, spread")
         except InputError as error:
             raise DescriptionError(str(error)) from None
         if spread <= 0:
             raise DescriptionError(
                 f"{where}: fleet: {parameter.name}: spread must be positive; hold what is always the same"
             )
-        sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(own.unsure))))
+        sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(entry.unsure))))
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widened(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:

@@ -129,14 +129,14 @@ def turned_joints(
         down: Direction of gravity in the root link, (n, 3).
     """
     model, index = mechanism.model, mechanism.joint(section.frame)
-    data, own = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
+    data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
     places = [mechanism.origin_names.index(name) for name in section.joints]
     result = np.full((len(q), 2), np.nan)
     every = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
     for k, row in enumerate(every):
-        value = q[k, own]
+        value = q[k, columns]
         for _ in range(_ROUNDS):
-            row = row + mechanism.select_actuated[:, own] @ (value - row[places])
+            row = row + mechanism.select_actuated[:, columns] @ (value - row[places])
             pin.forwardKinematics(model, data, row)
             seen = data.oMi[index].rotation @ read[k]
             slope = np.stack([np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], seen) for i in places], axis=1)
@@ -224,13 +224,13 @@ def turn_columns(
     moved = terms[-1].moved(mechanism.dimensions)
     result, start = np.zeros((len(q), len(moved), len(slopes))), 0
     for term in terms:
-        own = values[start : (start := start + len(term.parameters))]
+        coefficients = values[start : (start := start + len(term.parameters))]
         if not term.needs_torque:
             continue
         for name in term.moved(mechanism.dimensions):
             for k, slope in enumerate(slopes):
                 j = mechanism.driven.index(name)
-                result[:, moved.index(name), k] += term.by_torque(q, j, context, slope) @ own
+                result[:, moved.index(name), k] += term.by_torque(q, j, context, slope) @ coefficients
     return result
 
 

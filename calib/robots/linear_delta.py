@@ -110,7 +110,7 @@ class LinearDelta:
     """The parametrisation; see the module docstring."""
 
     def __init__(self, origins: Mapping[str, Origin]) -> None:
-        needed = [f"{what}_{tower}{end}" for tower in TOWERS for what, end in (("tower", ""), ("arm", "_end"))]
+        needed = [f"{part}_{tower}{end}" for tower in TOWERS for part, end in (("tower", ""), ("arm", "_end"))]
         missing = next((name for name in needed if name not in origins), None)
         if missing is not None:
             raise DescriptionError(f"parametrisation 'linear_delta': the URDF has no joint '{missing}'; see calib init")

@@ -201,7 +201,7 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
             raise DescriptionError(
                 f"{place}: no joint '{instrument.joint}' that moves{nearest(instrument.joint, moving)}"
             )
-        own, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
-        if own != dimension:
+        dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
+        if dimension_read != dimension:
             moves = "slides" if dimension == "length" else "turns"
             raise DescriptionError(f"{place}: joint '{instrument.joint}' {moves}; set dimension: {dimension}")

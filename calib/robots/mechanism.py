@@ -221,11 +221,11 @@ class Mechanism(ReadOnlyArrays):
 
     def between_origins(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
-        here, there = self.model.jointPlacements, other.model.jointPlacements
+        start, end = self.model.jointPlacements, other.model.jointPlacements
         moved = {
-            name: pin.SE3.Interpolate(here[k + 1], there[k + 1], part)
+            name: pin.SE3.Interpolate(start[k + 1], end[k + 1], part)
             for k, name in enumerate(self.origin_names)
-            if here[k + 1] != there[k + 1]
+            if start[k + 1] != end[k + 1]
         }
         return self.with_placements(moved)
 

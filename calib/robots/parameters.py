@@ -147,13 +147,17 @@ class Stacked:
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the edited origins; see `Parametrisation`."""
-        return {name: pose for part, own, _ in self._split(values) for name, pose in part.placements(own).items()}
+        return {
+            name: pose
+            for part, part_values, _ in self._split(values)
+            for name, pose in part.placements(part_values).items()
+        }
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the derivative of each origin; see `Parametrisation`."""
         result: dict[str, FloatArray] = {}
-        for part, own, columns in self._split(values):
-            for name, twist in part.twists(own).items():
+        for part, part_values, columns in self._split(values):
+            for name, twist in part.twists(part_values).items():
                 result[name] = np.zeros((6, len(values)))
                 result[name][:, columns] = twist
         return result

@@ -230,8 +230,8 @@ class Robot(RobotData):
         """
         configurations, pair = self.assemble(q), self._seen(frame)
         by_joint = actuated_jacobian(self.mechanism, pair, configurations.actuated, configurations.passive)[2]
-        own = by_joint[:, :, : len(self.joint_names)]
-        return own[0] if np.ndim(q) == 1 else own
+        jacobian = by_joint[:, :, : len(self.joint_names)]
+        return jacobian[0] if np.ndim(q) == 1 else jacobian
 
     @worded
     def positions(self, q: ArrayLike, context: Context | None = None, seed: FloatArray | None = None) -> FloatArray:
@@ -298,8 +298,8 @@ class Robot(RobotData):
         with compiled_for(TRIES * count if self.mechanism.loops else 0):
             q = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
         if len(q) < count:
-            what = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
-            raise DataError(f"{self.path}: only {len(q)} of {count} random poses {what}")
+            reason = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
+            raise DataError(f"{self.path}: only {len(q)} of {count} random poses {reason}")
         return q
 
 

@@ -27,8 +27,8 @@ def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
     """Return the joints of whose errors a file that holds so much loses terms, as far as these are not zero."""
     joints, start = dict[str, None](), robot.coefficients.start
     for term in robot.terms:
-        own = slice(start, start := start + len(term.parameters))
-        if not holds.keeps(term) and np.any(robot.values[own]):
+        coefficients = slice(start, start := start + len(term.parameters))
+        if not holds.keeps(term) and np.any(robot.values[coefficients]):
             joints[term.joint] = None
     return tuple(joints)
 

@@ -228,8 +228,8 @@ def build_candidates(
         distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
         configurations = configurations_at(robot, q, closed, columns, good)
-        here = looks_at(robot, part_poses.subset(good))
-        part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
+        looks = looks_at(robot, part_poses.subset(good))
+        part = rows_of_poses(robot, configurations, sigma, unknowns, looks, blocks)
         positions[start : start + len(q)] = np.nan
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
         position_rows = reduced(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))

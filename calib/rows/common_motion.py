@@ -125,8 +125,8 @@ class CommonMotion(ReadOnlyArrays):
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
         if not (len(joints) and loose.counts and loose.n_motions):
             return motion
-        there = {name: onto.mechanism.placement(name) for name in motion._origins()}
-        robot = replace(robot, mechanism=robot.mechanism.with_placements(there))
+        placements = {name: onto.mechanism.placement(name) for name in motion._origins()}
+        robot = replace(robot, mechanism=robot.mechanism.with_placements(placements))
         positions, rotations = target_poses(onto, onto.assemble(joints))
         centre = positions[:, loose.counts].mean(axis=(0, 1))
         motion = replace(motion, robot=robot, centre=centre, basis=np.eye(loose.n_motions))

@@ -53,23 +53,23 @@ def told_of(robot: Robot, free: BoolArray, covariance: FloatArray, freedom: floa
         shared: Which parameters.
     """
     unknowns = Unknowns.of(robot, free)
-    own = np.array([unknowns.names.index(p.name) for p in shared], dtype=np.intp)
+    index = np.array([unknowns.names.index(p.name) for p in shared], dtype=np.intp)
     scales, nominal = _scales(shared)
-    prior, mean = unknowns.prior.only(own), (unknowns.expected[own] - nominal) / scales
-    factor = scales / unknowns.scales[own]
-    precision = factor[:, None] * prior.added_to(np.zeros((len(own), len(own)))) * factor
+    prior, mean = unknowns.prior.only(index), (unknowns.expected[index] - nominal) / scales
+    factor = scales / unknowns.scales[index]
+    precision = factor[:, None] * prior.added_to(np.zeros((len(index), len(index)))) * factor
     values = robot.values[[index_of(robot.parameters, p.name) for p in shared]]
-    block = covariance[np.ix_(own, own)] / scales[:, None] / scales
+    block = covariance[np.ix_(index, index)] / scales[:, None] / scales
     return told_by(block, (values - nominal) / scales, precision, mean, freedom)
 
 
 def expected_by(fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
     """Return what a fleet leads to expect of parameters that it knows: mean (n,) and covariance (n, n), scaled."""
     scales, nominal = _scales(shared)
-    own = fleet.expected(shared, robot.path)
+    parameters = fleet.expected(shared, robot.path)
     covariance = fleet.covariance([p.name for p in shared])
-    spread = np.array([p.sigma_si for p in own]) / np.sqrt(np.diag(covariance)) / scales
-    mean = (np.array([p.expected_si for p in own]) - nominal) / scales
+    spread = np.array([p.sigma_si for p in parameters]) / np.sqrt(np.diag(covariance)) / scales
+    mean = (np.array([p.expected_si for p in parameters]) - nominal) / scales
     return mean, spread[:, None] * covariance * spread
 
 

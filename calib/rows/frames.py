@@ -140,21 +140,21 @@ def as_described(robot: Robot) -> Robot:
 def program_frame(known: KnownRobot) -> Frame:
     """Return the frame in which a program for the nominal robot means its places; see the module docstring."""
     nominal, robot = as_described(known.robot), nearest_to_nominal(known.robot)
-    loose, own = Loose.of(nominal), _of_the_robot(known)
+    loose, of_robot = Loose.of(nominal), _of_the_robot(known)
     if loose.base:
         motion = _laid(nominal, robot, loose, known)
         poses = f"over {counted(len(motion.joints), 'measured pose')}" if len(known.joints) else "around home"
         words = f"in the robot's own base frame, laid where the nominal and the calibrated robot agree best {poses}"
         words += ", and so is the tool on its link" if loose.points or loose.frames else ""
         return Frame(
-            known, robot, motion.robot, nominal, words, np.ones_like(own), motion if motion.basis.size else None
+            known, robot, motion.robot, nominal, words, np.ones_like(of_robot), motion if motion.basis.size else None
         )
     places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
     words = "in the measurement frame"
     if loose.points or loose.frames:
         words += ", and count that the place of the measured point on its link is not known"
     meant = nominal.with_parameters(places) if places else nominal
-    return Frame(known, robot, meant, nominal, words, own, None)
+    return Frame(known, robot, meant, nominal, words, of_robot, None)
 
 
 @one_blas_thread
@@ -168,8 +168,8 @@ def measurement_frame(known: KnownRobot) -> Frame:
 
 def _of_the_robot(known: KnownRobot) -> BoolArray:
     """Which of the free parameters belong to the robot itself, and are no mere places, (n_free,)."""
-    own = np.array([not parameter.placement for parameter in known.robot.parameters])
-    return own[:0] if known.uncertainty is None else own[known.uncertainty.free]
+    of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
+    return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 
 
 def _laid(nominal: Robot, robot: Robot, loose: Loose, known: KnownRobot) -> CommonMotion:

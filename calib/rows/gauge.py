@@ -44,8 +44,8 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     """
     parameters = robot.parameters[: robot.n_origin_parameters]
     free = np.flatnonzero(robot.is_free[: len(parameters)])
-    own = np.array([not parameters[k].placement for k in free], dtype=bool)
-    if np.all(own):
+    of_robot = np.array([not parameters[k].placement for k in free], dtype=bool)
+    if np.all(of_robot):
         return robot
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
@@ -59,7 +59,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         seen, unseen = _split(jacobian[:, free] * sigma)
         back = -seen @ np.linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)[0]
         start = (robot.values[free] - expected) / sigma + back
-        step = back - unseen @ np.linalg.lstsq(unseen[own], start[own], rcond=RANK_TOLERANCE)[0]
+        step = back - unseen @ np.linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)[0]
         values = robot.values.copy()
         values[free] += sigma * step
         robot = robot.with_parameters(values)

@@ -90,15 +90,15 @@ class _Work:
     def fill(self, part: slice, swept: kinematics.Sweep, configurations: Configurations, twists: FloatArray) -> None:
         """Compare the readings of a chunk of visits."""
         first, last = np.searchsorted(self._sorted, [part.start, part.stop])
-        here = self._order[first:last]
-        if len(here) == 0:
+        index = self._order[first:last]
+        if len(index) == 0:
             return
         slope = configurations.slope[part]
         if isinstance(self.instrument, JointInstrument):
-            self._fill_joint(self.instrument, here, part, swept, configurations, twists)
+            self._fill_joint(self.instrument, index, part, swept, configurations, twists)
             return
-        for number in np.unique(self.readings.pairs[here]):
-            chosen = here[self.readings.pairs[here] == number]
+        for number in np.unique(self.readings.pairs[index]):
+            chosen = index[self.readings.pairs[index] == number]
             self._fill_pair(chosen, self.all_pairs[number], part, swept, slope, twists)
 
     def _fill_pair(
@@ -145,10 +145,10 @@ class _Work:
 
     def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
         """Ask the kind, and keep residuals and the columns of its own unknowns."""
-        own = self.robot.unknowns(self.instrument.name)
-        comparison = self.instrument.compare(seen, self.robot.values[own], _some(self.readings, chosen))
+        unknowns = self.robot.unknowns(self.instrument.name)
+        comparison = self.instrument.compare(seen, self.robot.values[unknowns], _some(self.readings, chosen))
         self._residuals[chosen] = comparison.residuals
-        self._columns[chosen, :, own] += comparison.by_unknown
+        self._columns[chosen, :, unknowns] += comparison.by_unknown
         return comparison
 
     def result(self, configurations: Configurations) -> Observed:

@@ -167,19 +167,19 @@ def at_contact(
         if len(active) == 0:
             break
         for _ in range(_STEPS):
-            here = gaps[active], slopes[active] * scale, damping[active]
-            step = _damped_step(*here, np.zeros((len(active), len(scale)), dtype=bool))
+            system = gaps[active], slopes[active] * scale, damping[active]
+            step = _damped_step(*system, np.zeros((len(active), len(scale)), dtype=bool))
             at = commands[active]
             held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
             trial = commands.copy()
-            trial[active] = np.clip(at + _damped_step(*here, held) * scale, lower[active], upper[active])
-            there, slopes_there = _gaps(robot, poses, trial, errors, touches, active)
-            left = np.linalg.norm(there, axis=1)
+            trial[active] = np.clip(at + _damped_step(*system, held) * scale, lower[active], upper[active])
+            trial_gaps, trial_slopes = _gaps(robot, poses, trial, errors, touches, active)
+            left = np.linalg.norm(trial_gaps, axis=1)
             better = left < miss[active]
             gained = active[better]
             stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
             commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
-            gaps[gained], slopes[gained], miss[gained] = there[better], slopes_there[better], left[better]
+            gaps[gained], slopes[gained], miss[gained] = trial_gaps[better], trial_slopes[better], left[better]
             damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
             active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
             if len(active) == 0:
@@ -245,12 +245,12 @@ def _gaps(
     closed = robot.close(q, columns=columns)
     ok = np.flatnonzero(closed.ok)
     configurations = configured(robot, q[ok], closed.at(ok), tuple(part[ok] for part in columns))
-    here = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
-    observed = observe(robot, configurations, here, joints=True)
+    looks = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
+    observed = observe(robot, configurations, looks, joints=True)
     width = sum(robot.instrument(name).n_rows for name in touches)
     gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
     gaps[~closed.ok] = np.inf
-    for name, readings in here.items():
+    for name, readings in looks.items():
         rows = slice(start, start + robot.instrument(name).n_rows)
         gaps[ok[readings.visits], rows] = observed[name].residuals
         slopes[ok[readings.visits], rows] = observed[name].by_joint

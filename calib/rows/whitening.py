@@ -77,8 +77,8 @@ class Whitening:
             array = np.nan_to_num(array) if np.isnan(array).any() else array
             inverse = self._inverse[name]
             if inverse.ndim == 2:  # no correlations: divide
-                own = None if array is arrays[name] else array  # what is a copy already need not be copied again
-                scaled = np.multiply(array, inverse if array.ndim == 2 else inverse[:, :, None], out=own)
+                out = None if array is arrays[name] else array  # what is a copy already need not be copied again
+                scaled = np.multiply(array, inverse if array.ndim == 2 else inverse[:, :, None], out=out)
             elif array.ndim == 2:
                 scaled = np.matmul(inverse, array[:, :, None])[:, :, 0]
             else:
@@ -118,10 +118,10 @@ class Whitening:
         Args:
             ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
         """
-        there = ratios > 0
-        if not np.any(there):
+        weighed = ratios > 0
+        if not np.any(weighed):
             return None
-        return SharedError(self.offset_columns[:, there] * ratios[there], self.layout.pose_of_row)
+        return SharedError(self.offset_columns[:, weighed] * ratios[weighed], self.layout.pose_of_row)
 
     def totals(self, scales: Scales) -> FloatArray:
         """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
@@ -142,9 +142,11 @@ class Whitening:
     def offset_columns(self) -> FloatArray:
         """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
         every = np.eye(self.n_offsets)
-        own = dict(zip(self._n_rows, np.split(every, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True))
+        by_instrument = dict(
+            zip(self._n_rows, np.split(every, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
+        )
         readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
-        return self.flatten({name: np.tile(own[name], (n, 1, 1)) for name, n in readings.items()})
+        return self.flatten({name: np.tile(by_instrument[name], (n, 1, 1)) for name, n in readings.items()})
 
     @cached_property
     def tells_offsets(self) -> BoolArray:
@@ -163,8 +165,8 @@ class Whitening:
     def without_offsets(self, ratios: FloatArray) -> BoolArray:
         """Return which groups are of instruments without offsets (n_offsets,), (n_groups,); all, if each has one."""
         ends = np.cumsum(list(self._n_rows.values()))[:-1]
-        own = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
-        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if own[name]]
+        has_offsets = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
+        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if has_offsets[name]]
         free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
         return free if np.any(free) else ~free
 

@@ -241,8 +241,8 @@ def _solved(
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     solutions = settled(robot, reach, rows, solutions, context)
     commands = reach.told(rows, commands_for(robot, solutions.actuated, context))
-    here = replace(reach, goals=task.goals.subset(rows))
-    return commands, _reasons(robot, here, solutions, commands, task.joints[rows])
+    reach_of_rows = replace(reach, goals=task.goals.subset(rows))
+    return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])
 
 
 def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:

@@ -133,27 +133,29 @@ def summary(values: FloatArray) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
 
 
-def expected_now(what: str, expected: dict[str, float], unit: str) -> str:
+def expected_now(subject: str, expected: dict[str, float], unit: str) -> str:
     """Say how large an error is expected to be.
 
     Args:
-        what: Of what it is, such as `The tool`.
+        subject: Of what it is, such as `The tool`.
         expected: Its `summary`.
         unit: Of this.
     """
-    return f"{what} is expected to be off by {expected['rms']:.4f} {unit} (rms), {expected['max']:.4f} {unit} at worst"
+    return (
+        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (rms), {expected['max']:.4f} {unit} at worst"
+    )
 
 
-def before_and_now(what: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
+def before_and_now(subject: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
     """Say how large an error was, and is expected to be.
 
     Args:
-        what: Of what it is.
+        subject: Of what it is.
         before: Its `summary` without compensation.
         expected: Its `summary` now.
         unit: Of both.
     """
     return (
-        f"{what} was off by {before['rms']:.4f} {unit} (rms); expected now: {expected['rms']:.4f} {unit},"
+        f"{subject} was off by {before['rms']:.4f} {unit} (rms); expected now: {expected['rms']:.4f} {unit},"
         f" {expected['max']:.4f} {unit} at worst"
     )

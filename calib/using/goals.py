@@ -64,8 +64,8 @@ class Goals:
         if len(self.names) != n or len(self.labels) != n:
             raise DataError(f"goals: {len(self.names)} names and {len(self.labels)} labels for {n} positions")
         object.__setattr__(self, "stands", {name: self._stand(name, value) for name, value in self.stands.items()})
-        for what, shape in (("positions", (n, 3)), ("rotations", (n, 3, 3)), ("directions", (n, 3))):
-            self._keep(what, shape)
+        for key, shape in (("positions", (n, 3)), ("rotations", (n, 3, 3)), ("directions", (n, 3))):
+            self._keep(key, shape)
         if self.rotations is not None:
             _require_rotations(self.rotations, self.labels)
         if self.directions is not None:
@@ -84,20 +84,20 @@ class Goals:
         """Return what a joint is that inclinometers read, (n,) [rad]."""
         return np.asarray(self.stands[name])
 
-    def _keep(self, what: str, shape: tuple[int, ...]) -> None:
+    def _keep(self, key: str, shape: tuple[int, ...]) -> None:
         """Replace a field by a checked copy."""
-        if getattr(self, what) is None:
+        if getattr(self, key) is None:
             return
-        values = np.array(getattr(self, what), dtype=float)
+        values = np.array(getattr(self, key), dtype=float)
         if values.shape != shape:
-            raise DataError(f"goals: {what} of shape {values.shape}; expected {shape}")
+            raise DataError(f"goals: {key} of shape {values.shape}; expected {shape}")
         stated = np.isfinite(values)
-        if what == "positions":
+        if key == "positions":
             stated |= np.isnan(values) & stated.any(axis=1, keepdims=True)
         finite = stated.all(axis=tuple(range(1, values.ndim)))
         if not finite.all():
-            raise DataError(f"{self.labels[int(np.argmin(finite))]}: {what} are not finite")
-        object.__setattr__(self, what, values)
+            raise DataError(f"{self.labels[int(np.argmin(finite))]}: {key} are not finite")
+        object.__setattr__(self, key, values)
 
     def __len__(self) -> int:
         return len(self.positions)

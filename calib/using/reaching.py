@@ -234,16 +234,16 @@ def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = 
     for _ in range(iterations):
         if len(active) == 0:
             break
-        here = linear.subset(active)
-        trial = _trial(reach, at.subset(active), here, damping[active])
-        passive, closures, followed = reach.follow(at.subset(active), here, trial)
+        current = linear.subset(active)
+        trial = _trial(reach, at.subset(active), current, damping[active])
+        passive, closures, followed = reach.follow(at.subset(active), current, trial)
         moved = np.flatnonzero(followed)
         distance = np.full(len(active), np.inf)
         if len(moved):
-            there = reach.linearise(index[active[moved]], trial[moved], passive[moved], closures[moved])
-            distance[moved] = np.linalg.norm(there.error, axis=1)
+            trial_linear = reach.linearise(index[active[moved]], trial[moved], passive[moved], closures[moved])
+            distance[moved] = np.linalg.norm(trial_linear.error, axis=1)
             gained = distance[moved] < at.distance[active[moved]]
-            linear.take(active[moved[gained]], there.subset(np.flatnonzero(gained)))
+            linear.take(active[moved[gained]], trial_linear.subset(np.flatnonzero(gained)))
         gain = (at.distance[active] - distance) / at.distance[active]
         better = gain > 0
         good, bad = active[better], active[~better]

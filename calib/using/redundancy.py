@@ -60,16 +60,16 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
     hessian, part = np.tile(np.eye(n_joints), (n, 1, 1)), np.ones(n)
     active = np.arange(n)
     for _ in range(_STEPS):
-        here, now = linear.subset(active), at.subset(active)
+        current, now = linear.subset(active), at.subset(active)
         way = (near[active] - now.actuated) / reach.scale
-        held, step, left = _step(reach, now, here, way, hessian[active])
-        moving = np.flatnonzero((left > _TOLERANCE) | (np.linalg.norm(here.error, axis=1) > NEARLY))
+        held, step, left = _step(reach, now, current, way, hessian[active])
+        moving = np.flatnonzero((left > _TOLERANCE) | (np.linalg.norm(current.error, axis=1) > NEARLY))
         active = active[moving]
         if len(active) == 0:
             break
-        now, here, held, step = now.subset(moving), here.subset(moving), held.subset(moving), step[moving]
-        trial = _trial(reach, now, here, held, part[active], step)
-        good, reached, there, change = _tried(reach, index[active], now, here, held, trial, near[active])
+        now, current, held, step = now.subset(moving), current.subset(moving), held.subset(moving), step[moving]
+        trial = _trial(reach, now, current, held, part[active], step)
+        good, reached, trial_linear, change = _tried(reach, index[active], now, current, held, trial, near[active])
         part[active] /= 3
         taken = active[good]
         part[taken] = np.minimum(1.0, 6 * part[taken])
@@ -77,7 +77,7 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
         hessian[bad] = np.eye(n_joints)
         hessian[taken] = _learned(hessian[taken], (reached.actuated - at.actuated[taken]) / reach.scale, change)
         at.actuated[taken], at.passive[taken] = reached.actuated, reached.passive
-        linear.take(taken, there)
+        linear.take(taken, trial_linear)
         active = active[part[active] > _SHORTEST]
     reached = descend(reach, index, at, 8)
     closer = np.linalg.norm((reached.actuated - near) / reach.scale, axis=1) < np.linalg.norm(
@@ -172,19 +172,19 @@ def _tried(
     """Which trials lower the merit, (n,); of these: where they end, linearised, and the change of A^T l on the way."""
     passive, closures, followed = reach.follow(at, linear, trial)
     moved = np.flatnonzero(followed)
-    there = reach.linearise(index[moved], trial[moved], passive[moved], closures[moved])
+    trial_linear = reach.linearise(index[moved], trial[moved], passive[moved], closures[moved])
     tied = held.subset(moved)
     before = held.rows(linear)[moved]
     merit, _ = _merit(
         before, held.gap(reach, linear, at.passive)[moved], tied, (near - at.actuated)[moved] / reach.scale
     )
-    rows, gap = tied.rows(there), tied.gap(reach, there, passive[moved])
+    rows, gap = tied.rows(trial_linear), tied.gap(reach, trial_linear, passive[moved])
     new, multipliers = _merit(rows, gap, tied, (near - trial)[moved] / reach.scale)
     lower = np.flatnonzero(new < merit)
     good = moved[lower]
     change = np.einsum("nij,ni->nj", (rows - before)[lower], multipliers[lower])
-    reached = Configured(trial[good], passive[good], np.linalg.norm(there.error[lower], axis=1))
-    return good, reached, there.subset(lower), change
+    reached = Configured(trial[good], passive[good], np.linalg.norm(trial_linear.error[lower], axis=1))
+    return good, reached, trial_linear.subset(lower), change
 
 
 def _merit(rows: FloatArray, gap: FloatArray, held: _Held, way: FloatArray) -> tuple[FloatArray, FloatArray]:

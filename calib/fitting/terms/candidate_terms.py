@@ -49,10 +49,10 @@ class Candidate:
         sigma = {term.joint: float(factor * term.parameters[0].sigma_si) for term in self.of(robot)}
         resized: list[TermSection] = []
         for section in self.sections:
-            own = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
-            if section.joint == "all" and len(set(own.values())) == 1:
-                own = {"all": next(iter(own.values()))}
-            resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in own.items()]
+            by_joint = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
+            if section.joint == "all" and len(set(by_joint.values())) == 1:
+                by_joint = {"all": next(iter(by_joint.values()))}
+            resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in by_joint.items()]
         return tuple(resized)
 
 

@@ -143,20 +143,22 @@ class _Search:
 
     def step(self, groups: Groups, term: str) -> Groups:
         """Return the groups with a term and what cannot be told from it, or with it alone; none if neither earns it."""
-        without, own = self.of(groups), self.of((*groups, (term,)))
-        others = [other for other in self.free(groups) if other != term and self.alike(without, own, groups, other)]
+        without, with_term = self.of(groups), self.of((*groups, (term,)))
+        others = [
+            other for other in self.free(groups) if other != term and self.alike(without, with_term, groups, other)
+        ]
         for group in dict.fromkeys([(term, *others), (term,)]):
             stepped = self.told_apart((*groups, group))
             if not self.refused(stepped):
                 return stepped
         return ()
 
-    def alike(self, without: Trial, own: Trial, groups: Groups, other: str) -> bool:
+    def alike(self, without: Trial, with_term: Trial, groups: Groups, other: str) -> bool:
         """Whether another term would earn the place of one, and is not told from it."""
         instead = self.of((*groups, (other,)))
         return not self.failed(without, instead) and (
-            self.beyond_chance(without, own) - self.beyond_chance(without, instead) < 2.0 * TELLS
-            or not _predicts_better(own, instead)
+            self.beyond_chance(without, with_term) - self.beyond_chance(without, instead) < 2.0 * TELLS
+            or not _predicts_better(with_term, instead)
         )
 
     def told_apart(self, groups: Groups) -> Groups:
@@ -246,14 +248,14 @@ class _Search:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
         rest = tuple(group for group in groups if term not in group)
         together = {other for group in groups if term in group for other in group}
-        without, own = self.of(rest), self.of((*rest, (term,)))
-        rise = self.beyond_chance(without, own)
+        without, with_term = self.of(rest), self.of((*rest, (term,)))
+        rise = self.beyond_chance(without, with_term)
         return {
-            name: own.evidence - other.evidence
-            for name, other in self.instead(term, own).items()
+            name: with_term.evidence - other.evidence
+            for name, other in self.instead(term, with_term).items()
             if name in together
             or rise - self.beyond_chance(without, other) < 2.0 * TELLS
-            or not (self.failed(without, other) or _predicts_better(own, other))
+            or not (self.failed(without, other) or _predicts_better(with_term, other))
         }
 
 

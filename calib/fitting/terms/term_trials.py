@@ -93,7 +93,7 @@ class _Design(ReadOnlyArrays):
 
 def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
     families = [unknowns.families[number] if number >= 0 else "" for number in unknowns.family]
-    labels = [family or own for family, own in zip(families, owner, strict=True)]
+    labels = [family or term for family, term in zip(families, owner, strict=True)]
     columns: list[FloatArray] = []
     parts: list[IntArray] = []
     for label in dict.fromkeys(labels):
@@ -217,7 +217,7 @@ class Trials:
 
     def _computed(self, terms: tuple[str, ...]) -> Trial:
         design, layout = self._design, self.fit.whitening.layout
-        use = np.array([k for k, own in enumerate(design.owner) if own == "" or own in terms])
+        use = np.array([k for k, term in enumerate(design.owner) if term == "" or term in terms])
         names = list(dict.fromkeys(design.label[k] for k in use if design.label[k]))
         family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
         model = FamilyModel(
@@ -268,9 +268,9 @@ class Trials:
         after = {}
         for name, columns in self._by_column.items():
             moves = columns @ steps  # of all blocks: one product in place of many copies
-            own = block[data.readings[name].visits]
-            moved = np.take_along_axis(moves, np.maximum(own, 0)[:, None, None], axis=2)[:, :, 0]
-            after[name] = self._residuals[name] + np.where(own[:, None] >= 0, moved, 0.0)
+            block_of_reading = block[data.readings[name].visits]
+            moved = np.take_along_axis(moves, np.maximum(block_of_reading, 0)[:, None, None], axis=2)[:, :, 0]
+            after[name] = self._residuals[name] + np.where(block_of_reading[:, None] >= 0, moved, 0.0)
         flat = self.fit.whitening.flatten(after) / self._divisor
         flat *= np.sqrt(self.fit.weights)[layout.reading]
         squares = np.array([float(np.sum(flat[part.which] ** 2)) for part in parts])

@@ -161,15 +161,15 @@ def _prepared(
     seeds: Sequence[np.random.SeedSequence],
 ) -> _Setting:
     """Do the calibration that all others start from."""
-    there = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
-    near = robot.assemble(there).passive
+    q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
+    near = robot.assemble(q).passive
     data = source if isinstance(source, Measurements) else source.measured(seeds[0]).data
     first = calibrate(robot, data, None, settings)
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
-    return _Setting(known, settings, first, there, near, len(seeds) * len(data) >= _MANY or compilation_requested())
+    return _Setting(known, settings, first, q, near, len(seeds) * len(data) >= _MANY or compilation_requested())
 
 
 @one_blas_thread
@@ -220,8 +220,8 @@ def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
 def _unanswered(setting: _Setting) -> Draws:
     """One draw that gave no answer."""
     first = setting.first
-    n_free, there = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
-    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (there,) * 2
+    n_free, at_targets = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
+    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
 
 

@@ -83,8 +83,8 @@ class Simulated:
         if any(instrument.touches for instrument in truth.instruments):  # touches: the noise is in the joints
             return Drawn(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
-            there = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
-            exact = replace(exact, readings=predicted_readings(truth, there, exact.readings))
+            configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
+            exact = replace(exact, readings=predicted_readings(truth, configurations, exact.readings))
         if self.noise is not None:
             return Drawn(truth, self.noise(exact, rng))
         return Drawn(truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)))

@@ -53,8 +53,8 @@ class ArmChain:
     def remark(self) -> str:
         """What the choice leaves out, and how to choose another link; empty if it leaves out nothing."""
         parts = [
-            f"{listed(names, shown=_SHOWN)} ({what})"
-            for names, what in ((self.fingers, "taken for a gripper"), (self.branches, "not on the way to it"))
+            f"{listed(names, shown=_SHOWN)} ({why})"
+            for names, why in ((self.fingers, "taken for a gripper"), (self.branches, "not on the way to it"))
             if names
         ]
         if not parts:

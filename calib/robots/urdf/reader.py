@@ -291,8 +291,8 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
             )
     roots = [link for link in links if link not in parent_of]
     if len(roots) != 1:
-        what = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
-        raise UrdfError(f"{path}: {what}; a URDF is one tree")
+        fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
+        raise UrdfError(f"{path}: {fault}; a URDF is one tree")
     reached = {roots[0]}
     children: dict[str, list[str]] = {}
     for child, joint in parent_of.items():

@@ -147,8 +147,8 @@ class _Joints:
         joints = [target for target in program.targets if target.rotation is None]
         self.why = ""
         if joints and (n != len(joints[0].cells) or lengths):
-            what = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {counted(n, 'motor')}"
-            self.why = f"has {counted(len(joints[0].cells), 'angle')}, and {what}"
+            mismatch = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {counted(n, 'motor')}"
+            self.why = f"has {counted(len(joints[0].cells), 'angle')}, and {mismatch}"
         elif program.language == fanuc.LANGUAGE and third_joint is None:
             self.why = (
                 "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
@@ -194,13 +194,13 @@ def _moved(
     cell: NominalCell, joints: _Joints, target: ProgramTarget, command: FloatArray, held: tuple[float, ...]
 ) -> float:
     """How far the file's decimals move the description's target [m]."""
-    told = cell.flange_poses(command[None])[0]
+    exact = cell.flange_poses(command[None])[0]
     if target.rotation is None:
-        there = cell.flange_poses(joints.read(held)[None])[0]
+        rounded = cell.flange_poses(joints.read(held)[None])[0]
     else:
         cells = tuple(replace(old, value=value) for old, value in zip(target.cells, held, strict=True))
-        there = replace(target, cells=cells).flange
-    return float(np.linalg.norm(cell.target_position(told) - cell.target_position(there)))
+        rounded = replace(target, cells=cells).flange
+    return float(np.linalg.norm(cell.target_position(exact) - cell.target_position(rounded)))
 
 
 def _another(

@@ -150,25 +150,25 @@ class _Reader:
 
     def _set(self, match: re.Match[str]) -> None:
         """Take in a tool or base that holds from here on."""
-        what, value = (match[1] or "").upper(), (match[2] or "").strip().upper()
+        variable, value = (match[1] or "").upper(), (match[2] or "").strip().upper()
         if match[3]:
             self._choose(match[3].upper(), match[4].strip())
-        elif what == "$IPO_MODE":
+        elif variable == "$IPO_MODE":
             self.outside = value == "#TCP"
-        elif what == "FDAT_ACT":
+        elif variable == "FDAT_ACT":
             self._form(value)
         else:
             opening = match.start(2)
             end = closing(self.sources[0].code, opening) if value.startswith("{") else None
-            frame = self._frame(0, opening, end + 1, what) if end is not None else self._named(value)
-            if what == "$TOOL":
+            frame = self._frame(0, opening, end + 1, variable) if end is not None else self._named(value)
+            if variable == "$TOOL":
                 self.tool = frame
             else:
                 self.base = frame
 
-    def _choose(self, what: str, number: str) -> None:
-        frame = self._named(f"{what}_DATA[{number}]")
-        if what == "TOOL":
+    def _choose(self, kind: str, number: str) -> None:
+        frame = self._named(f"{kind}_DATA[{number}]")
+        if kind == "TOOL":
             self.tool = frame
         else:
             self.base = frame
@@ -197,10 +197,10 @@ class _Reader:
     def _move(self, match: re.Match[str]) -> None:
         """Take in one motion."""
         source, word = self.sources[0], match[1].upper()
-        for what, name in _WITH.findall(match[3]):
+        for keyword, name in _WITH.findall(match[3]):
             held = self.tool, self.base, self.outside
             self._form(name.upper())
-            if what.upper() == "SBASE":
+            if keyword.upper() == "SBASE":
                 self.tool = held[0]
             else:
                 self.base = held[1]

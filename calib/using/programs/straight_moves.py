@@ -207,10 +207,10 @@ def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tu
     for first in range(0, len(places), _CHUNK):
         chunk = np.arange(first, min(first + _CHUNK, len(places)))
         real = _driven(frame.robot, frame.nominal, goals.subset(chunk), at[chunk])
-        there = straight.positions[chunk]
+        ideal = straight.positions[chunk]
         if frame.meant is not frame.nominal:
-            there = _driven(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
-        np.maximum.at(largest, rows[chunk], np.linalg.norm(real - there, axis=1))
+            ideal = _driven(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
+        np.maximum.at(largest, rows[chunk], np.linalg.norm(real - ideal, axis=1))
     return largest, len(places)
 
 

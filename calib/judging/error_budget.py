@@ -204,11 +204,11 @@ def _along(
         jacobian, residuals = _seen(robot, errors, unknowns, layout, counted)
         placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
         total = np.sum(moved, axis=1)
-        taken = placing @ (placing.T @ total)
+        absorbed = placing @ (placing.T @ total)
         moved -= placing @ (placing.T @ moved)
-        moved[:, places] += taken
-        direct = members * (end.T @ (total - taken))
-        direct[places] += end.T @ taken
+        moved[:, places] += absorbed
+        direct = members * (end.T @ (total - absorbed))
+        direct[places] += end.T @ absorbed
         removed -= weight * residuals[:, None] * moved
         gradient += weight / 2.0 * (direct + (end.T @ moved).T)
     of_reading = layout.reading[counted]
@@ -235,9 +235,9 @@ def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolA
     jacobian = rows.jacobian[counted]
     pulled = (jacobian @ rows.known.root) @ rows.known.root.T
     placing = _span(jacobian[:, unknowns.placement])
-    taken = placing.T @ jacobian
-    leverage: FloatArray = members @ np.sum((jacobian - placing @ taken) * pulled, axis=0)
-    leverage[_cause_of_places(unknowns, members)] += float(np.sum(taken * (placing.T @ pulled)))
+    absorbed = placing.T @ jacobian
+    leverage: FloatArray = members @ np.sum((jacobian - placing @ absorbed) * pulled, axis=0)
+    leverage[_cause_of_places(unknowns, members)] += float(np.sum(absorbed * (placing.T @ pulled)))
     return leverage
 
 

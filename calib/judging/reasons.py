@@ -152,9 +152,9 @@ class Code(StrEnum):
             grade: Where it is not that of the table; a FAIL is never counted.
             counted: Where it is not that of the table.
         """
-        told = grade or self.grade
+        applied = grade or self.grade
         counts = self.counted if counted is None else counted
-        return Reason(told, self.value, text, counts and told != "FAIL", self.answer)
+        return Reason(applied, self.value, text, counts and applied != "FAIL", self.answer)
 
 
 @dataclass(frozen=True)

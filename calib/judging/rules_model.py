@@ -114,27 +114,27 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
+def claim_broken(claim: Claim, *, needless: bool) -> Iterator[Reason]:
     """Compare errors on poses that were not used with what is claimed.
 
     Args:
-        made: The claim.
+        claim: The claim.
         needless: Whether the robot needs no correction.
     """
-    for accuracy in made.broken:
-        times, told = accuracy.rms / made.told.rms, made.told
-        if accuracy.rms > accuracy.before and made.gain is not Gain.BETTER and not needless:
+    for accuracy in claim.broken:
+        times, claimed = accuracy.rms / claim.told.rms, claim.told
+        if accuracy.rms > accuracy.before and claim.gain is not Gain.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
                 f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({told.shown(told.rms)}). The fit follows its own measurements, not the"
+                f" ({claimed.shown(claimed.rms)}). The fit follows its own measurements, not the"
                 " robot. Measure more poses, spread over the space where the robot will work"
             )
         else:
             yield Code.VALIDATION.says(
                 f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS"
-                f" where poses like those used have {told.shown(told.rms)}). The robot does something there that the"
-                " poses used do not show. Measure there too"
+                f" where poses like those used have {claimed.shown(claimed.rms)}). The robot does something there that"
+                " the poses used do not show. Measure there too"
             )
 
 
@@ -189,17 +189,17 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
         return
     chance = _chance_of_gain(fit)
-    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
+    evidence = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
     if chance > UNLIKELY:
-        said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
+        evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
         yield Code.NOTHING_TO_CORRECT.says(
-            f"nothing to correct: {said}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
+            f"nothing to correct: {evidence}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
             " error of the nominal robot"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Code.NO_GAIN.says(
-            f"poses that were not used get no better: {said}. Only the poses used do: the fit follows what is special"
-            " to them. Measure more poses, spread over the space where the robot will work"
+            f"poses that were not used get no better: {evidence}. Only the poses used do: the fit follows what is"
+            " special to them. Measure more poses, spread over the space where the robot will work"
         )
 
 

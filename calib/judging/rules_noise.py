@@ -192,9 +192,9 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
         )
         return Code.NOISE.says(text, grade="FAIL")
     if better or no_worse:
-        told = "get better beyond chance" if better else "get neither better nor worse"
+        outcome = "get better beyond chance" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {told}. The rest is what the model leaves out, or outliers; intervals do not"
+            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers; intervals do not"
             " count it. State the noise of robot and sensor together (--sigma-mm)"
         )
         return Code.NOISE.says(text)

@@ -87,10 +87,10 @@ def judge(fit: Fit) -> Verdict:
         InputError: A rule of another package cannot be loaded, fails, or yields something else than reasons.
     """
     reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
-    codes, made = {reason.code for reason in reasons}, claim_of(fit)
+    codes, claim = {reason.code for reason in reasons}, claim_of(fit)
     needless = Code.NOTHING_TO_CORRECT in codes
-    if made is not None and Code.WORSE_ON_VALIDATION not in codes:
-        reasons = [*rules_model.claim_broken(made, needless=needless), *reasons]
+    if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
+        reasons = [*rules_model.claim_broken(claim, needless=needless), *reasons]
     elsewhere = rules_model.base_elsewhere(fit) if codes & (_NOTHING_FITS | _MOVED) else ""
     if elsewhere:
         reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if codes & _NOTHING_FITS else "CHECK"))
@@ -100,13 +100,13 @@ def judge(fit: Fit) -> Verdict:
             text = f"{mistake}; correct the data, or the description where that is wrong"
             reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
             reasons.insert(0, Code.LIKELY_MISTAKE.says(text))
-    if made is not None and made.holds and (made.gain is Gain.BETTER or needless):
+    if claim is not None and claim.holds and (claim.gain is Gain.BETTER or needless):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
-    return Verdict(grade, tuple(reasons), not_covered(fit), made)
+    return Verdict(grade, tuple(reasons), not_covered(fit), claim)
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:

@@ -133,21 +133,21 @@ def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: Floa
     return Told(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
 
 
-def learn(told: Sequence[Told], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
+def learn(results: Sequence[Told], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
     """Learn mean and spread; see the module docstring.
 
     Args:
-        told: What each result tells.
+        results: What each result tells.
         kinds: Kind of each parameter, from 0, (n,).
         start: Variances t^2 to start from, (n,).
     """
     n, n_kinds = len(kinds), int(np.max(kinds)) + 1
     variance = np.full(n, 0.1) if start is None else start.copy()
     members = [kinds == kind for kind in range(n_kinds)]
-    mean, covariance, estimates, spreads = _given(told, variance)
+    mean, covariance, estimates, spreads = _given(results, variance)
     seen: FloatArray = np.zeros(n)
     for _ in range(_ROUNDS):
-        mean, covariance, estimates, spreads = _given(told, variance)
+        mean, covariance, estimates, spreads = _given(results, variance)
         seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
         squares = np.sum(estimates**2, axis=0)
         typical = np.empty(n)
@@ -164,22 +164,24 @@ def learn(told: Sequence[Told], kinds: IntArray, start: FloatArray | None = None
         variance * freedom / (freedom - 2.0),
         freedom,
         estimates + mean,
-        np.sqrt(np.array([_with_mean(result, variance, covariance) for result in told])),
-        np.sum([1.0 - np.diag(_inner(result, variance)) / variance for result in told], axis=0),
+        np.sqrt(np.array([_with_mean(result, variance, covariance) for result in results])),
+        np.sum([1.0 - np.diag(_inner(result, variance)) / variance for result in results], axis=0),
     )
 
 
-def _given(told: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _given(results: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
     n = len(variance)
-    inner = [_inner(result, variance) for result in told]
-    through = [a @ result.precision for a, result in zip(inner, told, strict=True)]
+    inner = [_inner(result, variance) for result in results]
+    through = [a @ result.precision for a, result in zip(inner, results, strict=True)]
     precision = np.eye(n) + sum(
-        result.precision - result.precision @ t for result, t in zip(told, through, strict=True)
+        result.precision - result.precision @ t for result, t in zip(results, through, strict=True)
     )
     covariance = np.linalg.inv((precision + precision.T) / 2)
-    mean = covariance @ sum(result.pull - t.T @ result.pull for result, t in zip(told, through, strict=True))
-    estimates = np.array([a @ (result.pull - result.precision @ mean) for a, result in zip(inner, told, strict=True)])
+    mean = covariance @ sum(result.pull - t.T @ result.pull for result, t in zip(results, through, strict=True))
+    estimates = np.array(
+        [a @ (result.pull - result.precision @ mean) for a, result in zip(inner, results, strict=True)]
+    )
     spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
     return mean, covariance, estimates, spreads
 
@@ -230,30 +232,30 @@ def _compared(result: Told, others: Hierarchy) -> Likeness:
 
 
 def learn_without_odd(
-    told: Sequence[Told], kinds: IntArray
+    results: Sequence[Told], kinds: IntArray
 ) -> tuple[Hierarchy, tuple[int, ...], tuple[Likeness | None, ...]]:
     """Learn from all results that are not unlike the others.
 
     Args:
-        told: What each result tells.
+        results: What each result tells.
         kinds: Kind of each parameter, (n,).
 
     Returns:
         What the others say; the results that are unlike them; how each compares with the others (of two: None).
     """
     odd: list[int] = []
-    every = range(len(told))
+    every = range(len(results))
     while True:
         kept = [i for i in every if i not in odd]
-        whole = learn([told[i] for i in kept], kinds)
+        whole = learn([results[i] for i in kept], kinds)
         start = whole.variance * (whole.freedom - 2.0) / whole.freedom
         compared: list[Likeness | None] = []
         for i in every:
-            rest = [told[k] for k in kept if k != i]
-            compared.append(_compared(told[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+            rest = [results[k] for k in kept if k != i]
+            compared.append(_compared(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
-        if worst < 0 or p[worst] * len(told) >= FALSE_ALARM or len(odd) + 1 > (len(told) - 1) // 2:
+        if worst < 0 or p[worst] * len(results) >= FALSE_ALARM or len(odd) + 1 > (len(results) - 1) // 2:
             return whole, tuple(sorted(odd)), tuple(compared)
         odd.append(worst)

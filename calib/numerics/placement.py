@@ -193,8 +193,8 @@ def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
     distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
     rows = np.vstack([system.rows, distances])
     left, values, right = np.linalg.svd(rows[:, :n_free], full_matrices=False)
-    told = values > _RANK * system.weight
-    left, inverse = left[:, told], right[told].T / values[told]
+    determined = values > _RANK * system.weight
+    left, inverse = left[:, determined], right[determined].T / values[determined]
     coordinates = left.T @ rows[:, n_free:]
     solution, rest = inverse @ coordinates, rows[:, n_free:] - left @ coordinates
     return _Reduced(solution[:, :9], solution[:, 9], rest[:, :9], rest[:, 9])
@@ -214,9 +214,9 @@ def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArr
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
         left, values, right = np.linalg.svd(_slope(exact.F, rotation), full_matrices=False)
-        told = values > max(_OPEN * values[0], least)
+        determined = values > max(_OPEN * values[0], least)
         error = exact.F @ rotation.ravel() - exact.f
-        rotation = rotation @ pin.exp3(-right[told].T @ ((left.T @ error)[told] / values[told]))
+        rotation = rotation @ pin.exp3(-right[determined].T @ ((left.T @ error)[determined] / values[determined]))
     return rotation
 
 

@@ -83,13 +83,15 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     return min(good, key=lambda candidate: float(np.linalg.norm(candidate - near)))
 
 
-def _across(told: FloatArray, near: FloatArray, square: float) -> FloatArray:
+def _across(directions: FloatArray, near: FloatArray, square: float) -> FloatArray:
     """The vector across told directions (k, 3) that has this squared length and points where `near` (3,) is."""
-    across = near - told.T @ (told @ near)
-    if len(told) == 2:
-        across = np.cross(told[0], told[1]) * (1.0 if across @ np.cross(told[0], told[1]) >= 0 else -1.0)
+    across = near - directions.T @ (directions @ near)
+    if len(directions) == 2:
+        across = np.cross(directions[0], directions[1]) * (
+            1.0 if across @ np.cross(directions[0], directions[1]) >= 0 else -1.0
+        )
     elif np.linalg.norm(across) < _SMALLEST:
-        across = np.linalg.svd(np.vstack([told, np.zeros((1, 3))]))[2][-1]
+        across = np.linalg.svd(np.vstack([directions, np.zeros((1, 3))]))[2][-1]
     return np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)
 
 

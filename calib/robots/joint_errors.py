@@ -136,13 +136,15 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     closed = loops.close(robot.nominal, robot.mode, driven)
     passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
     slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-    joints, told, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
+    joints, description, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
     turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
-    acceleration, slopes = accelerations(told.gravity, tuple(told.setups), robot.nominal, joints, context, turns)
+    acceleration, slopes = accelerations(
+        description.gravity, tuple(description.setups), robot.nominal, joints, context, turns
+    )
 
     def torque(of: FloatArray) -> FloatArray:
         at = (robot.nominal, driven, passive, slope)
-        return gravity_torque(robot.urdf, *at, load, told.payload, of, robot.path)
+        return gravity_torque(robot.urdf, *at, load, description.payload, of, robot.path)
 
     context = replace(context, torque=torque(acceleration))
     columns = columns_of_terms(robot.terms, robot.mechanism, q, context)

@@ -81,7 +81,7 @@ def spread(
     rng: np.random.Generator,
     box: tuple[FloatArray, FloatArray],
     home: FloatArray,
-    taken: Callable[[FloatArray], IntArray],
+    usable: Callable[[FloatArray], IntArray],
     *,
     draw_in: bool,
 ) -> FloatArray:
@@ -92,7 +92,7 @@ def spread(
         rng: Random numbers.
         box: Lower and upper, (n_actuated,) each [m or rad].
         home: What the box is drawn in to, (n_actuated,) [m or rad].
-        taken: Says which of joint values (n, n_actuated) are taken, as indices.
+        usable: Says which of joint values (n, n_actuated) are taken, as indices.
         draw_in: Whether the box is drawn in.
 
     Returns:
@@ -108,7 +108,7 @@ def spread(
         left = TRIES * count
         while missing > 0 and left > 0:  # a part at a time: the same numbers, and no more memory than the result needs
             q = rng.uniform(low, high, (min(left, _AT_ONCE), len(low)))
-            samples.append(q[taken(q)][:missing])
+            samples.append(q[usable(q)][:missing])
             left, missing = left - len(q), missing - len(samples[-1])
         size, rounds = (_DRAWN_IN * size, rounds) if draw_in else (size, rounds + 1)
     return np.vstack([np.zeros((0, len(home))), *samples])

@@ -52,9 +52,9 @@ class Robot(RobotData):
         )
 
     def _repr_html_(self) -> str:
-        told = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
+        contents = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
         rows = zip(self.parameters, self.values, self.is_free, strict=True)
-        return titled_html(self.name, (repr(self)[1:-1], told), [p.row(value, free) for p, value, free in rows])
+        return titled_html(self.name, (repr(self)[1:-1], contents), [p.row(value, free) for p, value, free in rows])
 
     def fix(self, *names: str | Sequence[str]) -> Robot:
         """Return a robot of which a fit leaves these parameters, too, as they are.
@@ -285,7 +285,7 @@ class Robot(RobotData):
         low, high = np.array([ranges.get(name, (-np.inf, np.inf)) for name in coordinates]).reshape(-1, 2).T
         bounded = not ranges.keys().isdisjoint(coordinates)
 
-        def taken(q: FloatArray) -> IntArray:
+        def usable(q: FloatArray) -> IntArray:
             closed = self.close(q, thorough=False)  # others are tried in place of those that are hard to reach
             good = np.flatnonzero(closed.ok)
             distance = self.singular_values(configured(self, q[good], closed.at(good)))
@@ -296,7 +296,7 @@ class Robot(RobotData):
             return good[np.all((points >= low) & (points <= high), axis=1)]
 
         with compiled_for(TRIES * count if self.mechanism.loops else 0):
-            q = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
+            q = spread(count, random_numbers(seed), box, self.home, usable, draw_in=not bounded)
         if len(q) < count:
             reason = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
             raise DataError(f"{self.path}: only {len(q)} of {count} random poses {reason}")

@@ -253,12 +253,12 @@ def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
         return poses.wanted[instrument.name]
     if isinstance(poses, Measurements) and instrument.touches:
         index = np.arange(len(poses))
-        made = (
+        touches = (
             of_visits(poses.readings[instrument.name], index)
             if instrument.name in poses.readings
             else _every_look(instrument, 0)
         )
-        return Readings(made.visits, made.pairs, np.zeros((len(made), 0)), None, made.details)
+        return Readings(touches.visits, touches.pairs, np.zeros((len(touches), 0)), None, touches.details)
     every = _every_look(instrument, len(poses))
     if poses.setups is None:
         return every

@@ -71,13 +71,15 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
         trial = _trial(reach, now, current, held, part[active], step)
         good, reached, trial_linear, change = _tried(reach, index[active], now, current, held, trial, near[active])
         part[active] /= 3
-        taken = active[good]
-        part[taken] = np.minimum(1.0, 6 * part[taken])
-        bad = np.setdiff1d(active, taken)
+        accepted = active[good]
+        part[accepted] = np.minimum(1.0, 6 * part[accepted])
+        bad = np.setdiff1d(active, accepted)
         hessian[bad] = np.eye(n_joints)
-        hessian[taken] = _learned(hessian[taken], (reached.actuated - at.actuated[taken]) / reach.scale, change)
-        at.actuated[taken], at.passive[taken] = reached.actuated, reached.passive
-        linear.take(taken, trial_linear)
+        hessian[accepted] = _learned(
+            hessian[accepted], (reached.actuated - at.actuated[accepted]) / reach.scale, change
+        )
+        at.actuated[accepted], at.passive[accepted] = reached.actuated, reached.passive
+        linear.take(accepted, trial_linear)
         active = active[part[active] > _SHORTEST]
     reached = descend(reach, index, at, 8)
     closer = np.linalg.norm((reached.actuated - near) / reach.scale, axis=1) < np.linalg.norm(

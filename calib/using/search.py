@@ -53,8 +53,10 @@ class Search:
         self.reach, self.home = reach, home
         repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
         self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
-        told = _features(reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length)
-        self._features = np.where(np.isnan(told), self._features_at(home), told)
+        goal_features = _features(
+            reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
+        )
+        self._features = np.where(np.isnan(goal_features), self._features_at(home), goal_features)
 
     @property
     def solved(self) -> BoolArray:

@@ -100,8 +100,8 @@ def choose_terms(fit: Fit) -> TermChoice:
         for section in search.entries(candidate, chosen)
     ]
     sections = (*fit.robot.description.terms, *added)
-    told = sorted((search.told(candidate, groups) for candidate in kinds), key=lambda term: not term.added)
-    return TermChoice("auto", sections, tuple(told))
+    tried_terms = sorted((search.outcome(candidate, groups) for candidate in kinds), key=lambda term: not term.added)
+    return TermChoice("auto", sections, tuple(tried_terms))
 
 
 class _Search:
@@ -227,7 +227,7 @@ class _Search:
             return candidate.sections
         return candidate.resized(self.trials.robot, trial.sizes[candidate.term])
 
-    def told(self, candidate: Candidate, groups: Groups) -> TriedTerm:
+    def outcome(self, candidate: Candidate, groups: Groups) -> TriedTerm:
         """Return what a candidate, with what it is not told from, brings beside the others, or why it was left out."""
         if candidate.refused:
             return TriedTerm(candidate.term, why=candidate.refused)

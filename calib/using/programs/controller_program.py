@@ -112,8 +112,8 @@ def compensate_program(
             if compensation.reasons[n]:
                 continue
             target, command = program.targets[k], compensation.q[n]
-            told = cell.flange_poses(command[None])[0]
-            values[k] = joints.written(command) if target.rotation is None else target.written(told)
+            flange_pose = cell.flange_poses(command[None])[0]
+            values[k] = joints.written(command) if target.rotation is None else target.written(flange_pose)
             held = program.as_written(values[k] or (), k)
             rounding[n] = _moved(cell, joints, target, command, held)
             remarks += _another(cell, joints, target, q[k], command)

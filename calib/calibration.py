@@ -232,10 +232,11 @@ def fit(
     one_for_all = sigma if sigma is None or isinstance(sigma, (float, str)) or np.ndim(sigma) == 0 else None
     if sigma is not None and one_for_all is None:
         used = with_sigma(robot, used, sigma)
+    used = used.read_visits()
     if isinstance(validation, (float, int)):
         used, held = used.split(validation, seed=seed)
     elif validation is not None:
-        held = as_measurements(robot, validation)
+        held = as_measurements(robot, validation).read_visits()
     settings = Settings(
         None if one_for_all is None else in_si(cast("float | str", one_for_all), "length", "sigma"),
         checked_loss(loss),

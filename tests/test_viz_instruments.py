@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, write_six_axis
 
@@ -16,9 +17,10 @@ from calib.rows.observed import predicted_readings
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
 from viz.part_plots import part_plots
-from viz.plots import all_plots
+from viz.plots import all_plots, error_map
 from viz.pose_sources import from_fit, from_measurements
 from viz.reading_errors import of_measurements, smallest_motion
+from viz.rendering import picture_of, points_of
 from viz.report_page import report_page
 from viz.scene import build_scene, joints_of, scene_of_fit
 from viz.scene_data import scene_data
@@ -124,13 +126,15 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 10
+    assert html.count("<figure") == 11
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 
 
 def test_figures_of_a_part_have_its_unit_and_axes(pose_fit):
-    axes, by_joint = part_plots(pose_fit, joints_of(pose_fit.nominal))
+    sizes, axes, by_joint = part_plots(pose_fit, joints_of(pose_fit.nominal))
+    assert sizes.title == "Orientation: error before and after"
+    assert "size of the orientation error [mrad]" in sizes.svg
     assert axes.title == "Orientation: error along each axis"
     assert "predicted minus measured [mrad]" in axes.svg
     assert ">rx<" in axes.svg.replace(" ", "")
@@ -161,7 +165,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
-    assert html.count("<figure") == 5
+    assert html.count("<figure") == 6
     fit.save(tmp_path / "out")
     saved = saved_scene = gather(robot, tmp_path / "out").scene
     for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
@@ -173,12 +177,54 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     expected = tuple((off[state]["mean"], off[state]["max"]) for state in ("before", "after"))
     for shown in (scene, saved_scene):
         (other,) = shown.others
-        assert (other.name, other.unit, other.sets[0][0]) == ("ball: distance", "mm", "identification")
+        assert (other.of, other.part, other.unit, other.sets[0][0]) == ("ball", "distance", "mm", "identification")
         np.testing.assert_allclose(other.sets[0][1:], expected, rtol=1e-9)
     assert content["others"][0]["sets"][0]["after"] == list(expected[1])
     alone = gather(robot, None, data).scene
     assert alone.states == ("before",)
     assert (len(alone.poses), alone.n_rows) == (240, 120)
+
+
+def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_wires_and_points(tmp_path):
+    ends = "{wire: [2, 1, 0], other: [2, -1, 0], third: [1.5, 0, 1.5]}"
+    wires = [
+        f"{name}: {{kind: distance, target: ball, sigma: 0.05 mm, end: {{frame: l0, xyz: {xyz}}}}}"
+        for name, xyz in yaml.safe_load(ends).items()
+    ]
+    robot = arm(tmp_path, f"instruments: {{{', '.join(wires)}}}\n")
+    fit = calib.fit(robot, calib.simulate(bent(robot), joints(60), None, np.random.default_rng(4)))
+    after = 1e3 * np.abs(np.concatenate([fit.identification.after[name] for name in ("wire", "other", "third")]))
+    fit.save(tmp_path / "out")
+    for scene in (scene_of_fit(fit), gather(robot, tmp_path / "out").scene):
+        headline, *each = scene_data(scene)["others"]
+        assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
+        assert headline["sets"][0]["after"] == pytest.approx([after.mean(), after.max()], rel=1e-9)
+        assert [one["of"] for one in each] == ["wire", "other", "third"]
+    points, colours = points_of(scene)
+    assert points.shape == colours.shape == (180, 3)  # where the readings have the target
+    positions = fit.robot.positions(fit.identification.data.joints)[:, 0]
+    np.testing.assert_allclose(points[:60], positions, atol=5e-4)  # ten times the noise
+    assert picture_of(scene) != picture_of(dataclasses.replace(scene, decorations=()))
+    assert "Points: measured to" in words(report_page(fit, created=NOON).html)
+
+
+def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
+    robot = arm(tmp_path)
+    q = joints(80)
+    positions = bent(robot).positions(q) + np.random.default_rng(2).normal(0, 5e-5, (80, 2, 3))
+    positions[::2] = np.nan
+    fit = calib.fit(robot, calib.as_measurements(robot, q, positions), validation=0.25)
+    assert (fit.identification.data.n_poses, fit.validation.data.n_poses) == (30, 10)
+    assert {int(name) % 2 for name in fit.identification.data.names} == {1}
+    assert "at poses like the 30 measured" in fit.verdict.claim.region
+    whole = dataclasses.replace(fit.identification, data=calib.as_measurements(robot, q, positions))
+    whole = dataclasses.replace(whole, **{state: _of_all(fit, state) for state in ("before", "after")})
+    assert "at 40 poses" in error_map(whole, fit.robot).text  # not 80, of which 40 would be without any error
+
+
+def _of_all(fit, state):
+    sets = (fit.identification, fit.validation)
+    return {name: np.concatenate([getattr(one, state)[name] for one in sets]) for name in fit.identification.after}
 
 
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):

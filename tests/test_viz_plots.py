@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from viz.part_plots import of_positions, residual_by_joint
-from viz.plots import all_plots, error_by_pose, histogram, normal_plot
+from viz.part_plots import histogram, of_positions, residual_by_joint
+from viz.plots import all_plots, error_by_pose, normal_plot
 from viz.poses import PoseTable
 from viz.scene import Joint
 from viz.svg import finished, new_figure, shortened
@@ -83,7 +83,7 @@ def test_plots_ask_nobody_and_carry_no_date(plots):
 
 
 def test_the_same_data_give_the_same_plot():
-    assert histogram(table()).svg == histogram(table()).svg
+    assert histogram(of_positions(table())).svg == histogram(of_positions(table())).svg
 
 
 def test_every_joint_has_its_panel_and_many_marks_are_thinned():
@@ -155,7 +155,7 @@ def test_long_names_lose_their_middle():
 
 
 def test_the_legend_of_the_histogram_stands_above_all_bars():
-    parts = {part.get("id", ""): part for part in ElementTree.fromstring(histogram(table()).svg).iter()}
+    parts = {part.get("id", ""): part for part in ElementTree.fromstring(histogram(of_positions(table())).svg).iter()}
 
     def heights(name, clipped):
         paths = [

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from calib import Fit
 from calib.base.errors import InputError, nearest
 from calib.base.other_words import Worded
-from viz.part_plots import draw_residuals, of_positions
-from viz.plots import draw_course, draw_histogram, draw_normal
+from viz.part_plots import draw_histogram, draw_residuals, of_positions
+from viz.plots import draw_course, draw_normal
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable
 from viz.scene import joints_of
@@ -44,7 +44,7 @@ class FitPlots(Worded):
     def errors(self, axes: Axes | None = None) -> Axes:
         """Draw how many points have which error, before and after."""
         drawn = _axes(axes)
-        draw_histogram(drawn, self._table())
+        draw_histogram(drawn, of_positions(self._table()))
         drawn.legend()
         return drawn
 

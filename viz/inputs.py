@@ -106,7 +106,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     judged = of_result(
         content["verdict"], validated=any(name in content["errors"] for name in ("validation", "cross_validation"))
     )
-    others = other_errors(content.get("instruments", ())) if data is None else ()
+    others = other_errors(content.get("instruments", ()), content["errors"]) if data is None else ()
     scene = build_scene(
         placed, model, table, readings, verdict=judged, notes=notes, told=told.notes, comments=said, others=others
     )

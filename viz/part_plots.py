@@ -15,7 +15,7 @@ from calib.instruments.kind import Part
 from calib.instruments.position import POSITION
 from viz.poses import PoseTable
 from viz.scene import Joint
-from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, styled, thinned
+from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, plain_ticks, styled, thinned
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,11 @@ class PartErrors(ReadOnlyArrays):
             return name, title
         return f"{self.part.name}-{name}", f"{self.part.name.capitalize()}: {title[0].lower()}{title[1:]}"
 
+    def lengths(self, state: str) -> FloatArray:
+        """Return how large the errors of a state are, of those that are known, in the part's unit, (n_known,)."""
+        errors = self.shown(state)
+        return np.sqrt(np.nansum(errors[np.isfinite(errors).any(axis=1)] ** 2, axis=1))
+
 
 def of_positions(table: PoseTable) -> PartErrors:
     """Return the errors of measured points."""
@@ -67,7 +72,7 @@ def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
     plots: list[Plot] = []
     for part in parts:
         errors = _of_part(sets, part)
-        plots += [error_by_axis(errors), residual_by_joint(errors, joints)]
+        plots += [histogram(errors), error_by_axis(errors), residual_by_joint(errors, joints)]
     return tuple(plots)
 
 
@@ -84,6 +89,45 @@ def _of_part(sets: list[ErrorSet], part: Part) -> PartErrors:
     ]
     joints, before, after = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     return PartErrors(part, joints, before, after)
+
+
+@styled
+def histogram(errors: PartErrors) -> Plot:
+    """How many errors have which size, before and after."""
+    figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
+    draw_histogram(axes, errors)
+    figure.legend(loc="upper center", ncols=2)
+    return finished(
+        *errors.called("histogram", "Error before and after"),
+        "The scale is logarithmic: one step to the left is ten times better.",
+        figure,
+    )
+
+
+def draw_histogram(axes: Any, errors: PartErrors) -> None:
+    """Draw how many errors have which size, before and after."""
+    lengths = {state: errors.lengths(state) for state in STATES}
+    everything = np.concatenate(list(lengths.values()))
+    positive = everything[everything > 0]
+    low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1e-3, 1.0)
+    bins = np.geomspace(low * 0.95, high * 1.05, 41).tolist()
+    for state, (colour, line) in STATES.items():
+        axes.hist(np.maximum(lengths[state], low), bins=bins, histtype="stepfilled", alpha=0.25, color=colour)
+        axes.hist(
+            np.maximum(lengths[state], low),
+            bins=bins,
+            histtype="step",
+            color=colour,
+            linestyle=line,
+            linewidth=1.6,
+            label=f"{state} calibration",
+        )
+    is_position = errors.part == POSITION
+    off = "distance between predicted and measured position" if is_position else f"size of the {errors.part.name} error"
+    axes.set(
+        xscale="log", xlabel=f"{off} [{errors.unit}]", ylabel=f"number of {'poses' if is_position else 'readings'}"
+    )
+    plain_ticks(axes.xaxis)
 
 
 @styled
@@ -106,7 +150,7 @@ def error_by_axis(errors: PartErrors) -> Plot:
             )
             for patch, k in zip(boxes["boxes"], known, strict=True):
                 patch.set(facecolor=_look(k)[0], alpha=0.45)
-        axes.set_yticks(range(1, len(names) + 1), names)
+        axes.set_yticks(range(1, len(names) + 1), names if state == "before" else [""] * len(names))
         axes.axvline(0.0, color="black", linewidth=0.8)
         axes.invert_yaxis()
         axes.set(title=f"{state} calibration", xlabel=f"predicted minus measured [{errors.unit}]")

@@ -9,11 +9,11 @@ import numpy as np
 import scipy
 
 from calib import Robot
-from calib.base.arrays import BoolArray, FloatArray
+from calib.base.arrays import BoolArray
 from calib.base.units import ERROR_UNIT, PER_SI, error_scale
 from calib.base.words import counted
 from calib.fitting.error_sets import ErrorSet
-from viz.part_plots import error_by_axis, of_positions, residual_by_joint
+from viz.part_plots import error_by_axis, histogram, of_positions, residual_by_joint
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint
 from viz.svg import AXES, STATES, Plot, finished, new_figure, plain_ticks, shortened, styled, thinned
@@ -33,11 +33,12 @@ def all_plots(table: PoseTable, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
     table = table.subset(np.any(known, axis=0))
     if not len(table):
         return ()
+    errors = of_positions(table)
     return (
-        histogram(table),
+        histogram(errors),
         error_by_pose(table),
-        error_by_axis(of_positions(table)),
-        residual_by_joint(of_positions(table), joints),
+        error_by_axis(errors),
+        residual_by_joint(errors, joints),
         normal_plot(table),
     )
 
@@ -64,42 +65,6 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
         " Lines reach one standard deviation further; a cause without a bar brought nothing.",
         figure,
     )
-
-
-@styled
-def histogram(table: PoseTable) -> Plot:
-    """Number of poses over the size of their error, before and after."""
-    figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
-    draw_histogram(axes, table)
-    figure.legend(loc="upper center", ncols=2)
-    return finished(
-        "histogram",
-        "Error before and after",
-        "The scale is logarithmic: one step to the left is ten times better.",
-        figure,
-    )
-
-
-def draw_histogram(axes: Any, table: PoseTable) -> None:
-    """Draw the number of poses over the size of their error, before and after."""
-    lengths = {state: _lengths(table, state) for state in STATES}
-    everything = np.concatenate(list(lengths.values()))
-    positive = everything[everything > 0]
-    low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1e-3, 1.0)
-    bins = np.geomspace(low * 0.95, high * 1.05, 41).tolist()
-    for state, (colour, line) in STATES.items():
-        axes.hist(np.maximum(lengths[state], low), bins=bins, histtype="stepfilled", alpha=0.25, color=colour)
-        axes.hist(
-            np.maximum(lengths[state], low),
-            bins=bins,
-            histtype="step",
-            color=colour,
-            linestyle=line,
-            linewidth=1.6,
-            label=f"{state} calibration",
-        )
-    axes.set(xscale="log", xlabel="distance between predicted and measured position [mm]", ylabel="number of poses")
-    plain_ticks(axes.xaxis)
 
 
 @styled
@@ -176,26 +141,31 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
         robot: The calibrated robot; its first target says where it was.
     """
     data, part = errors.data, errors.main_part
-    squares = np.zeros(len(data))
+    squares = np.full(len(data), -np.inf)
     for one, own, rows in errors.parts():
         if own.name == part.name:  # of several readings of a visit the largest
-            sizes = np.nansum(np.square(errors.after[one.name][:, rows]), axis=1)
-            np.maximum.at(squares, data.readings[one.name].visits, sizes)
-    shown, note = thinned(len(data))
-    size = error_scale(part.dimension) * np.sqrt(squares)
-    places = _MM * robot.positions(data.joints, data.conditions)[shown, 0]
+            own_squares = np.square(errors.after[one.name][:, rows])
+            was_read = np.isfinite(own_squares).any(axis=1)
+            np.maximum.at(squares, data.readings[one.name].visits[was_read], np.nansum(own_squares[was_read], axis=1))
+    visits = np.flatnonzero(np.isfinite(squares))  # where the part was read
+    count = len(np.unique(data.pose_numbers[visits]))
+    shown, note = thinned(len(visits))
+    visits = visits[shown]
+    visits = visits[np.argsort(squares[visits], kind="stable")]  # the largest on top of what is at the same place
+    size = error_scale(part.dimension) * np.sqrt(squares[visits])
+    places = _MM * robot.positions(data.joints, data.conditions)[visits, 0]
     figure, panels = new_figure(1, 2, (8.9, 3.1))
     figure.subplots_adjust(left=0.08, right=0.87, bottom=0.17, top=0.91, wspace=0.25)
     for axes, (across, up), view in zip(panels, (("x", "y"), ("x", "z")), ("from above", "from the side"), strict=True):
         points = axes.scatter(
             places[:, "xyz".index(across)],
             places[:, "xyz".index(up)],
-            c=size[shown],
+            c=size,
             cmap="viridis",
             vmin=0.0,
             vmax=max(float(size.max()), 1e-9),
-            s=16,
-            linewidths=0.3,
+            s=30,
+            linewidths=0.4,
             edgecolors="black",
         )
         axes.set(xlabel=f"{across} [mm]", ylabel=f"{up} [mm]", title=view)
@@ -205,9 +175,8 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
     bar.set_label(f"{part.name} error after [{ERROR_UNIT[part.dimension]}]")
     return finished(
         "error-map",
-        "Where the robot is how accurate",
-        f"What is left after calibration, at {counted(len(data), 'pose')}: {robot.target_names[0]} where it was."
-        + note,
+        "Errors over the workspace",
+        f"What is left after calibration at {counted(count, 'pose')}, where {robot.target_names[0]} was." + note,
         figure,
     )
 
@@ -253,9 +222,3 @@ def draw_normal(axes: Any, table: PoseTable) -> str:
     axes.set(xlabel="expected of normal noise [sigma]", ylabel="residual [sigma]")
     axes.legend(markerscale=1.6)
     return note
-
-
-def _lengths(table: PoseTable, state: str) -> FloatArray:
-    lengths = _MM * np.linalg.norm(table.error(state), axis=1)
-    known: FloatArray = lengths[np.isfinite(lengths)]
-    return known

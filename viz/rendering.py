@@ -34,7 +34,7 @@ _SECTIONS = 48  # of round shapes
 _CORNERS = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 _BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
         [1, 5, 7], [1, 7, 3]]  # fmt: skip
-_POINT = 2.9  # radius of a measured point [px]
+_POINT, _SMALL_POINT, _FEW_POINTS = 4.5, 2.0, 100  # radius of a point [px], where there are few and many
 _Samples = NDArray[np.float32]
 
 
@@ -48,7 +48,7 @@ def picture_of(scene: Scene, pose: int = 0) -> str:
     """
     camera = _camera(scene)
     triangles, colours = _triangles(scene, pose, camera[2])
-    points, point_colours = _points(scene)
+    points, point_colours = points_of(scene)
     seen, seen_points = triangles @ camera.T, points @ camera.T
     cells = _FINER * np.array([WIDTH, HEIGHT], dtype=float)
     everything = np.concatenate([seen.reshape(-1, 3), seen_points])
@@ -95,11 +95,11 @@ class _Buffer:
 
     def discs(self, places: FloatArray, colours: FloatArray) -> None:
         """Draw a disc at each place (n, 3) [cells]."""
-        radius = _FINER * _POINT
+        radius = _FINER * max(_SMALL_POINT, _POINT * min(1.0, float(np.sqrt(_FEW_POINTS / max(len(places), 1)))))
         around = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
         grid = np.stack(np.meshgrid(around, around), axis=-1).reshape(-1, 2)
         distance = np.linalg.norm(grid, axis=1)
-        disc = np.column_stack([grid, np.full(len(grid), radius)])[distance <= radius]
+        disc = np.column_stack([grid, np.full(len(grid), 3 * radius)])[distance <= radius]  # before a socket around it
         edge = distance[distance <= radius] > radius - 1.2 * _FINER / 2
         white = self._number(np.ones((1, 3)))
         numbers = np.where(edge, white, self._number(colours)[:, None])
@@ -162,7 +162,7 @@ def _camera(scene: Scene) -> FloatArray:
 
 
 def _triangles(scene: Scene, pose: int, towards: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Triangles of the robot (m, 3, 3) [m] in the measurement frame, and their colours (m, 3).
+    """Triangles of the robot and of wires (m, 3, 3) [m] in the measurement frame, and their colours (m, 3).
 
     Args:
         scene: The scene.
@@ -172,8 +172,10 @@ def _triangles(scene: Scene, pose: int, towards: FloatArray) -> tuple[FloatArray
     number = {name: body for body, name in enumerate(scene.bodies.names)}
     matrices = scene.bodies.matrices(scene.solid, pose)
     triangles, colours = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-    for shape in scene.shapes:
-        M = matrices[number[str(shape.body)]] @ shape.T_body_shape
+    lines = [shape for shape in scene.decorations if shape.kind == "cylinder"]  # wires; surfaces would hide the robot
+    for shape in [*scene.shapes, *lines]:
+        T_base_body = np.eye(4) if shape.body is None else matrices[number[shape.body]]
+        M = T_base_body @ shape.T_body_shape
         vertices, faces = _mesh(shape)
         corners = (vertices @ M[:3, :3].T + M[:3, 3])[faces]
         if shape.kind != "mesh":  # closed, and its faces turn the same way round: what looks away is hidden
@@ -239,10 +241,16 @@ def _shaded(corners: FloatArray, colours: FloatArray) -> FloatArray:
     return shaded
 
 
-def _points(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Measured points (n, 3) [m], and their colours by whether they were used, (n, 3)."""
-    table = scene.poses
-    known = np.isfinite(table.measured).all(axis=1)
-    used = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
+def points_of(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return measured points (n, 3) [m], and their colours by whether they were used, (n, 3).
+
+    Where none were measured: the points that readings tell about, where these have them.
+    """
+    places, groups = scene.poses.measured, scene.poses.group
+    if not np.any(np.isfinite(places)) and scene.readings:
+        places = np.concatenate([one.anchors for one in scene.readings])
+        groups = tuple(group for one in scene.readings for group in one.group)
+    known = np.isfinite(places).all(axis=1)
+    used = np.array([group == IDENTIFICATION for group in groups], dtype=bool)
     colours = np.where(used[:, None], *(np.array(list(bytes.fromhex(colour[1:]))) / 255 for colour in (BLUE, ORANGE)))
-    return table.measured[known], colours[known]
+    return places[known], colours[known]

@@ -34,7 +34,7 @@ from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars, error_map
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
-from viz.rendering import picture_of
+from viz.rendering import picture_of, points_of
 from viz.report_tables import extent, headline, judged_by, noise_lines, tolerance_of, unsure, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
@@ -76,7 +76,7 @@ def report_page(
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     when = created if created is not None else datetime.now(UTC)
-    tables, table, budget = accuracy(fit), from_fit(fit), budget_table(fit)
+    tables, table, budget, claim = accuracy(fit), from_fit(fit), budget_table(fit), judge(fit).claim
     return Page(
         page_environment()
         .get_template("report.html")
@@ -100,6 +100,8 @@ def report_page(
             map=error_map(judged_by(fit), fit.robot),
             logo=logo,
             picture="" if shown is None else picture_of(shown),
+            claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
+            pointed=shown is not None and len(points_of(shown)[0]) > 0,
             pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[shown.shown[0]],
             plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
             parameters=[row for row in parameter_rows(fit) if not row["family"]],

@@ -12,6 +12,7 @@ import scipy
 from calib import Fit, Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, PER_SI
+from calib.base.words import counted
 from calib.fitting.error_sets import STATES
 from calib.instruments.position import POSITION
 from calib.reporting.result_content import instrument_blocks
@@ -58,17 +59,24 @@ class View:
 
 @dataclass(frozen=True)
 class OtherErrors:
-    """Errors of what an instrument reads beside positions.
+    """Errors of what an instrument reads beside positions, or of what several read.
 
     Attributes:
-        name: Instrument and part, such as `probe: contact`.
+        instruments: Who reads it.
+        part: What it reads, such as `contact`.
         unit: Unit of all numbers.
         sets: Of each set its name, and mean and largest error before and after calibration.
     """
 
-    name: str
+    instruments: tuple[str, ...]
+    part: str
     unit: str
     sets: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]
+
+    @property
+    def of(self) -> str:
+        """The instrument; of several how many, such as `3 instruments`."""
+        return self.instruments[0] if len(self.instruments) == 1 else counted(len(self.instruments), "instrument")
 
 
 @dataclass(frozen=True)
@@ -153,7 +161,7 @@ class Scene:
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
     verdict, told = judgement_of_fit(fit), fit.told_positions.notes
-    said, others = fit_remarks(fit), other_errors(instrument_blocks(fit))
+    said, others = fit_remarks(fit), other_errors(instrument_blocks(fit), fit.errors)
     table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)
 
@@ -242,18 +250,31 @@ def build_scene(
     )
 
 
-def other_errors(blocks: Iterable[Mapping[str, Any]]) -> tuple[OtherErrors, ...]:
-    """Return the errors of instruments (entry `instruments` of `result.json`) that are not those of positions."""
-    found = []
-    for block in blocks:
-        for part in block["parts"]:
-            sets = tuple(
-                (name, *((float(off[state]["mean"]), float(off[state]["max"])) for state in STATES))
-                for name, off in part["errors"].items()
-            )
-            if part["name"] != POSITION.name and sets:
-                found.append(OtherErrors(f"{block['name']}: {part['name']}", part["unit"], sets))
+def other_errors(blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]) -> tuple[OtherErrors, ...]:
+    """Return the errors of instruments that are not those of positions, as `result.json` has them.
+
+    Args:
+        blocks: Its entry `instruments`.
+        together: Its entry `errors`, of the main part of all instruments: first, where several read that and it is no
+            position.
+    """
+    read = [(block["name"], part) for block in blocks for part in block["parts"] if part["errors"]]
+    others = [(name, part) for name, part in read if part["name"] != POSITION.name]
+    found = [OtherErrors((name,), part["name"], part["unit"], _means(part["errors"])) for name, part in others]
+    if found and len(others) == len(read):
+        several = tuple(name for name, part in others if part["name"] == found[0].part)
+        if len(several) > 1:
+            return (replace(found[0], instruments=several, sets=_means(together)), *found)
     return tuple(found)
+
+
+def _means(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
+    """Of each set its name, and mean and largest error before and after calibration."""
+
+    def ends(off: Mapping[str, Any]) -> tuple[float, float]:
+        return float(off["mean"]), float(off["max"])
+
+    return tuple((name, ends(off["before"]), ends(off["after"])) for name, off in errors.items())
 
 
 def joints_of(robot: Robot) -> tuple[Joint, ...]:

@@ -68,7 +68,9 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "summary": summary(scene),
         "others": [
             {
-                "name": other.name,
+                "of": other.of,
+                "several": len(other.instruments) > 1,
+                "part": other.part,
                 "unit": other.unit,
                 "sets": [
                     {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
@@ -243,11 +245,13 @@ def _in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
     sets = [name for name, *_ in other.sets]
     group = VALIDATION if VALIDATION in sets else IDENTIFICATION
     for one in scene.readings:
-        name, _, part = other.name.partition(": ")
         own = np.array(
-            [target.split(" ")[0] == name and of == group for target, of in zip(one.targets, one.group, strict=True)]
+            [
+                target.split(" ")[0] in other.instruments and of == group
+                for target, of in zip(one.targets, one.group, strict=True)
+            ]
         )
-        if one.part.name == part and not one.turns and np.any(own):
+        if one.part.name == other.part and not one.turns and np.any(own):
             return [_MM * float(np.nanmean(np.linalg.norm(one.arrows(state)[own], axis=1))) for state in STATES]
     return None
 

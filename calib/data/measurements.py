@@ -226,6 +226,11 @@ class Measurements(Poses):
             readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
         )
 
+    def read_visits(self) -> Self:
+        """Return the visits at which something was read, of which a camera that saw nothing has none."""
+        read = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(one.visits for one in self.readings.values())]))
+        return self if len(read) in (0, len(self)) else self.subset(read)
+
     @worded
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
         """Hold out a random part of the poses for validation; repeats of one pose stay together.

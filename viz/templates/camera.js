@@ -1,4 +1,4 @@
-// Where the camera must stand so that the whole scene is seen, and no measured point lies under the legend.
+// Where the camera must stand so that the whole scene is seen, and no link and no measured point lies under the legend.
 "use strict";
 
 const FIELD_OF_VIEW = 36; // [deg], vertical
@@ -60,7 +60,7 @@ function look(stage, direction) {
   };
   stand([edge, edge, width - edge, height - edge]);
   const legend = stage.legendBox();
-  if (legend && stage.marksUnder(legend)) {
+  if (legend && stage.anythingUnder(legend)) {
     const free = [[edge, edge, width - edge, legend[1] - edge], [legend[2] + edge, edge, width - edge, height - edge]];
     const [above, beside] = free.map((part) => (part[2] - part[0] > 50 && part[3] - part[1] > 50 ? stand(part) : Infinity));
     if (Number.isFinite(Math.min(above, beside))) stand(free[above <= beside ? 0 : 1]);

@@ -62,18 +62,21 @@ class Panel {
   others(first) {
     const parts = [];
     const named = { identification: "identification", validation: "validation", cross_validation: "left out in turns" };
-    for (const { name, unit, sets, space } of this.scene.others) {
+    for (const { of, part, unit, sets, space } of this.scene.others) {
       if (first && !parts.length) {
         const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];
         parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
           element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
-        element("p", {}, `mean error of ${name} before and after calibration, ${named[judged.group] || judged.group} poses`
+        element("p", {}, `mean ${part} error of ${of} before and after calibration, ${named[judged.group] || judged.group} poses`
           + (space ? `; as far as points are off there, ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
       }
-      const head = element("tr", {}, ...[`${name} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
+      const head = element("tr", {}, ...[`${of}: ${part} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
       const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
       parts.push(element("table", {}, element("thead", {}, above, head), element("tbody", {}, ...sets.map(({ group, before, after }) =>
         element("tr", {}, element("th", { scope: "row" }, named[group] || group), ...[...before, ...after].map((value) => element("td", {}, millimetres(value))))))));
+    }
+    if (first && this.scene.others.length && this.scene.others[0].several) { // a headline, its table, and those of each
+      parts.push(element("details", {}, element("summary", {}, "Each instrument"), ...parts.splice(3)));
     }
     return parts;
   }

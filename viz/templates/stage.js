@@ -258,21 +258,26 @@ class Stage {
     look(this, direction);
   }
 
-  /** Whether a visible point or the tip of its error vector lies in a part of the pane: left, top, right, bottom [px]. */
-  marksUnder([left, top, right, bottom]) {
+  /**
+   * Whether a link's origin, a visible point or the tip of its error vector lies in a part of the pane: left, top,
+   * right, bottom [px].
+   */
+  anythingUnder([left, top, right, bottom]) {
+    const place = new this.THREE.Vector3();
+    const reach = 12;
+    const under = ([x, y]) => x > left - reach && x < right + reach && y > top - reach && y < bottom + reach;
+    this.root.updateMatrixWorld(true);
+    const links = this.frames.map(({ body }) => this.onScreen(place.setFromMatrixPosition(this.groups[body].matrixWorld)));
+    if (links.some(under)) return true;
     if (!this.marks) return false;
     const { marks } = this;
     const { table, uniforms, points, vectors } = marks;
     const error = uniforms.state.value < 0.5 ? table.before : table.after;
-    const place = new this.THREE.Vector3();
-    const reach = 12;
-    this.root.updateMatrixWorld(true);
     for (let row = 0; row < table.n; row += 1) {
       if (!marks.shows(row)) continue;
       for (const factor of vectors.visible ? [0, uniforms.factor.value] : [0]) {
         place.set(...[0, 1, 2].map((i) => table.place[3 * row + i] + factor * (error[3 * row + i] || 0)));
-        const [x, y] = this.onScreen(points.localToWorld(place));
-        if (x > left - reach && x < right + reach && y > top - reach && y < bottom + reach) return true;
+        if (under(this.onScreen(points.localToWorld(place)))) return true;
       }
     }
     return false;

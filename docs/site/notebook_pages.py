@@ -28,7 +28,8 @@ def pages() -> dict[str, str | bytes]:
         files[f"{FOLDER}/{name}.md"] = text
         files |= {f"{FOLDER}/{path}": content for path, content in pictures.items()}
         cards.append(_card(name, notebook, list(pictures)))
-    files[f"{FOLDER}/index.md"] = "# Notebooks\n\nWith their outputs, as they were run.\n\n" + "\n".join(cards)
+    intro = "# Notebooks\n\nFor anyone who prefers notebooks: the tutorials in Python, with their outputs.\n\n"
+    files[f"{FOLDER}/index.md"] = intro + "\n".join(cards)
     return files
 
 

@@ -160,10 +160,10 @@ def page(robots, rounds, draws):
     """Lines of docs/performance.md."""
     yield """# Performance
 
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. The two
-things compared ran in turns in the same run, with one thread of linear algebra; the shortest of 15 turns counts. Made
-by `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md`, with the measurements of others
-in FOLDER ([where from](benchmarks.md)); `make bench` prints it, and more.
+For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Compared
+things ran in turns in the same run, with one thread of linear algebra; the shortest of 15 turns is the figure.
+`python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
+[measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 
 ## Kinematics through closed loops
 

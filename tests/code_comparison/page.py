@@ -57,10 +57,10 @@ _KEY = """\
   the RMS; chance 1 in 1000 for arms, whose rows follow each other in a file, 1 in 100 for images and printers). In the
   tables of errors ▲ marks a code that is better, = a tie, bold the smallest of a line.
 - *Claimed / true*: the error that a code states for the calibrated robot over that of unseen rows: 1 is true, below 1
-  promises too much. \\*: it claims nothing of new poses; this is the RMS of its own residuals.
-- *Verdict right*: PASS with errors that are at most 1.25 times those claimed and less than those of the nominal robot,
-  or anything else with others.
-- Times are processor time, of the fit and of the whole process, and memory is the most that it held: medians over the
+  promises too much. \\*: the code claims nothing about new poses; this is the RMS of its own residuals.
+- *Verdict right*: PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot,
+  otherwise another grade.
+- Times are processor time of the fit and of the whole process; memory is its maximum. All are medians over the
   splits. Lines are those that a user writes for one problem."""
 
 

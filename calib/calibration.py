@@ -97,7 +97,7 @@ class Calibration(JudgedFit):
         executor: Executor | int | None = None,
         progress: Progress | None = None,
     ) -> Folds:
-        """Fit again as often, each time without a part of the poses, and predict these.
+        """Predict each part of the poses by a fit without it.
 
         Args:
             folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
@@ -109,7 +109,7 @@ class Calibration(JudgedFit):
             The errors of all poses, each predicted by a fit that did not see it; `.rms` of each part [m].
 
         Raises:
-            InputError: A number of folds that makes no sense.
+            InputError: The number of folds is not valid.
             CalibrationError: What `fit` raises, with fewer poses.
         """
         data = self.identification.data
@@ -126,7 +126,7 @@ class Calibration(JudgedFit):
         executor: Executor | int | None = None,
         progress: Progress | None = None,
     ) -> Study:
-        """Fit again as often, each time from as many poses as there are, drawn from them with replacement.
+        """Fit poses that are drawn with replacement, as many as there are, `draws` times.
 
         Args:
             draws: How many fits.
@@ -139,7 +139,7 @@ class Calibration(JudgedFit):
             `calib.study`.
 
         Raises:
-            InputError: A number of draws that makes no sense.
+            InputError: The number of draws is not valid.
             CalibrationError: What `calib.study` raises.
         """
         return study(
@@ -160,7 +160,7 @@ class Calibration(JudgedFit):
 
         Args:
             path: File to write.
-            file_format: `urdf`, `mjcf`, `xacro` and others; what the file's ending means, if not given.
+            file_format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
         export(self.robot, file_format or format_of(path), path, force=force)
@@ -204,7 +204,7 @@ def fit(
     Args:
         robot: The nominal robot; or its description or URDF.
         data: Measurements to identify with; or files or data frames of them, as `read_measurements` reads them.
-        validation: Measurements to judge the result with, likewise; or the part of the poses to hold out for that,
+        validation: Measurements to validate the result with, likewise; or the part of the poses to hold out for that,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
             text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is

@@ -39,7 +39,7 @@ _GROUPS = {
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
 }
-"""The commands in the order of work; others come after them."""
+"""The commands in the order of work; those that come with the pictures stand after them."""
 
 
 class Commands(click.Group):
@@ -64,7 +64,7 @@ class Commands(click.Group):
         """Write the list of commands, group by group, their summaries one below the other."""
         names = self.list_commands(ctx)
         told = {name for group in _GROUPS.values() for name in group}
-        groups = {**_GROUPS, "More commands": tuple(name for name in names if name not in told)}
+        groups = {**_GROUPS, "Looking at the result": tuple(name for name in names if name not in told)}
         width = max(len(name) for name in names)
         for title, group in groups.items():
             if not group:

@@ -111,7 +111,7 @@ def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path)
 def test_residuals_larger_than_the_repeats_scatter_are_pointed_out(arm, tmp_path):
     fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
     reason = next(reason for reason in fit.verdict.reasons if reason.code == "repeatability")
-    assert "times what repeats of a pose scatter" in reason.text
+    assert "times the scatter of repeats" in reason.text
     assert reason.grade == "CHECK"
     assert "ISO 9283-style, 60 poses used" in fit.report(verbose=True)
 

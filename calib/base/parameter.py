@@ -23,7 +23,7 @@ class Parameter(Worded):
         sigma_si: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its
             prior.
         unit: Unit of tables, and of every number here whose name does not end in `_si`.
-        prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
+        prior: Whether nominal +- sigma is a prior in a fit. False: the measurements alone decide.
         placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
         mean_si: Value around which its prior lies, where that is not the nominal one [m or rad].
         family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.

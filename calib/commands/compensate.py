@@ -59,7 +59,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
 @click.option(
     "--zero",
     metavar="X,Y,Z",
-    help="G-code: where the program's zero is in the measurement frame of the description [mm]; there, if not given.",
+    help="G-code: where the program's zero is in the measurement frame of the description [mm].  [default: 0,0,0]",
 )
 @click.option(
     "--start",
@@ -111,7 +111,7 @@ def command(
     computes joints with the nominal model. The tool is where the description has it. If the base is unknown, the
     program is meant in the robot's own base frame, laid where the nominal and the calibrated robot agree best over the
     measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
-    inclinometers read joints of the robot, each row has columns of these joints, or of the sensors.
+    inclinometers measure joints, each row also has the columns of these joints or of their sensors.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
     nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.

@@ -43,8 +43,8 @@ def command(
 ) -> None:
     """Find a printed board in IMAGES: files, a folder, a pattern such as 'shots/*.png', or a ROS 2 bag.
 
-    Each image is a pose of its own, called by the name of its file. From a bag come the joint values of that moment
-    too, if the robot stood still. Images without a board are named and left out.
+    Each image is a pose, named after its file. From a bag, the joint values of that moment are written too, if the
+    robot stood still. Images without a board are named and left out.
     """
     described, every = given_board(board), shots(images, topic)
     output.check(out, page_file)

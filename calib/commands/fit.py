@@ -27,8 +27,8 @@ from calib.robots.robot import Robot
 @click.option(
     "--validate",
     metavar="FILE|FRACTION",
-    help="Judge the result with other poses: those of a CSV file, or a part of DATA that the fit does not use (0.2: a"
-    " fifth of the poses).",
+    help="Validate the result with other poses: those of a CSV file, or a part of DATA that the fit does not use"
+    " (0.2: a fifth of the poses).",
 )
 @click.option(
     "--folds",
@@ -49,7 +49,7 @@ from calib.robots.robot import Robot
     " LIST: TERM for every joint or JOINT=TERM, such as curve,elbow=backlash. none: not even those of the description.",
 )
 @click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; show both results.")
-@click.option("--starts", type=int, default=1, show_default=True, help="Fit from so many starting points.")
+@click.option("--starts", type=int, default=1, show_default=True, help="Number of starting points.")
 @click.option(
     "--seed",
     type=click.IntRange(min=0),

@@ -47,11 +47,11 @@ def command(
     TARGETS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
     TARGET_rx, _ry, _rz (such as 'tool_rx [deg]'; roll, pitch, yaw about fixed axes, as URDF's rpy) to ask for the
     orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
-    Leave the cells of a coordinate empty that the robot cannot choose, such as z if it moves in the plane of x and y.
+    Leave empty the cells of a coordinate that the robot cannot choose, such as z if it moves in the plane of x and y.
 
     A column 'pose' names the rows. Columns 'load', 'temperature', 'time', 'setup', 'approach_JOINT' and those of
-    gravity have the conditions at each target, on which joint terms may depend. If inclinometers read joints of the
-    robot, each row has columns of these joints, or of the sensors. Joint limits and the home's assembly mode are kept;
+    gravity have the conditions at each target, on which joint terms may depend. If inclinometers measure joints, each
+    row also has the columns of these joints or of their sensors. Joint limits and the home's assembly mode are kept;
     free coordinates stay near home.
 
     With a result, the written file says how far the real robot is expected to be off at each target, in the measurement

@@ -64,8 +64,8 @@ def command(
     again = sum(tuple(q) in used for q in np.round(measured.joints, _DIGITS))
     if again:
         output.note(
-            f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used; its own"
-            " readings agree by themselves, and judge nothing: measure at other joint values"
+            f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used;"
+            " their readings prove nothing: measure at other joint values"
         )
     with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)

@@ -31,7 +31,7 @@ _SOURCE = "arrays"
 
 
 def as_poses(robot: Robot, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
-    """Return joint values as `Poses`, naming them by their row where they come without names.
+    """Return joint values as `Poses`, named by their row if they have no names.
 
     Args:
         robot: Whose joints they are.

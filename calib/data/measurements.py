@@ -39,7 +39,7 @@ class Poses(ReadOnlyArrays):
         labels: What to call each in messages: file, line and pose name.
         names: The pose names of the file, or their running number; rows of one name repeat one pose.
         path: Where they came from.
-        ignored: Columns of the file that nothing was read from.
+        ignored: Columns of the file that were not used.
         comments: What the file says about itself, line by line.
         context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
@@ -155,7 +155,7 @@ class Poses(ReadOnlyArrays):
 
     @property
     def conditions(self) -> Context:
-        """Under which conditions the robot is commanded, for its joint terms; from which side, where that is given."""
+        """Conditions of the commands, for joint terms; with the direction of approach, if it is given."""
         approach = np.zeros_like(self.joints) if self.approach is None else self.approach
         return Context.of(approach, self.context, self.setups)
 
@@ -167,7 +167,7 @@ class Measurements(Poses):
     Attributes:
         readings: Of each instrument, by its name; visits are indices into the rows.
         approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
-        order: Place of each visit in the order of measurement, counted from 0, (n,). If not given: as they stand.
+        order: Place of each visit in the order of measurement, from 0, (n,). If not given: the order of the rows.
     """
 
     readings: Mapping[str, Readings]
@@ -191,12 +191,12 @@ class Measurements(Poses):
 
     @property
     def conditions(self) -> Context:
-        """Under which conditions the robot was commanded, for its joint terms; from which side, too."""
+        """Conditions of the commands, for joint terms; with the direction of approach."""
         return Context.of(self.approach_directions, self.context, self.setups)
 
     @property
     def places(self) -> IntArray:
-        """`order`, the rows as they stand where it is not given, (n,)."""
+        """`order`, or the order of the rows, (n,)."""
         return np.arange(len(self)) if self.order is None else self.order
 
     def _tables(self) -> tuple[list[dict[str, object]], ...]:

@@ -103,7 +103,7 @@ class Fit(ReadOnlyArrays):
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
         whitening: What whitened them.
-        scales: What was assumed of the noise.
+        scales: What was assumed about the noise.
         message: What the solver said.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
@@ -115,10 +115,10 @@ class Fit(ReadOnlyArrays):
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
         terms: Which joint terms were asked for, if any were, and what choosing them found.
-        reduced: Fits of the same measurements without terms of joint errors that files lose, by how much these hold;
-            None where no files were asked for.
+        reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None
+            if no files were asked for.
         seed: Seed of every random choice.
-        placed_later: Parameters of places that validation poses alone show, and that these placed.
+        placed_later: Parameters of places that only the validation poses show, and therefore placed.
     """
 
     _other_words = "a fit"
@@ -199,7 +199,7 @@ class Fit(ReadOnlyArrays):
 
     @property
     def widened(self) -> float:
-        """How many times as wide as noise alone makes them intervals, and what positions are known to, are."""
+        """Factor by which intervals and the uncertainty of positions are wider than from noise alone."""
         return 1.0 if self.regions is None else self.regions.ratio
 
     @property
@@ -272,7 +272,7 @@ class Fit(ReadOnlyArrays):
 
     @property
     def offsets(self) -> dict[str, FloatArray]:
-        """Error in all readings of an instrument at a pose that they are weighed for, (n_rows,) [SI], by name."""
+        """Error that all readings of an instrument at a pose share, by their weights, (n_rows,) [SI], by name."""
         instruments = self.robot.instruments
         sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
         ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]
@@ -291,7 +291,7 @@ class Fit(ReadOnlyArrays):
 
     @property
     def computed(self) -> bool:
-        """Whether the data were computed, not measured: no noise, or none beside what was stated to weigh priors."""
+        """Whether the data were computed, not measured: without noise, or with far less than stated."""
         return all(
             estimate.sigma < EXACT
             or (estimate.sigma < COMPUTED and estimate.stated is not None and estimate.sigma < 0.01 * estimate.stated)
@@ -309,7 +309,7 @@ class Fit(ReadOnlyArrays):
         """Predict positions with their covariance.
 
         Args:
-            poses: Poses, whose conditions count; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            poses: Poses, with their conditions; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
             context: Other conditions under which they are commanded; joint terms may depend on it.
 
         Raises:
@@ -321,7 +321,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def told_positions(self) -> ToldPositions:
-        """How well positions are known, in the frame that means something."""
+        """Uncertainty of positions, in the frame in which it is reported."""
         return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
 
     @property
@@ -331,13 +331,13 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
-        """Predicted positions of the visits that were used, with their covariance as it is told."""
+        """Predicted positions of the visits that were used, with their covariance as reported."""
         data = self.identification.data
         return self.told_positions.at(data.joints, data.conditions, self.identification.passive)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
-        """Predicted positions of the visits that were not used, with their covariance as it is told."""
+        """Predicted positions of the visits that were not used, with their covariance as reported."""
         if self.validation is None:
             return None
         data = self.validation.data

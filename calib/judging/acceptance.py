@@ -60,20 +60,20 @@ class Acceptance(Worded):
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
-        ratio: Root mean square whitened residual, which is 1 as promised; it decides. Each direction counts by how well
-            the calibration knows it.
+        ratio: Root mean square whitened residual, 1 as promised; it decides the verdict. It weights each direction by
+            its uncertainty.
         low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as promised.
-        p_value: Chance of so large a ratio then.
-        p_drift: Chance of so large a single change then.
-        p_rest: Chance of the rest, once the largest change is taken out.
-        freedom: m of the module docstring.
+        p_value: Chance of so large a ratio, if the robot is as promised.
+        p_drift: The same of the largest single change.
+        p_rest: The same of the rest, without the largest change.
+        freedom: Degrees of freedom (m of the module docstring).
         placed: How many degrees of freedom placing base and targets took.
         changes: Every candidate, the one with the largest z first.
         alike: Significant ones that explain the readings as well as the first, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, after placing base and targets where they are unknown.
-        promised: Root mean square distance of measured from predicted positions to be expected [m]; NaN without any.
-        left_open: What of that the calibration left open, and is no noise of the readings [m].
+        promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
+        left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
     """
 
     verdict: str

@@ -52,8 +52,8 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
-            "the noise of the instrument was not stated, so the robot's own scatter (play, changing loads) counts as"
-            f" such noise; if all of it is the robot's, single positions are known to {single:.2g} mm RMS; state"
+            "the noise of the instrument was not stated, so the robot's own scatter (play, changing loads) looks"
+            f" like its noise; if all of it is the robot's, single positions are known to {single:.2g} mm RMS; state"
             " the noise of the instrument (--sigma-mm)"
         )
 

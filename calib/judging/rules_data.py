@@ -114,7 +114,7 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
         yield Code.MOVES_AS_ONE.says(
             f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
             f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
-            " Intervals count each pose once; give the pose itself, to an instrument of kind pose"
+            " Intervals use each pose once; give the pose itself, to an instrument of kind pose"
         )
 
 
@@ -215,8 +215,8 @@ def dead_readings(fit: Fit) -> Iterator[Reason]:
     np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
     if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
         yield Code.ZERO_READINGS.says(
-            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as some programs write where"
-            f" they saw nothing: {listed([data.labels[k] for k in zeros])};"
+            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
+            f" they see nothing: {listed([data.labels[k] for k in zeros])};"
             f" leave {'it' if len(zeros) == 1 else 'them'} out"
         )
     for first, second in equal_columns(data, fit.nominal):
@@ -230,7 +230,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
     ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
     if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
         yield Code.REPEATABILITY.says(
-            f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
+            f"residuals are {ratio:.1f} times the scatter of repeats: the model leaves something out, or the"
             " repeats were read without moving the robot"
         )
 

@@ -132,9 +132,9 @@ def claim_broken(claim: Claim, *, needless: bool) -> Iterator[Reason]:
             )
         else:
             yield Code.VALIDATION.says(
-                f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS"
-                f" where poses like those used have {claimed.shown(claimed.rms)}). The robot does something there that"
-                " the poses used do not show. Measure there too"
+                f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS;"
+                f" claimed: {claimed.shown(claimed.rms)}). There the robot has errors that the poses used do not show."
+                " Measure there too"
             )
 
 
@@ -220,7 +220,7 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
         return
     why = why_no_origins(fit)
     if why:
-        others = "calib's own commands have the terms" if fit.robot.terms else "the nominal robot is as good as any"
+        others = "calib's own commands use the terms" if fit.robot.terms else "the nominal robot is as good as any"
         yield Code.FILE_WITHHELD.says(
             f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them"
         )
@@ -251,7 +251,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}. The model leaves this out, and"
-                " intervals do not count it",
+                " intervals do not include it",
                 counted=kinds is not changing or largest < LASTING * left,
             )
 

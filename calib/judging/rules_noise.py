@@ -173,7 +173,7 @@ def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         yield Code.NOISE.says(f"{text}: state the noise of robot and sensor together, or look for what is missing")
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
-        advice = "state it anew; the same reading may have been used more than once"
+        advice = "state a smaller noise; or the same reading was used more than once"
         yield Code.NOISE.says(f"{text}: {advice}")
 
 
@@ -195,7 +195,7 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
         outcome = "get better beyond chance" if better else "get neither better nor worse"
         text += (
             f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers; intervals do not"
-            " count it. State the noise of robot and sensor together (--sigma-mm)"
+            " include it. State the noise of robot and sensor together (--sigma-mm)"
         )
         return Code.NOISE.says(text)
     text += (

@@ -118,7 +118,7 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
         whole = len(fleet.unlike) == len(fleet.parameters)
         extent = "altogether" if whole else f"in {listed(fleet.unlike)}"
         yield Code.UNLIKE_FLEET.says(
-            f"this robot is unlike the {fleet.robots} of its fleet {extent}: the fleet was not used there, so"
+            f"this robot is unlike the {fleet.robots} of its fleet {extent}: the fleet's prior was not used there, so"
             " more poses are needed; look for a repair, a crash, another model or another convention"
         )
 

@@ -173,7 +173,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
         yield Code.BLOCKS_DISAGREE.says(
             f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
             " model leaves out something that differs from place to place. Intervals and the"
-            " uncertainty of positions count it; in places unlike those measured, errors may be larger"
+            " uncertainty of positions include it; in places unlike those measured, errors may be larger"
         )
 
 

@@ -59,12 +59,12 @@ class Assessment(ReadOnlyArrays):
 
     Attributes:
         parameters: All parameters.
-        free: Which are not held, (n_parameters,).
+        free: Which parameters are free, (n_parameters,).
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether it was not stated.
         determination: Ranks of all and of the free parameters, from the poses alone and with priors.
-        known: How well poses and priors determine the free ones; in units of `determination.lengths`.
+        known: Uncertainty of the free parameters from poses and priors; in units of `determination.lengths`.
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
@@ -72,12 +72,12 @@ class Assessment(ReadOnlyArrays):
             nothing measures lengths, in noise of a reading and in that per unit.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
-        position_errors: The same at each of them, of targets that count (`RobotData.located`), (n_task, n_located) [m].
+        position_errors: The same at each of them, of the targets in `RobotData.located`, (n_task, n_located) [m].
         beside_common: Root mean square of the predicted position error beside what moves all positions as one body,
             such as where the base stands [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
-        left_out: Targets whose accuracy does not count (`RobotData.left_out`).
+        left_out: Targets that are left out of the accuracy (`RobotData.left_out`).
     """
 
     parameters: tuple[Parameter, ...]

@@ -64,12 +64,12 @@ class Progress(ReadOnlyArrays):
         n_poses: Poses measured.
         n_candidates: Poses that the goal is about, and to choose from.
         fit: The calibration of all of them; None where they do not suffice yet.
-        obstacle: Why they do not.
+        obstacle: Why there is no fit yet.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
-        unseen: Error at the last poses, each judged by a fit that had not seen it; noise of the readings included.
+        unseen: Error at the last poses, each predicted by a fit of the poses before it; with noise of the readings.
             Without measured positions: what the errors of readings show of it.
-        n_unseen: How many poses that is about.
-        n_settled: How many of them were judged by fits whose predicted error met the goal.
+        n_unseen: Number of these poses.
+        n_settled: How many of them were predicted by fits whose predicted error met the goal.
         next_pose: Where to measure next; None where all candidates are measured.
         seconds: Duration of this update.
     """
@@ -104,14 +104,14 @@ class Progress(ReadOnlyArrays):
 
     @property
     def out_of_reach(self) -> bool:
-        """Whether more poses cannot help: noise leaves less than the goal, but fits that say so are further off."""
+        """Whether more poses cannot help: the predicted error meets the goal, but the unseen error does not."""
         return self.predicted.high95 <= self.goal < self.unseen.low95 and self.n_settled == self.n_unseen
 
     @property
     def poses_left(self) -> int | None:
         """About how many more poses the goal takes; None where that cannot be told.
 
-        The predicted error falls like the root of the number of poses, or faster where the next one is chosen well;
+        The predicted error falls like the inverse root of the number of poses, or faster if the next is chosen well;
         then at least `LEAST` poses must be predicted by fits that promise the goal.
         """
         if self.stop:

@@ -32,9 +32,9 @@ class Selection(ReadOnlyArrays):
 
     Attributes:
         index: What was optimised: O1 to O5 or `task`.
-        chosen: Which of the poses to choose from, (count,); where poses left the grid, the ones that they started from.
-        instruments: What reads at each, count of them, several joined by `+`; none where all instruments read at all.
-        groups: What was chosen among; none likewise. Exchanges count poses with the first of them, then with the next.
+        chosen: Indices of the chosen candidates, (count,); of poses that left the grid, where they started.
+        instruments: What reads at each, several joined by `+`, (count,); empty if all instruments read at all poses.
+        groups: Instruments to choose from; empty likewise. Exchanges number the poses with the first, then the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
         positions: Where they put the targets, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.

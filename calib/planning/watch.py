@@ -90,11 +90,11 @@ class Watch:
         self._settled = 0  # how many of the last squares are by fits of which that is so
 
     def update(self, data: Measurements | None = None) -> Progress:
-        """Judge the poses that are new, fit all of them, and say what is known.
+        """Predict the new poses, then fit all, and return what is known.
 
         Args:
-            data: All measurements so far; those of the last update come first, else all is judged anew. None: nothing
-                is measured yet.
+            data: All measurements so far, those of the last update first; otherwise everything starts again. None:
+                nothing is measured yet.
 
         Raises:
             UnreachablePoseError: A measured pose cannot be assembled.

@@ -149,8 +149,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
     unit, scale = _unit(first)
     size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
     if acceptance.p_drift >= FALSE_ALARM / 2:
-        largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g} ({FALSE_ALARM / 2:g} counts)"
-        return [f"No change stands out: {largest}"]
+        largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
+        return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
     if acceptance.verdict != "drifted":
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
@@ -175,7 +175,7 @@ def _heading(changes: Sequence[Change]) -> str:
 
 
 def _changes(changes: Sequence[Change]) -> Table:
-    table = text_table(("change of", "unit", "found", "std", "seen from"), ("change of", "unit"))
+    table = text_table(("change of", "unit", "found", "std", "detectable"), ("change of", "unit"))
     for change in changes[:_SHOWN]:
         unit, scale = _unit(change)
         numbers = [x * scale for x in (change.value, change.std, change.visible)]

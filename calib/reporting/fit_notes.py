@@ -56,7 +56,7 @@ def _scatter(fit: Fit) -> list[str]:
     if fit.statistics.shared is not None:
         lines.append(
             f"Readings of the same pose share errors: poses scatter {fit.statistics.shared.ratio:.2g} times as much as"
-            " independent readings would. Intervals count it"
+            " independent readings would. Intervals include it"
         )
     for name, offsets in fit.offsets.items():
         instrument = fit.nominal.instrument(name)
@@ -67,7 +67,7 @@ def _scatter(fit: Fit) -> list[str]:
         ]
         lines.append(
             f"All readings of {name} at a pose share an error (what the model leaves out): {', '.join(sizes)}."
-            " Their weights count it, because that predicts poses left out better"
+            " Their weights allow for it, because that predicts poses left out better"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square
@@ -110,7 +110,7 @@ def _terms(fit: Fit) -> list[str]:
                 f"{name} ({trial.why}{': ' if trial.why else ''}{numbers}{which}{alike})"
             )
     every = len(fit.terms.tried)
-    lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
+    lines = [f"Joint terms added: {listed(added, '; ', every) or 'none, because none improves the prediction'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
     return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
 
@@ -191,7 +191,7 @@ def _options(fit: Fit) -> list[str]:
         low = int(np.sum(fit.weights < 0.5))
         lines.append(
             f"Robust loss {fit.loss}: {low} of {fit.weights.size} points"
-            f" {'counts' if low == 1 else 'count'} less than half"
+            f" {'has' if low == 1 else 'have'} less than half the weight"
         )
     lines += outliers_left_out(fit)
     if fit.starts is not None:

@@ -71,8 +71,8 @@ class Fleet(ReadOnlyArrays):
         nominal: Nominal values, (n,) [SI].
         mean, mean_std: Mean over the robots, and how sure it is, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
-        shown: By how many robots each parameter was shown, (n,).
-        values, stds: Of each robot, with what the others say of it, (n_robots, n) [SI]; an odd one's as it was found.
+        shown: How many robots determine each parameter, (n,).
+        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of an odd one by its own fit.
         notes: What to know before using it.
     """
 

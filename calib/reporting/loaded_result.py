@@ -59,7 +59,7 @@ class LoadedResult(ReadOnlyArrays):
 
     @property
     def known(self) -> KnownRobot:
-        """The robot, with how well it is known."""
+        """The robot, with its uncertainty."""
         codes = self.content.get("verdict", {}).get("codes", ())
         return KnownRobot(self.robot, self.uncertainty, self.joints, Code.NOTHING_TO_CORRECT in codes)
 
@@ -97,11 +97,11 @@ class LoadedResult(ReadOnlyArrays):
         return self.parameters.to_dataframe()
 
     def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
-        """Return the robot that files get which hold so much (`calib.robots.held`), and how sure its parameters are.
+        """Return the robot for a kind of file (`calib.robots.held`), with the uncertainty of its parameters.
 
         Raises:
             ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
-            DataError: There is no covariance of that.
+            DataError: The folder has no covariance of this robot.
         """
         robot = self.robot.held_by(holds)
         return robot, load_uncertainty(self.path, robot, holds)
@@ -141,7 +141,7 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> Positio
 
     Args:
         calibrated: A fit or a loaded result. Or a robot alone: then the covariance is NaN.
-        poses: Poses, whose conditions (load, temperature, time) count; or actuated joints alone, (n, n_actuated)
+        poses: Poses, with their conditions (load, temperature, time); or actuated joints alone, (n, n_actuated)
             [m or rad].
 
     Raises:

@@ -134,7 +134,8 @@ class ResultComparison:
         more = len(self.differences) - len(shown)
         kinds = "with less certain differences, or none to test" if real else "that are more alike, or have no test"
         lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
-        answer = [*(pair.sentence() for pair in self.pairs), *self.notes]
+        tested = [pair.sentence() for pair in self.pairs if not np.isnan(pair.together)]
+        answer = [*tested, *self.notes]  # a note says why a pair was not tested
         key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 

@@ -57,7 +57,7 @@ class Robot(RobotData):
         return titled_html(self.name, (repr(self)[1:-1], contents), [p.row(value, free) for p, value, free in rows])
 
     def fix(self, *names: str | Sequence[str]) -> Robot:
-        """Return a robot of which a fit leaves these parameters, too, as they are.
+        """Return a robot with these parameters held, too.
 
         Args:
             names: One after the other, or as a list.
@@ -69,7 +69,7 @@ class Robot(RobotData):
         return self._held((*self.description.held, *named), named)
 
     def free(self, *names: str | Sequence[str]) -> Robot:
-        """Return a robot of which a fit may change these parameters; see `fix`."""
+        """Return a robot with these parameters free; see `fix`."""
         named = _flat(names)
         return self._held(tuple(name for name in self.description.held if name not in named), named)
 
@@ -80,7 +80,7 @@ class Robot(RobotData):
         return replace(self, description=changed)
 
     def with_prior(self, names: str | Sequence[str], sigma: float | str) -> Robot:
-        """Return a robot of which these components of origins are expected to be off by `sigma`.
+        """Return a robot with the expected error `sigma` of these components of origins.
 
         Args:
             names: A parameter, or several.
@@ -115,9 +115,9 @@ class Robot(RobotData):
         write_description(self, path, force=force)
 
     def held_by(self, holds: Holds) -> Robot:
-        """Return the robot that files get which hold so much; this one where nothing of it is lost.
+        """Return the robot for a kind of file; this one if the file holds all of it.
 
-        Of joint zeros alone it is the nominal one, which the zeros in `files` belong to.
+        For joint zeros alone it is the nominal one, to which the zeros in `files` belong.
 
         Args:
             holds: How much; see `calib.robots.held`.
@@ -169,7 +169,7 @@ class Robot(RobotData):
             seed: Passive joints of the same poses under slightly different parameters, to start from,
                 (n, n_passive) [m or rad].
             labels: What to call each pose in messages, n of them.
-            context: Under which conditions the commands were given; joint terms may depend on it.
+            context: Conditions of the commands, on which joint terms may depend.
 
         Raises:
             UnreachablePoseError: A loop stays open; the message names pose and loop and the miss.
@@ -213,8 +213,8 @@ class Robot(RobotData):
         """Geometric Jacobian of a frame by the actuated joints, through the closed loops.
 
         [v; w] = J dq/dt, with v the velocity of the frame's origin and w its angular velocity, both in the axes of the
-        measurement frame (Pinocchio's LOCAL_WORLD_ALIGNED). Where joint terms say that a joint is not what it is told,
-        dq/dt is how it really moves.
+        measurement frame (Pinocchio's LOCAL_WORLD_ALIGNED). With joint terms, dq/dt is
+        the actual motion of the joints, not the commanded one.
 
         Args:
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
@@ -239,7 +239,7 @@ class Robot(RobotData):
 
         Args:
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            context: Under which conditions the commands were given; joint terms may depend on it.
+            context: Conditions of the commands, on which joint terms may depend.
             seed: See `assemble`.
 
         Raises:
@@ -257,7 +257,7 @@ class Robot(RobotData):
     ) -> FloatArray:
         """Return joint values at random over the joint limits, loops closed; see `calib.robots.joint_sampling`.
 
-        Nothing is brought to what the robot touches: `calib.sample` does that, and gives poses with names.
+        These poses are not at contact: `calib.sample` brings them there, and gives poses with names.
 
         Args:
             count: How many.

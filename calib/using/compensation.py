@@ -69,7 +69,7 @@ class Compensation(ReadOnlyArrays):
         keep: What was kept, of `KEEP`.
         program: Joints with which the nominal robot does what is meant, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
-        reasons: Why there are none; empty where there are.
+        reasons: Why a row has no command; empty if it has one.
         meant: Where the target is meant to be in the measurement frame, (n, 3) [m]; NaN where that is not known.
         before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
@@ -80,7 +80,7 @@ class Compensation(ReadOnlyArrays):
         scale: What one radian of each joint is compared with, (n_actuated,).
         frame: In which frame all this is meant, in words.
         nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
-            corrected; `expected` then counts what the calibrated robot would be off by.
+            corrected; `expected` is then the error of the calibrated robot.
     """
 
     names: tuple[str, ...]
@@ -113,10 +113,10 @@ class Compensation(ReadOnlyArrays):
         return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
 
     def told(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
-        """Return where a controller that knows the nominal robot must be told to bring the target.
+        """Return the poses to send to a controller that uses the nominal model.
 
         Args:
-            robot: The robot; its nominal values count.
+            robot: The robot; its nominal values are used.
 
         Returns:
             Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is

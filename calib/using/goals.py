@@ -29,7 +29,7 @@ from calib.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Where a target is wanted, seen from the measurement frame.
+    """Places that a target shall reach, in the measurement frame.
 
     Attributes:
         positions: (n, 3) [m]; NaN for coordinates that are not asked for.
@@ -40,7 +40,7 @@ class Goals:
         target: Name of the measured point; the robot's first if empty.
         context: Conditions, as of `Poses`, (n,) [SI] by name.
         approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
-        setups: Number of the setup whose direction of gravity counts, (n,); None: the first.
+        setups: Number of the setup whose direction of gravity applies, (n,); None: the first.
         stands: Values of the joints that inclinometers read, by name, (n,) or one number [rad].
     """
 
@@ -81,7 +81,7 @@ class Goals:
         return np.broadcast_to(values, len(self.positions))
 
     def stands_of(self, name: str) -> FloatArray:
-        """Return what a joint is that inclinometers read, (n,) [rad]."""
+        """Return the values of a joint that inclinometers read, (n,) [rad]."""
         return np.asarray(self.stands[name])
 
     def _keep(self, key: str, shape: tuple[int, ...]) -> None:
@@ -118,7 +118,7 @@ class Goals:
         )
 
     def conditions(self, n_actuated: int) -> Context:
-        """Return under which conditions a robot with so many motors shall be there."""
+        """Return the conditions at the goals, for a robot with this number of motors."""
         approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
         return Context.of(approach, self.context, self.setups)
 

@@ -47,7 +47,7 @@ class Solution(ReadOnlyArrays):
         positions: Where the target is at `q`, (n, 3) [m].
         labels: What to call each goal in messages.
         expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
-            is the nominal robot that reaches the goals, and this counts what the calibrated one would be off by.
+            is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
 
     q: FloatArray

@@ -1,6 +1,7 @@
 # make demo   calibrate MedRUE from the measurement file that ships with the project, into out/demo/
 # make test   the tests
 # make test-processors   the numerical tests again, with the sums of other processors
+# make test-thorough   simulations again, with more draws, poses and rows
 # make test-search   the tests that search for bad input, with some thousand cases
 # make lint   style and types
 # make bench  speed, as ratios within one run
@@ -15,7 +16,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
-.PHONY: demo test test-processors test-search lint bench docs pictures pins ci-packages data clean
+.PHONY: demo test test-processors test-thorough test-search lint bench docs pictures pins ci-packages data clean
 
 demo: $(VENV)/.ready
 	@$(BIN)/medrue demo --out out/demo
@@ -26,6 +27,9 @@ test: $(VENV)/.ready-dev
 
 test-processors: $(VENV)/.ready-dev
 	$(BIN)/python tests/processors.py -n $(JOBS)
+
+test-thorough: $(VENV)/.ready-dev
+	CALIB_TESTS=thorough $(BIN)/python -m pytest -m amount -n $(JOBS) --dist worksteal
 
 test-search: $(VENV)/.ready-dev
 	CALIB_SEARCH=200 $(BIN)/python -m pytest tests/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)

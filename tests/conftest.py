@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -61,6 +62,13 @@ def run_calib() -> RunCalib:
 def spawn_calib() -> RunCalib:
     """Run `python -m calib` as a process of its own, a second slower than `run_calib`."""
     return _as_process
+
+
+@pytest.fixture
+def amount(request: pytest.FixtureRequest) -> int:
+    """How much a test tries: the first number of `@pytest.mark.amount`; with CALIB_TESTS=thorough, the second."""
+    quick, thorough = request.node.get_closest_marker("amount").args
+    return thorough if os.environ.get("CALIB_TESTS") == "thorough" else quick
 
 
 @pytest.fixture(scope="session")

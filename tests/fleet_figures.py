@@ -61,7 +61,7 @@ def results_of(robot, folder, n, rng, mean, wrong=False, spread=SPREAD):
         truth = one_more(robot, mean, rng, (10.0 if wrong and k == 0 else 1.0) * spread)
         data = calib.simulate(truth, robot.sample(30, rng), seed=rng)
         folders.append(Path(folder) / f"robot_{k + 1}")
-        calib.fit(robot, data).save(folders[-1], force=True)
+        calib.fit(robot, data).save(folders[-1], force=True, pages=False)
     return folders
 
 

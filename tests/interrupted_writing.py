@@ -1,6 +1,6 @@
 """Writing that is ended before each of its lines: is a result ever half of one and half of another?
 
-    python tests/interrupted_writing.py
+    python tests/interrupted_writing.py [--every 5]
 
 It prints what is there after each end, and ends with 1 if that is ever neither the old result nor the new one, or if a
 leftover survives the next writing. Processes are forked, so that thousands are cheap.
@@ -95,12 +95,12 @@ def state(seen: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) 
     return "old" if seen == old else "new" if seen == new else "none" if not seen else "MIXTURE"
 
 
-def steps_of(name: str, act: Callable[[], None], exchange: bool) -> Counter[str]:
-    """End a piece of writing before each of its lines, one after the other, and count what is there then."""
+def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, first: int) -> Counter[str]:
+    """End a piece of writing before one in `every` of its lines from the `first`, and count what is there then."""
     found: Counter[str] = Counter()
-    number = 0
+    number = first - every
     while True:
-        number += 1
+        number += every
         with tempfile.TemporaryDirectory() as here:
             out, write, old, new = _PIECES[name](Path(here))
 
@@ -146,14 +146,17 @@ def _replaced_file(here: Path) -> tuple[Path, Callable[[], None], dict[str, byte
 _PIECES = {"a new folder": _new_folder, "a folder in place of another": _replaced_folder, "a file": _replaced_file}
 
 
-def steps() -> dict[str, Counter[str]]:
-    """Kill and interrupt each piece of writing before each of its lines, with and without an exchange in one step."""
+def steps(every: int) -> dict[str, Counter[str]]:
+    """Kill and interrupt each piece of writing before its lines, with and without an exchange in one step.
+
+    Where not every line is tried, each piece begins with another one.
+    """
     found = {}
     for name in _PIECES:
         for act in (killed, interrupted):
             for exchange in (True, False) if "place" in name else (True,):
                 title = f"{name}, {act.__name__}{'' if exchange else ', without an exchange in one step'}"
-                found[title] = steps_of(name, act, exchange)
+                found[title] = steps_of(name, act, exchange, every, 1 + len(found) % every)
     return found
 
 
@@ -164,5 +167,6 @@ def verdict(found: dict[str, Counter[str]]) -> int:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
-    sys.exit(verdict(steps()))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--every", type=int, default=1, help="one in so many lines (%(default)s)")
+    sys.exit(verdict(steps(parser.parse_args().every)))

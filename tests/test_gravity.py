@@ -174,7 +174,7 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     found = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]) @ [-np.sin(y), 0, -np.cos(y)]
     assert np.linalg.norm(found - down) < 4 * np.linalg.norm(std) < 0.05
     assert fit.robot.values[robot.coefficients][:3] == pytest.approx(given, rel=0.1)
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     again = calib.load(tmp_path / "out")
     assert np.allclose(again.positions(q[:5]), fit.robot.positions(q[:5]), rtol=0, atol=1e-12)
     assert calib.fit(described(tmp_path, "{}", "sigma: 0.01 mm\n"), data).sigma > 2 * fit.sigma

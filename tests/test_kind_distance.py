@@ -166,10 +166,10 @@ def coverage(robot, n, n_poses=40):
     return np.mean(hits, axis=0)
 
 
-def test_95_percent_intervals_hold_the_truth(arm):
-    n = 60
-    found = coverage(arm, n)
-    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+@pytest.mark.amount(15, 60)
+def test_95_percent_intervals_hold_the_truth(arm, amount):
+    found = coverage(arm, amount)
+    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
     assert 0.9 < np.mean(found) < 0.99
 
 

@@ -168,10 +168,10 @@ def coverage(folder, n):
     return np.mean(hits, axis=0)
 
 
-def test_95_percent_intervals_hold_the_truth(tmp_path):
-    n = 60
-    found = coverage(tmp_path, n)
-    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+@pytest.mark.amount(20, 60)
+def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
+    found = coverage(tmp_path, amount)
+    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
     assert 0.9 < np.mean(found) < 0.99
 
 

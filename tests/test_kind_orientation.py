@@ -178,11 +178,11 @@ def coverage(folder, n, gravity):
     return np.mean(hits, axis=0)
 
 
+@pytest.mark.amount(15, 40)
 @pytest.mark.parametrize("gravity", [False, True])
-def test_95_percent_intervals_hold_the_truth(tmp_path, gravity):
-    n = 40
-    found = coverage(tmp_path, n, gravity)
-    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+def test_95_percent_intervals_hold_the_truth(tmp_path, gravity, amount):
+    found = coverage(tmp_path, amount, gravity)
+    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
     assert 0.9 < np.mean(found) < 0.99
 
 

@@ -239,11 +239,11 @@ def without_guesses(monkeypatch):
     monkeypatch.setattr("calib.instruments.pixel.guesses", lambda found, now, known: [now])
 
 
-def test_95_percent_intervals_hold_the_truth(arm, monkeypatch):
+@pytest.mark.amount(15, 40)
+def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
     without_guesses(monkeypatch)
-    n = 40
-    found = coverage(arm, n)
-    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+    found = coverage(arm, amount)
+    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
     assert 0.9 < np.mean(found) < 0.99
 
 

@@ -167,8 +167,9 @@ def test_orientations_make_parameters_surer(tmp_path):
     assert np.mean(half.predict(other).distance) > 1.05 * np.mean(whole.predict(other).distance)
 
 
-def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path):
-    n, held = 20, {}
+@pytest.mark.amount(8, 20)
+def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path, amount):
+    n, held = amount, {}
     for name, noise, tau in (
         ("anisotropic", "sigma: [0.02 mm, 0.02 mm, 0.1 mm], sigma_angle: [0.05 mrad, 0.2 mrad, 0.05 mrad]", 0.0),
         ("shared", "sigma: 0.02 mm, sigma_angle: 0.05 mrad", 2e-4),

@@ -218,10 +218,10 @@ def coverage(robot, n, n_touches=40):
     return np.mean(hits, axis=0)
 
 
-def test_95_percent_intervals_hold_the_truth(tmp_path):
-    n = 60
-    found = coverage(arm_with(tmp_path, PLATE), n)
-    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+@pytest.mark.amount(15, 60)
+def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
+    found = coverage(arm_with(tmp_path, PLATE), amount)
+    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
     assert 0.9 < np.mean(found) < 0.99
 
 

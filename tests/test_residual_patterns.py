@@ -133,9 +133,10 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     assert found.p_value == pytest.approx(min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, linear.freedom - 2)), rel=1e-6)
 
 
-def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm):
-    with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(100))
-    assert with_patterns <= 4  # chance of more: 0.4 %
+@pytest.mark.amount(25, 100)
+def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm, amount):
+    with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(amount))
+    assert with_patterns <= (4 if amount == 100 else 2)  # chance of more: 0.3 %, and 0.2 %
 
 
 def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):

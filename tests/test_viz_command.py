@@ -21,7 +21,7 @@ ROBOT = str(medrue.robot_file())
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("result") / "out"
-    medrue_fit().save(str(path))
+    medrue_fit().save(str(path), pages=False)
     return str(path)
 
 

@@ -26,7 +26,7 @@ def fit():
 
 
 def test_a_folder_shows_the_same_as_the_fit_that_was_saved(fit, tmp_path):
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     from_fit, from_folder = gather(medrue_robot(), fit), gather(medrue_robot(), tmp_path / "out")
     a, b = from_fit.scene, from_folder.scene
     np.testing.assert_allclose(b.solid.values, a.solid.values, atol=1e-9)
@@ -62,7 +62,7 @@ def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, t
     (tmp_path / "arm.urdf").write_text(ARM.format(height="0.3"))
     with pytest.raises(InputError, match="another robot"):
         gather(calib.load(tmp_path / "arm.urdf"), fit)
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     with pytest.raises(DataError, match="another robot"):
         gather(calib.load(tmp_path / "arm.urdf"), tmp_path / "out")
 
@@ -72,7 +72,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
     points = data.points(medrue_robot()) + np.random.default_rng(1).normal(scale=0.01, size=(len(data), 1, 3))
     fit = calib.fit(medrue_robot(), calib.as_measurements(medrue_robot(), data.joints, points), sigma=4e-5)
     assert fit.verdict.grade == "FAIL"
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     for scene in (gather(medrue_robot(), fit).scene, gather(medrue_robot(), tmp_path / "out").scene):
         assert scene.verdict.grade == "FAIL"
         assert "noise" in scene.verdict.reasons[0][1]
@@ -80,7 +80,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
 
 def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     assert gather(medrue_robot(), fit).scene.notes == ()
     assert "not shown: left out of the fit, 1 outlier" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]
 
@@ -91,7 +91,7 @@ def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
         assert scene.remarks.lines == ("Simulated measurements",)
         assert scene.remarks.simulated
     assert gather(medrue_robot(), fit).scene.remarks.lines == ()
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     path = tmp_path / "out" / "result.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"comments": ["Simulated, and saved"]}))
     assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated, and saved",)
@@ -128,6 +128,6 @@ def test_what_to_do_next_is_one_sentence(grade, codes, validated, words):
 
 
 def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     verdicts = [gather(medrue_robot(), result).scene.verdict for result in (fit, tmp_path / "out")]
     assert verdicts[0].following == verdicts[1].following != ""

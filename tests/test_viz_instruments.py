@@ -2,13 +2,13 @@
 
 import dataclasses
 import re
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, write_six_axis
+from viz_examples import undrawn
 
 import calib
 from calib.data.in_memory import as_poses, measurements
@@ -21,7 +21,6 @@ from viz.plots import all_plots, error_map
 from viz.pose_sources import from_fit, from_measurements
 from viz.reading_errors import of_measurements, smallest_motion
 from viz.rendering import picture_of, points_of
-from viz.report_page import report_page
 from viz.scene import build_scene, joints_of, scene_of_fit
 from viz.scene_data import scene_data
 
@@ -33,7 +32,6 @@ targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}, second: {frame: l6, xy
 parametrisation:
 """
 POSES = "instruments: {ball: {kind: pose, sigma: 0.05 mm, sigma_angle: 0.2 mrad}}\n"
-NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
 
 def arm(folder, more="", text=ARM):
@@ -66,11 +64,11 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     assert len(table) == 70
     np.testing.assert_allclose(table.measured[2], positions[1, 1])
     np.testing.assert_allclose(table.after[2], fit.robot.positions(q[:2])[1, 1], atol=1e-10)
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     saved = gather(robot, tmp_path / "out").scene.poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
-    assert report_page(fit, created=NOON).html.count("<figure") == 8
+    assert undrawn(fit).count("<figure") == 8
 
 
 def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
@@ -87,7 +85,7 @@ def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path)
     np.testing.assert_allclose(table.measured[2], positions[[3, 5], 0].mean(axis=0))
     np.testing.assert_allclose(table.measured[3], positions[3:6, 1].mean(axis=0))
     np.testing.assert_allclose(table.sigma, fit.sigma / np.sqrt(table.readings))
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     saved = gather(robot, tmp_path / "out").scene.poses
     for name in ("measured", "before", "after", "sigma", "spread"):
         np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
@@ -107,7 +105,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
     np.testing.assert_allclose(table.measured[:40], values[:, :3])
     np.testing.assert_allclose(table.error("after")[:40], pose_fit.identification.after["ball"][:, :3], atol=1e-15)
     np.testing.assert_allclose(table.sigma, pose_fit.sigma)
-    pose_fit.save(tmp_path / "out")
+    pose_fit.save(tmp_path / "out", pages=False)
     saved = gather(pose_fit.nominal, tmp_path / "out").scene.poses
     np.testing.assert_allclose(saved.measured, table.measured, atol=1e-12)
     np.testing.assert_allclose(saved.error("after"), table.error("after"), atol=1e-12)
@@ -115,7 +113,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
 
 
 def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
-    html = report_page(pose_fit, created=NOON).html
+    html = undrawn(pose_fit)
     shown = words(html)
     assert "Position error [mm]; for the axes" in shown
     assert "Orientation error [mrad]; for the axes" in shown
@@ -161,12 +159,12 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     (part,) = content["parts"]
     assert (part["name"], part["unit"], part["position"]) == ("distance", "mm", False)
     assert part["range"]["after"][1] == pytest.approx(1e3 * np.abs(fit.identification.after["ball"]).max())
-    html = report_page(fit, created=NOON).html
+    html = undrawn(fit)
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
     assert html.count("<figure") == 6
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     saved = saved_scene = gather(robot, tmp_path / "out").scene
     for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
         np.testing.assert_allclose(getattr(saved.readings[0], name), getattr(shown_errors, name), rtol=1e-5, atol=1e-9)
@@ -205,7 +203,7 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
     positions = fit.robot.positions(fit.identification.data.joints)[:, 0]
     np.testing.assert_allclose(points[:60], positions, atol=5e-4)  # ten times the noise
     assert picture_of(scene) != picture_of(dataclasses.replace(scene, decorations=()))
-    assert "Points: measured to" in words(report_page(fit, created=NOON).html)
+    assert "Points: measured to" in words(undrawn(fit))
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
@@ -249,11 +247,11 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert rows["validation"]["mean"] == pytest.approx(
         1e3 * np.linalg.norm(fit.validation.after["ball"], axis=1).mean(), rel=1e-9
     )
-    shown = words(report_page(fit, created=NOON).html)
+    shown = words(undrawn(fit))
     assert "Mean position error before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] Poses" in shown
     assert "noise of one reading 0.0" in shown
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     saved = gather(robot, tmp_path / "out").scene.poses
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
 
@@ -271,7 +269,7 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     first, later = (np.array([target == name for target in table.targets]) for name in ("ball", "ball@second"))
     np.testing.assert_allclose(table.measured[later], table.measured[first], atol=1e-6)
     np.testing.assert_allclose(table.after[later], table.after[first], atol=1e-6)
-    fit.save(tmp_path / "out")
+    fit.save(tmp_path / "out", pages=False)
     shown = gather(robot, tmp_path / "out")
     saved = shown.scene.poses
     assert saved.targets == table.targets

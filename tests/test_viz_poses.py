@@ -99,7 +99,7 @@ def from_folder(folder, fit):
 def test_a_result_folder_gives_the_same_table(tmp_path):
     wrong = spoiled(measurements(np.arange(0, 420, 5)))
     fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     saved, table = from_folder(tmp_path / "out", fit), from_fit(fit)
     assert saved.group == table.group
     assert saved.labels == table.labels
@@ -112,7 +112,7 @@ def test_a_result_folder_gives_the_same_table(tmp_path):
 def test_a_folder_without_residuals_is_an_error(tmp_path, fit):
     with pytest.raises(DataError, match=r"residuals\.csv"):
         from_folder(tmp_path, fit)
-    fit.save(str(tmp_path / "out"))
+    fit.save(str(tmp_path / "out"), pages=False)
     (tmp_path / "out" / "residuals.csv").write_text("set,pose\nidentification,1\n")
     with pytest.raises(DataError, match="no column 'target'"):
         from_folder(tmp_path / "out", fit)

@@ -3,13 +3,12 @@
 import dataclasses
 import hashlib
 import re
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from markupsafe import escape
 from six_axis_arm import FREE, YAML, joints, write_six_axis
-from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
+from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, undrawn
 
 import calib
 import viz
@@ -17,8 +16,6 @@ from calib.base.files import image_address
 from viz.plots import error_map
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, report_page, significant
-
-NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +55,7 @@ def test_every_section_is_there(html):
 
 
 def test_without_validation_the_report_says_so():
-    html = report_page(medrue_fit(validation=None), created=NOON).html
+    html = undrawn(medrue_fit(validation=None))
     assert "No poses were kept for validation" in html
     assert "84 poses (identification)" in html
 
@@ -91,7 +88,7 @@ def test_what_is_held_is_named(html, fit):
 
 def test_outliers_are_listed_and_the_verdict_says_why():
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))))
-    html = report_page(fit, created=NOON).html
+    html = undrawn(fit)
     section = html[html.index('id="outliers"') :]
     assert re.search(r'<th scope="row">50</th><td class="left">identification</td>', section)
     assert "None was left out" in section
@@ -102,13 +99,13 @@ def test_outliers_are_listed_and_the_verdict_says_why():
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
-    html = report_page(fit, created=NOON).html
+    html = undrawn(fit)
     assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
     assert "with outliers (84)" in html
 
 
 def test_cross_validation_is_shown_and_judged_by():
-    html = report_page(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3), created=NOON).html
+    html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
     assert "left out in turns (84)" in html
     assert "84 poses (left out in turns)" in text(html)[:700]
 
@@ -122,7 +119,7 @@ def test_provenance_names_versions_files_command_and_seed(html, fit):
 
 def test_a_fit_from_python_says_so_and_has_its_seed():
     fit = calib.fit(medrue_robot(), measurements(range(0, 420, 5)), seed=12)
-    html = report_page(fit, created=NOON).html
+    html = undrawn(fit)
     assert "made by a program in Python" in html
     assert re.search(r"Seed</th><td>12, of every random choice of the fit</td>", html)
 
@@ -224,7 +221,7 @@ def test_coordinates_are_said_to_be_in_a_link_only_where_they_are(fit, base, nam
     description = fit.nominal.description
     description = description.model_copy(update={"base": description.base.model_copy(update=base)})
     nominal = dataclasses.replace(fit.nominal, description=description)
-    page = text(report_page(dataclasses.replace(fit, nominal=nominal), created=NOON).html)
+    page = text(undrawn(dataclasses.replace(fit, nominal=nominal)))
     assert f"mm in {name} " in page
     assert f"Measured points tool, in {name} " in page
 
@@ -237,11 +234,11 @@ def said(fit, *comments):
 
 def test_what_the_file_says_about_itself_stands_above_the_verdict_and_simulation_first(fit):
     lines = ("Taken on a Monday.", "Simulated measurements; <b>no real robot</b> was measured.")
-    html = report_page(said(fit, *lines), created=NOON).html
+    html = undrawn(said(fit, *lines))
     assert 'class="remarks simulated"' in html
     shown = html[html.index('class="remarks') : html.index('class="verdict')]
     assert shown.index("Simulated measurements; &lt;b&gt;no real robot") < shown.index("Taken on a Monday")
-    assert 'class="remarks"' in report_page(said(fit, "Taken on a Monday."), created=NOON).html
+    assert 'class="remarks"' in undrawn(said(fit, "Taken on a Monday."))
 
 
 def test_without_comments_nothing_is_said_about_the_file(html):
@@ -249,7 +246,7 @@ def test_without_comments_nothing_is_said_about_the_file(html):
 
 
 def test_comments_without_end_do_not_bury_the_report(fit):
-    html = report_page(said(fit, *(f"{k}: " + 1000 * "word " for k in range(200))), created=NOON).html
+    html = undrawn(said(fit, *(f"{k}: " + 1000 * "word " for k in range(200))))
     shown = text(html)
     assert "and 194 more lines" in shown
     assert shown.index("Verdict:") < 2500
@@ -270,7 +267,7 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
         "operator: J. Doe",
         "temperature: 21 degC",
     )
-    html = report_page(with_comments(fit, *said, "signatures: Measured by; Approved by"), created=NOON).html
+    html = undrawn(with_comments(fit, *said, "signatures: Measured by; Approved by"))
     for label, value in (
         ("Serial number", str(escape(hostile))),
         ("Instrument", "tracker 7"),
@@ -290,10 +287,10 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
         ("<b>tight</b>", "Asked &lt;b&gt;tight&lt;/b&gt;: not judged This is no length with a unit"),
     ],
 )
-def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, asked, answer):
-    page = text(report_page(with_comments(fit, f"tolerance: {asked}"), created=NOON).html)
+def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, html, asked, answer):
+    page = text(undrawn(with_comments(fit, f"tolerance: {asked}")))
     assert answer in page.split("What was calibrated")[0]
-    assert "Asked" not in text(report_page(fit, created=NOON).html)
+    assert "Asked" not in text(html)
 
 
 def test_the_map_has_a_mark_for_each_pose_in_the_unit_of_what_was_read(fit):
@@ -305,7 +302,7 @@ def test_the_map_has_a_mark_for_each_pose_in_the_unit_of_what_was_read(fit):
 
 def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
     n = len(fit.identification.data)
-    html = report_page(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)), created=NOON).html
+    html = undrawn(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)))
     assert "20.0 to 22.3 degC" in html
     assert 'class="signatures"' not in html
 
@@ -316,7 +313,7 @@ def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_pat
     plain = arm.with_terms(())
     points = plain.positions(1.01 * q) + 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
     fit = calib.fit(arm, calib.as_measurements(arm, q, points))
-    page = text(report_page(fit, created=NOON).html)
+    page = text(undrawn(fit))
     start, table = page.index("What files are worth"), page.index("Accuracy before and after")
     assert page.index("Annex:") < start < table
     for holds, words in ((calib.Holds.ORIGINS, "joint origins"), (calib.Holds.EVERYTHING, "the whole model")):
@@ -348,7 +345,7 @@ def test_numbers_have_the_digits_that_their_standard_deviation_leaves_them(value
 
 def test_the_logo_is_in_the_page_and_only_images_are_taken(fit, tmp_path):
     (tmp_path / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"><script>alert(1)</script></svg>')
-    html = report_page(fit, created=NOON, logo=image_address(tmp_path / "logo.svg")).html
+    html = undrawn(fit, logo=image_address(tmp_path / "logo.svg"))
     assert '<img class="logo" src="data:image/svg+xml;base64,' in html
     assert "<script" not in html
     for name, content, words in (

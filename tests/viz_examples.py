@@ -1,6 +1,8 @@
 """Examples that the tests of the viewer and the report share: MedRUE measured with Table I's actual parameters."""
 
 import dataclasses
+from datetime import UTC, datetime
+from unittest import mock
 
 import numpy as np
 
@@ -12,6 +14,9 @@ from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz.poses import PoseTable
+from viz.report_page import report_page
+
+NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
 
 def medrue_robot():
@@ -30,6 +35,12 @@ def measurements(rows, seed=1, sigma=4e-5, path="memory"):
 def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
     held_out = None if validation is None else measurements(validation, seed=2)
     return calib.fit(medrue_robot(), measurements(identification), validation=held_out)
+
+
+def undrawn(fit, **options):
+    """The report of a fit with empty figures: drawing them takes most of the time, and has tests of its own."""
+    with mock.patch("viz.svg.svg_file", return_value=b"<svg ></svg>"):
+        return report_page(fit, created=NOON, **options).html
 
 
 LONG_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",

@@ -15,8 +15,8 @@ from calib.functions.c_text import c_name
 from calib.robots.configurations import configured
 from calib.robots.joint_errors import term_columns
 
-N = {"six-axis arm, every term": 10_000, "example arm": 10_000}
-"""Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of these, too."""
+N = {"six-axis arm, every term": 1000, "example arm": 1000}
+"""Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
 OF_EVERY_KIND = ("six-axis arm, every term", "MedRUE with a rail's terms", "Stewart platform, compliance")
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -45,6 +45,14 @@ ARMS = {  # file below robots/: link that carries the measured point
     "xarm_description/urdf/xarm7.urdf": "link_eef",
     "z1_description/urdf/z1.urdf": "gripperMover",
 }
+VARIANTS = (  # of an arm above: the same links with other limits, shapes or a gripper
+    "panda_description/urdf/panda_collision.urdf",
+    "ur_description/urdf/ur3_gripper.urdf",
+    "ur_description/urdf/ur3_joint_limited_robot.urdf",
+    "ur_description/urdf/ur5_gripper.urdf",
+    "ur_description/urdf/ur5_joint_limited_robot.urdf",
+    "ur_description/urdf/ur10_joint_limited_robot.urdf",
+)
 PARALLEL_AXES = {  # what slides the target along both axes cannot be told from where the base is
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip.z",
     "double_pendulum_description/urdf/double_pendulum.urdf": "link2.x",
@@ -225,9 +233,17 @@ def test_the_arm_is_found_without_its_fingers(name: str, target: str, joints: in
     assert (chain.target, len(chain.joints), len(chain.fingers)) == (target, joints, fingers)
 
 
-@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: Path(arm).stem)
+@pytest.mark.parametrize("arm", [arm for arm in ARMS if arm not in VARIANTS], ids=lambda arm: Path(arm).stem)
 def test_arm_is_calibrated_exported_and_loaded_again(arm: str, tmp_path: Path) -> None:
     check(robots_folder() / arm, ARMS[arm], tmp_path, PARALLEL_AXES.get(arm))
+
+
+@pytest.mark.amount(1, len(VARIANTS))
+def test_variants_of_these_arms_are_too(tmp_path: Path, amount: int) -> None:
+    for arm in VARIANTS[:amount]:
+        folder = tmp_path / Path(arm).stem
+        folder.mkdir()
+        check(robots_folder() / arm, ARMS[arm], folder)
 
 
 def test_iiwa_is_calibrated_exported_and_loaded_again(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from calib.data.on_demand import Numbered
 from calib.data.plan_files import read_pose_files
 from calib.data.tables import Source, is_columns
 from calib.instruments.kind import Instrument, Readings
-from calib.instruments.position import Position
 from calib.robots.configurations import joint_vector
 from calib.robots.robot import Robot
 
@@ -141,12 +140,10 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
     changed = dict(data.readings)
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
-        if all(part.name != "position" for part in instrument.parts):
+        if not any(part.is_position for part in instrument.parts):
             continue
         others = [
-            noise
-            for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
-            if part.name != "position"
+            noise for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True) if not part.is_position
         ]
         if readings.covariance is None and not all(noise.stated for noise in others):
             raise InputError(f"sigma: '{name}' reads more than positions, of which no noise is stated; state it there")
@@ -154,7 +151,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         if covariance is None:
             widths = [len(part.axes) for part in instrument.parts]
             covariance = instrument.noise.covariance(instrument.points(readings.values), len(readings), widths)
-        rows = np.flatnonzero([instrument.parts[k].name == "position" for k in instrument.part_of_row])
+        rows = np.flatnonzero([instrument.parts[k].is_position for k in instrument.part_of_row])
         covariance = covariance.copy()
         covariance[:, rows, :] = covariance[:, :, rows] = 0.0
         covariance[:, rows, rows] = stds[readings.visits] ** 2
@@ -171,7 +168,7 @@ def plain_readings(values: FloatArray) -> Readings:
 
 
 def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str, FloatArray]:
-    if not all(isinstance(instrument, Position) for instrument in robot.instruments):
+    if not all(instrument.reads_positions for instrument in robot.instruments):
         names = ", ".join(instrument.name for instrument in robot.instruments)
         raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
     values = np.asarray(given, dtype=float)

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 from calib.base.errors import DataError
 from calib.data.tables import Source, Table, read_table
-from calib.instruments.position import Position
 from calib.robots.robot import Robot
 
 _LOG = logging.getLogger("calib")
@@ -85,7 +84,7 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
 
 def _positions(robot: Robot, table: Table) -> dict[str, str]:
     """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
-    reading = [instrument for instrument in robot.instruments if isinstance(instrument, Position)]
+    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []

@@ -249,6 +249,11 @@ class Instrument(ABC):
         """Index of the part of each row."""
         return tuple(k for k, part in enumerate(self.parts) for _ in part.axes)
 
+    @property
+    def reads_positions(self) -> bool:
+        """Whether positions along three axes are all that it reads."""
+        return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
+
     def places(self) -> tuple[Place, ...]:
         """Return places of its own, beside the measurement frame and the targets."""
         return ()

@@ -124,7 +124,8 @@ def command(
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
     output.hint(after_fit(result, robot, data, out))
-    output.json(to_dict(result, forced=failed and output.force))
+    if output.json_target is not None:
+        output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:
         raise ComputationError(
             f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"

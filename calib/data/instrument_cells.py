@@ -8,6 +8,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.base.units import Dimension
 from calib.data.measurements import in_setups
+from calib.data.on_demand import Numbered, picked
 from calib.data.tables import Table
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
@@ -46,7 +47,7 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
-    wheres = [f"{table.path}, line {line}" for line in table.lines]
+    wheres = Numbered(f"{table.path}, line ", table.lines)
     some = np.flatnonzero(_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
@@ -54,7 +55,7 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
             raise DataError(f"{table.path}: no column '{name}'{nearest(name, table.names)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
-    belongs, pairs, details = instrument.looked_at(texts, [wheres[k] for k in some])
+    belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))
     mine = np.array(belongs, dtype=bool)
     kept = some[mine]
     partly = np.argwhere(empty[kept])

@@ -19,7 +19,7 @@ from calib.base.other_words import worded
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.base.words import pandas, titled_html
 from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
-from calib.data.on_demand import Texts
+from calib.data.on_demand import Texts, picked
 from calib.data.pose_groups import shuffled_poses
 from calib.instruments.kind import FrameInstrument, Instrument, Readings
 from calib.joint_terms.term import Context
@@ -128,8 +128,8 @@ class Poses(ReadOnlyArrays):
         return replace(
             self,
             joints=self.joints[index],
-            labels=tuple(self.labels[i] for i in index),
-            names=tuple(self.names[i] for i in index),
+            labels=picked(self.labels, index),
+            names=picked(self.names, index),
             context={key: values[index] for key, values in self.context.items()},
             approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],
@@ -287,8 +287,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
     """Put poses and readings together."""
     return Measurements(
         poses.joints,
-        tuple(poses.labels),
-        tuple(poses.names),
+        poses.labels,
+        poses.names,
         poses.path,
         poses.ignored,
         readings,

@@ -76,6 +76,33 @@ class Numbered(OnDemand[str]):
         return f"{self.before}{self.numbers[k]}" + ("" if self.names is None else f" (pose {self.names[k]})")
 
 
+@dataclass(frozen=True, eq=False)
+class _Picked(OnDemand[str]):
+    """Some of many texts.
+
+    Attributes:
+        every: All of them.
+        index: Which, (n,).
+    """
+
+    every: OnDemand[str]
+    index: IntArray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def _made(self, k: int) -> str:
+        return self.every[int(self.index[k])]
+
+
+def picked(texts: Texts, index: IntArray) -> Texts:
+    """Return the texts with these indices (n,), in this order."""
+    if isinstance(texts, tuple):
+        return tuple([texts[k] for k in index])
+    every, index = (texts.every, texts.index[index]) if isinstance(texts, _Picked) else (texts, index)
+    return _Picked(every, index)
+
+
 class Packed(OnDemand[str]):
     """Texts, one behind the other."""
 
@@ -129,13 +156,26 @@ class TextRows(OnDemand[tuple[str, ...]]):
             for line in self._lines(number):
                 yield cells_of(line, self._separator)
 
+    def column(self, index: int) -> Iterator[str]:
+        """Yield the cells of one column."""
+        for number in range(len(self._ends) - 1):
+            text = self._text_of(number)
+            if is_plain(text):
+                cells = [line.split(self._separator, index + 1)[index] for line in text.split("\n")]
+                yield from [cell.lstrip(" ") for cell in cells] if " " in text else cells
+            else:
+                yield from (cells_of(line, self._separator)[index] for line in text.split("\n"))
+
     def _made(self, k: int) -> tuple[str, ...]:
         return cells_of(self._lines(k // _PART)[k % _PART], self._separator)
 
     def _lines(self, number: int) -> list[str]:
+        return self._text_of(number).split("\n")
+
+    def _text_of(self, number: int) -> str:
         start, end = self._ends[number : number + 2]
         self._text.seek(start)
-        return self._text.read(end - start).decode().split("\n")
+        return self._text.read(end - start).decode()
 
 
 def cells_of(line: str, separator: str) -> tuple[str, ...]:
@@ -150,6 +190,6 @@ def cells_of(line: str, separator: str) -> tuple[str, ...]:
     return tuple([cell.lstrip(" ") for cell in cells] if " " in line else cells)
 
 
-def is_plain(line: str) -> bool:
-    """Return whether every separator in a line of CSV parts two cells."""
-    return '"' not in line and len(line) <= csv.field_size_limit()
+def is_plain(text: str) -> bool:
+    """Return whether every separator in lines of CSV parts two cells."""
+    return '"' not in text and len(text) <= csv.field_size_limit()

@@ -65,7 +65,8 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
     groups = repeated_poses(joints, by_name)
-    centres = np.array([joints[group].mean(axis=0) for group in groups])
+    sizes = np.array([len(group) for group in groups])
+    centres = np.add.reduceat(joints[np.concatenate(groups)], np.cumsum(sizes) - sizes) / sizes[:, None]
     spread = np.ptp(centres, axis=0)
     centres = centres / np.where(spread > 0, spread, 1.0)
 

@@ -150,12 +150,17 @@ class Table:
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
         index = self.names.index(name)
-        return (_read_text(row[index].strip()) for row in self.rows)
+        return (_read_text(cell.strip()) for cell in self._column(index))
+
+    def _column(self, index: int) -> Iterator[str]:
+        """Cells of a column, as they stand in the file."""
+        rows = self.rows
+        return rows.column(index) if isinstance(rows, TextRows) else (row[index] for row in rows)
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
         if self.separator != ",":
             self._check_marks(index)
-        cells, values = (row[index] for row in self.rows), np.empty(len(self.rows))
+        cells, values = self._column(index), np.empty(len(self.rows))
         for start in range(0, len(values), _PART):
             values[start : start + _PART] = self._numbers_in(list(islice(cells, _PART)), start, index, gaps=gaps)
         return values
@@ -398,7 +403,7 @@ def _header(
     return tuple(names), tuple(units)
 
 
-def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequence[str] = ()) -> str:
+def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], comments: Sequence[str] = ()) -> str:
     """Return CSV text; floats are written so that they read back exactly, and text so that no spreadsheet runs it.
 
     >>> print(format_table([("pose", ["A", "B"]), ("q1 [mm]", [0.1, 2.0])], ("two poses",)), end="")
@@ -408,7 +413,7 @@ def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequ
     B,2.0
 
     Args:
-        columns: (header, values) of each column, values of equal length.
+        columns: (header, values) of each column, values of equal length; of an array, cells without a number are empty.
         comments: Lines to put first, behind #.
     """
     stream = io.StringIO()
@@ -418,13 +423,32 @@ def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequ
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([_written_text(header) for header, _ in columns])
     quoting = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
-    for row in zip(*(values for _, values in columns), strict=True):
-        cells = [
-            repr(float(cell)) if isinstance(cell, (float, np.floating)) else _written_text(str(cell)) for cell in row
-        ]
-        looks_like_comment = cells[0].lstrip().startswith("#")
-        (quoting if looks_like_comment else writer).writerow(cells)
+    lengths = {len(values) for _, values in columns}
+    if len(lengths) > 1:
+        raise ValueError(f"columns of different lengths: {sorted(lengths)}")
+    for start in range(0, max(lengths, default=0), _PART):
+        written = [_written_cells(values[start : start + _PART]) for _, values in columns]
+        if any(cell.lstrip().startswith("#") for cell in written[0]):
+            for cells in zip(*written, strict=True):
+                (quoting if cells[0].lstrip().startswith("#") else writer).writerow(cells)  # it looks like a comment
+        else:
+            writer.writerows(zip(*written, strict=True))
     return stream.getvalue()
+
+
+def _written_cells(values: Sequence[object] | FloatArray) -> list[str]:
+    """Cells of a column as they are written."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        return [repr(value) if math.isfinite(value) else "" for value in values.tolist()]
+    known: dict[str, str] = {}
+    return [
+        repr(float(value))
+        if isinstance(value, (float, np.floating))
+        else known[text]
+        if (text := str(value)) in known
+        else known.setdefault(text, _written_text(text))
+        for value in values
+    ]
 
 
 def _like_formula(text: str) -> bool:

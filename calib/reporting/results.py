@@ -14,14 +14,15 @@ from __future__ import annotations
 import hashlib
 import html
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.base.arrays import IntArray
+from calib.base.arrays import FloatArray, IntArray
 from calib.base.files import write_folder
 from calib.base.units import ERROR_UNIT, error_scale
 from calib.data.measurement_columns import header, joint_columns, shown
@@ -139,7 +140,7 @@ def _residual_table(fit: Fit) -> str:
 
     A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
     """
-    blocks: list[tuple[IntArray, dict[str, Sequence[object]]]] = []
+    blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
     count = 0
     for label, error_set in error_sets(fit):
         if label == "cross_validation":
@@ -152,20 +153,21 @@ def _residual_table(fit: Fit) -> str:
         by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
         blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
     blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
-    columns: dict[str, list[object]] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for places, block in blocks:
         for head, values in block.items():
-            column = columns.setdefault(head, [""] * count)
-            for place_of_row, value in zip(places.tolist(), values, strict=True):
-                column[place_of_row] = _cell(value)
+            if isinstance(values, np.ndarray):
+                column = columns.setdefault(head, np.full(count, np.nan))
+                column[places] = values
+            else:
+                column = columns.setdefault(head, np.full(count, "", dtype=object))
+                column[places] = np.fromiter(values, dtype=object, count=len(places))
     return format_table(list(columns.items()))
 
 
-def _cell(value: object) -> object:
-    return "" if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _residual_columns(fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
+def _residual_columns(
+    fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str
+) -> dict[str, Sequence[object] | FloatArray]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
     studentised = findings.studentised(fit) if used else findings.validation_studentised(fit)
@@ -177,7 +179,7 @@ def _residual_columns(fit: Fit, label: str, error_set: ErrorSet, rows: Rows, nam
         error_set.data.readings[name],
     )
     visits, n = layout.visit[of_instrument], len(readings)
-    columns: dict[str, Sequence[object]] = {
+    columns: dict[str, Sequence[object] | FloatArray] = {
         "set": [label] * n,
         "pose": [error_set.data.names[visit] for visit in visits],
         "target": [name] * n,
@@ -186,19 +188,17 @@ def _residual_columns(fit: Fit, label: str, error_set: ErrorSet, rows: Rows, nam
     if setups and n_pairs:  # errors are in its measurement frame
         columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
     columns |= {f"looked_at_{key}": words for key, words in instrument.texts(readings.pairs, readings.details).items()}
-    columns |= {
-        head: values.tolist() for head, values in joint_columns(fit.robot, error_set.data.joints[visits]).items()
-    }
+    columns |= joint_columns(fit.robot, error_set.data.joints[visits])
     for state in STATES:
         for row, number in enumerate(instrument.part_of_row):
             part = instrument.parts[number]
             axis = part.axes[row - instrument.part_of_row.index(number)]
             errors = error_scale(part.dimension) * getattr(error_set, state)[name][:, row]
-            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors
     dimensions = {column.name: column.dimension for column in instrument.columns()}
     for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
-        columns[head] = shown(numbers, dimensions[column]).tolist()
+        columns[head] = shown(numbers, dimensions[column])
     lengths = rows.distances()[of_instrument] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[of_instrument], 1))
     unknown = np.full(n, np.nan)
     judgements = {
@@ -208,7 +208,7 @@ def _residual_columns(fit: Fit, label: str, error_set: ErrorSet, rows: Rows, nam
         "weight": fit.weights[of_instrument] if used else unknown,
         "loop_singular_value": error_set.singular_value[visits],
     }
-    return columns | {head: values.tolist() for head, values in judgements.items()}
+    return columns | judgements
 
 
 def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.data.measurements import Measurements
+from calib.data.on_demand import picked
 from calib.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.numerics.placement import MovingPoint, Placement, place
 from calib.robots import kinematics
@@ -162,6 +163,8 @@ def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, plac
     Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
     look at one body.
     """
+    if type(instrument).first_values is FrameInstrument.first_values:  # it guesses nothing
+        return robot
     readings = data.readings[instrument.name]
     names = pair_names(robot.description, instrument)
     mechanism, pairs = robot.mechanism, robot.pairs(instrument)
@@ -268,9 +271,7 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     mechanism = robot.mechanism
     parents = mechanism.model.parents
     pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
-    labels = [data.labels[int(k)] for k in chosen]
-    some = data.subset(np.asarray(chosen, dtype=np.intp))
-    configurations = robot.assemble(some.joints, labels=labels, context=some.conditions)
+    configurations = robot.assemble(data.joints[chosen], None, picked(data.labels, chosen), data.conditions.at(chosen))
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     swept = kinematics.sweep(mechanism, joints, pairs)
     return [kinematics.relative_pose(swept, pair) for pair in pairs]

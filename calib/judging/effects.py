@@ -187,11 +187,15 @@ class Waves:
         reach = float(np.ptp(self.phase))
         return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), ORDERS.stop), ORDERS.stop) if reach > 0 else range(0)
 
+    def detail(self, order: int) -> str:
+        """Return the cycles of one order in words."""
+        return f"{order} {self.words}"
+
     def effect(self, order: int) -> Effect:
         """Return the wave of one order."""
         angle = order * self.phase[self.visit]
         columns = self.column[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return Effect("wave", self.name, columns, f"{order} {self.words}")
+        return Effect("wave", self.name, columns, self.detail(order))
 
 
 def effects(setting: EffectSetting) -> Iterator[Effect | Waves]:

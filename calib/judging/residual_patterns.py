@@ -182,8 +182,11 @@ def patterns(residuals: Residuals, setting: EffectSetting) -> tuple[Pattern, ...
 def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
     """Yield the effects with these kinds, names and details, with their columns."""
     for effect in effects(setting):
-        singles = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)
-        yield from (single for single in singles if (single.kind, single.name, single.detail) in kept)
+        if isinstance(effect, Waves):
+            orders = (order for order in effect.orders if ("wave", effect.name, effect.detail(order)) in kept)
+            yield from map(effect.effect, orders)
+        elif (effect.kind, effect.name, effect.detail) in kept:
+            yield effect
 
 
 def _best(tests: list[_Tested]) -> list[_Tested]:
@@ -249,7 +252,7 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         k = order - ORDERS.start
         normal = squares[[[0, 1], [1, 2]], k]
         own = products[:, 2 * k : 2 * k + 2]
-        yield _Moments("wave", waves.name, f"{order} {waves.words}", normal, own[:rank], own[rank])
+        yield _Moments("wave", waves.name, waves.detail(order), normal, own[:rank], own[rank])
 
 
 def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:

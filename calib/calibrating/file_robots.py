@@ -78,14 +78,32 @@ def start_of(fit: Fit, holds: Holds) -> Robot:
 
 
 def _fitted_again(
-    fit: Fit, robot: Robot, settings: Settings, workers: Executor | None = None, signs: FloatArray | None = None
+    fit: Fit,
+    robot: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    signs: FloatArray | None = None,
+    *,
+    intervals: bool = True,
 ) -> Fit:
-    """Fit another robot to the measurements of a fit, in the same way; with joints that count as `signs` say."""
+    """Fit another robot to the measurements of a fit, in the same way.
+
+    Args:
+        fit: The fit.
+        robot: The robot.
+        settings: How the fit was done.
+        workers: Who does the fits of other starts and of folds.
+        signs: With which sign joints count, (n_actuated,).
+        intervals: Whether anybody reads its intervals.
+    """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
-    again = fit_data(robot, settings, data, validation, workers, nearby=Nearby.of(fit))
+    nearby = Nearby.of(fit)
+    if not intervals:
+        nearby = replace(nearby, beyond_linear=Nearby.no_intervals(robot).beyond_linear)
+    again = fit_data(robot, settings, data, validation, workers, nearby=nearby)
     if fit.folds is None:
         return again
     count = settings.folds or PROVING
@@ -135,7 +153,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return None if fitted is None else file_robot(fitted)
 
     def _again(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
-        return _fitted_again(self._fit, robot, replace(self._settings, starts=1), signs=signs)
+        return _fitted_again(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
 
     def _to_last_axis(self) -> FileRobot | None:
         """The robot with what lies behind the last axis as it is nominally."""

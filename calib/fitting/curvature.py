@@ -12,11 +12,11 @@ step back onto what was read:
 
     e = -T T^T J^T c = 1/2 sum of x_i x_j b_ij,          E e^2 = 1/2 sum of b_ij^2 + 1/4 (sum of b_ii)^2
 
-for each parameter. H t_i is the difference of two Jacobians. Only pairs count of which priors hold at least one (a
-share above 0.1): what readings decide is known so well that its square is nothing. Nor do coefficients of families
-count, whose size is found: of hundreds, each is uncertain by some hundredths of a milliradian. As E e^2 depends on the
-distribution of d alone, the columns t_i of the others are replaced by as few as have the same one: by the root of their
-covariance, once for those that priors hold and once for the rest.
+for each parameter. J^T H t_i is the difference of two products of Jacobians. Only pairs count of which priors hold at
+least one (a share above 0.1): what readings decide is known so well that its square is nothing. Nor do coefficients of
+families count, whose size is found: of hundreds, each is uncertain by some hundredths of a milliradian. As E e^2
+depends on the distribution of d alone, the columns t_i of the others are replaced by as few as have the same one: by
+the root of their covariance, once for those that priors hold and once for the rest.
 
 E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
 along the curve, and their covariance is that of the linear model around the solution.
@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
+from calib.base.arrays import FloatArray
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.statistics import prior_shares
 from calib.rows.rows import Rows
@@ -53,13 +53,19 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, seen]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
-    back = root @ (root.T @ rows.jacobian.T)
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
+    columns, jacobian = problem.unknowns.only(own), rows.jacobian.T
+    here = jacobian @ rows.jacobian[:, own]
     for i in range(n_held):
-        changed = _turned_jacobian(problem, final, rows, groups, directions[:, i], own)
-        bent = -back @ (changed @ directions[own])
-        squares += np.sum(bent**2 * counts, axis=1)
-        mean += bent[:, i] / 2
+        for step in (_STEP, -_STEP):
+            moved = problem.unknowns.moved(final.robot, rows.deviations + step * directions[:, i])
+            evaluation = problem.evaluate_if_closed(moved, final)
+            if evaluation is not None:
+                felt = (jacobian @ problem.rows(evaluation, groups, columns).jacobian - here) / step  # J^T H t
+                bent = -root @ (root.T @ (felt @ directions[own]))
+                squares += np.sum(bent**2 * counts, axis=1)
+                mean += bent[:, i] / 2
+                break
     return squares + mean**2
 
 
@@ -71,16 +77,3 @@ def _fewest(directions: FloatArray) -> FloatArray:
     few = np.zeros((len(directions), len(moved)))
     few[moved] = np.asarray(np.linalg.qr(directions[moved].T, mode="r")).T
     return few
-
-
-def _turned_jacobian(
-    problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray, direction: FloatArray, own: BoolArray
-) -> FloatArray:
-    """H t, the derivative of the whitened Jacobian's columns `own` along a direction t (n_free,), (n_rows, n_own)."""
-    columns = problem.unknowns.only(own)
-    for step in (_STEP, -_STEP):
-        moved = problem.unknowns.moved(final.robot, rows.deviations + step * direction)
-        evaluation = problem.evaluate_if_closed(moved, final)
-        if evaluation is not None:
-            return np.asarray((problem.rows(evaluation, groups, columns).jacobian - rows.jacobian[:, own]) / step)
-    return np.zeros((len(rows.jacobian), len(columns)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,11 @@ def _short(value: object) -> str:
     return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
 
 
+@cache
+def _names_of_fields(of: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(of))
+
+
 class ReadOnlyArrays(Worded):
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
@@ -61,11 +67,11 @@ class ReadOnlyArrays(Worded):
         return f"<{type(self).__name__}: {', '.join(shown)}>"
 
     def __post_init__(self) -> None:
-        for field in fields(self):  # type: ignore[arg-type]  # only dataclasses derive from this
-            value = getattr(self, field.name)
+        for name in _names_of_fields(type(self)):
+            value = getattr(self, name)
             held = _held_fast(value)
             if held is not value:
-                object.__setattr__(self, field.name, held)
+                object.__setattr__(self, name, held)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

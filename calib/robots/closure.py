@@ -27,8 +27,7 @@ def residual(
     select = mechanism.select_moving
     values = np.empty((len(joints), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, select.shape[1]))
-    for start in range(0, len(joints), kinematics.CHUNK):
-        part = slice(start, start + kinematics.CHUNK)
+    for part in kinematics.chunks(len(joints)):
         swept = kinematics.sweep(mechanism, joints[part], mechanism.loops)
         values[part], maps = kinematics.gaps(swept, mechanism.loops)
         left = swept.reduced.joints

@@ -20,6 +20,7 @@ once; all further algebra runs on arrays of poses. Joints that do not matter hav
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,23 +35,92 @@ CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
 
 
+def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield n poses in parts of about equal size, each half as many again at most: no part is hardly worth its start.
+
+    Args:
+        n: How many there are.
+        size: How many are good at once.
+    """
+    ends = np.linspace(0, n, max(round(n / size), min(n, 1)) + 1).astype(np.intp)
+    for start, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        yield slice(start, end)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Twists of origins along which to differentiate.
+
+    Attributes:
+        twists: Combinations, (6 n_joints, k); None: every origin twist.
+        before: The same in the frames before the origins that count, (n_reduced, 6, k).
+    """
+
+    twists: FloatArray | None
+    before: FloatArray
+
+    @cached_property
+    def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6)."""
+        joints, columns = np.nonzero(np.any(self.before != 0.0, axis=1))
+        return joints, columns, np.ascontiguousarray(self.before[joints, :, columns])
+
+
+class Shared:
+    """What sweeps over many poses of a mechanism share, computed once for all of them.
+
+    Args:
+        mechanism: The robot.
+        pairs: Frames that are needed.
+        functions: The compiled functions, where these compute the poses.
+    """
+
+    def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:
+        self.mechanism, self.functions = mechanism, functions
+        self.reduced, self.spare = mechanism.around(pairs)
+        self._along: Along | None = None
+
+    @cached_property
+    def tree(self) -> Any:
+        """What counts of the model, as compiled code has it."""
+        return self.functions.tree(self.mechanism, self.reduced)
+
+    @cached_property
+    def loops(self) -> Any:
+        """Rows of all loops, as compiled code has them."""
+        return self.functions.loops(self.mechanism, self.reduced)
+
+    def along(self, twists: FloatArray | None) -> Along:
+        """Return twists (6 n_joints, k), those of the last call without computing them again."""
+        if self._along is None or self._along.twists is not twists:
+            self._along = Along(twists, self.mechanism.twists_before(twists)[self.reduced.joints])
+        return self._along
+
+
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """Kinematics of `n` configurations.
 
     Attributes:
-        reduced: The joints that count.
-        rotation: World rotation of each of their frames, behind that of the world, (n, n_reduced + 1, 3, 3).
+        shared: What it shares with the sweeps of other poses.
+        rotation: World rotation of each frame of a joint that counts, behind that of the world,
+            (n, n_reduced + 1, 3, 3).
         translation: World position of each of them [m], (n, n_reduced + 1, 3).
         jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced).
-        compiled: What takes the place of the Jacobian, if compiled code has computed the poses.
+        compiled: `flat_poses` of the same frames, in place of the Jacobian, if compiled code has computed them,
+            (n, n_reduced + 1, 12).
     """
 
-    reduced: Reduced
+    shared: Shared
     rotation: FloatArray
     translation: FloatArray
     jacobian: FloatArray
-    compiled: CompiledPoses | None = None
+    compiled: FloatArray | None = None
+
+    @property
+    def reduced(self) -> Reduced:
+        """The joints that count."""
+        return self.shared.reduced
 
     @property
     def index(self) -> IntArray:
@@ -72,42 +142,32 @@ class Sweep:
         return result.reshape(n, 6, 6 * count)
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledPoses:
-    """Poses of every joint, as compiled code has computed them; see `calib.robots.kernels`.
-
-    Attributes:
-        functions: The compiled functions.
-        tree: What counts of the model, as arrays.
-        poses: `flat_poses` of the world and all joints that count, (n, n_reduced + 1, 12).
-    """
-
-    functions: Any
-    tree: Any
-    poses: FloatArray
-
-
-def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
+def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
     """Return the sweep of `sweep` without the Jacobian, by compiled code.
 
     Args:
-        functions: The compiled functions.
-        mechanism: The robot.
+        shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
-        pairs: Frames that are needed.
     """
-    reduced, _ = mechanism.around(pairs)
-    tree = functions.tree(mechanism, reduced)
-    poses = functions.poses(tree, joints[:, reduced.joints])
-    return Sweep(reduced, *_parts(poses), np.empty(0), CompiledPoses(functions, tree, poses))
+    poses = shared.functions.poses(shared.tree, joints[:, shared.reduced.joints])
+    return Sweep(shared, *_parts(poses), np.empty(0), poses)
 
 
-def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
+def sweep(
+    mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], shared: Shared | None = None
+) -> Sweep:
     """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
 
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+
+    Args:
+        mechanism: The robot.
+        joints: Configurations.
+        pairs: Frames that are needed.
+        shared: What other sweeps for these pairs have computed.
     """
-    reduced, spare = mechanism.around(pairs)
+    shared = Shared(mechanism, pairs) if shared is None else shared
+    reduced, spare = shared.reduced, shared.spare
     try:
         space = spare.pop()  # a list, so that two threads never get the same one
     except IndexError:
@@ -122,7 +182,7 @@ def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, 
         to_poses[:] = poses
         to_jacobian[:] = jacobian
     spare.append(space)
-    return Sweep(reduced, *_parts(every_pose), every_jacobian.transpose(0, 2, 1))
+    return Sweep(shared, *_parts(every_pose), every_jacobian.transpose(0, 2, 1))
 
 
 def _parts(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -253,12 +313,11 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> 
 
 
 def origin_derivative(
-    mechanism: Mechanism, swept: Sweep, terms: list[tuple[FloatArray, FloatArray]], twists: FloatArray | None
+    swept: Sweep, terms: list[tuple[FloatArray, FloatArray]], twists: FloatArray | None
 ) -> FloatArray:
     """Return sum over terms of map (V_b - V_a) along origin twists, (n, n_rows, k).
 
     Args:
-        mechanism: The mechanism.
         swept: Of the poses.
         terms: (twist map (n, n_rows, 6), sign per joint from `Mechanism.between` (n_joints,)) of each pair.
         twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
@@ -276,5 +335,5 @@ def origin_derivative(
             columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
             moved = np.matmul(combined, swept.regressor[:, :, columns])
             by_origin[:, :, origins] = moved.reshape(n, n_rows, len(origins), 6)
-    along = mechanism.twists_before(twists)[joints].reshape(6 * len(joints), -1)
+    along = swept.shared.along(twists).before.reshape(6 * len(joints), -1)
     return (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])

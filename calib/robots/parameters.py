@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -107,8 +108,7 @@ class OriginComponents:
         """Return the derivative of each origin; see `Parametrisation`."""
         result: dict[str, FloatArray] = {}
         for name, moved in self._deviations(values).items():
-            columns = [k for k, (origin, _) in enumerate(self.places) if origin == name]
-            components = [self.places[k][1] for k in columns]
+            columns, components = self._of_origins[name]
             pose = self._edited(name, moved)
             whole = np.zeros((6, 6))
             whole[:3, :3] = pose.rotation.T
@@ -118,6 +118,12 @@ class OriginComponents:
             result[name] = np.zeros((6, len(self.parameters)))
             result[name][:, columns] = whole[:, components]
         return result
+
+    @cached_property
+    def _of_origins(self) -> dict[str, tuple[list[int], list[int]]]:
+        """Columns of each origin, and the components that they are."""
+        columns = {name: [k for k, (origin, _) in enumerate(self.places) if origin == name] for name in self.nominal}
+        return {name: (own, [self.places[k][1] for k in own]) for name, own in columns.items()}
 
     def _edited(self, name: str, moved: FloatArray) -> pin.SE3:
         nominal = self.nominal[name]

@@ -116,12 +116,12 @@ def sweeps(
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
     size = kinematics.CHUNK if functions is None else _CHUNK_COMPILED
-    for start in range(0, len(joints), size):
-        part = slice(start, min(start + size, len(joints)))
+    shared = kinematics.Shared(mechanism, needed, functions)
+    for part in kinematics.chunks(len(joints), size):
         if functions is None:
-            yield part, kinematics.sweep(mechanism, joints[part], needed)
+            yield part, kinematics.sweep(mechanism, joints[part], needed, shared)
         else:
-            yield part, kinematics.compiled_sweep(functions, mechanism, joints[part], needed)
+            yield part, kinematics.compiled_sweep(shared, joints[part])
 
 
 def relative_motion(
@@ -151,7 +151,7 @@ def relative_motion(
         swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
     )
     terms = [(mapping, mechanism.between(pair)), *_through_loops(mechanism, swept, by_passive, slope)]
-    return kinematics.origin_derivative(mechanism, swept, terms, twists)
+    return kinematics.origin_derivative(swept, terms, twists)
 
 
 def passive_motion(
@@ -174,7 +174,7 @@ def passive_motion(
         return _compiled_motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
     by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
     terms = _through_loops(mechanism, swept, by_passive, slope)
-    return kinematics.origin_derivative(mechanism, swept, terms, twists)
+    return kinematics.origin_derivative(swept, terms, twists)
 
 
 def _through_loops(
@@ -203,23 +203,19 @@ def _compiled_motion(
     twists: FloatArray | None,
 ) -> FloatArray:
     """The same by compiled code; see `calib.robots.kernels.motion` for the arguments."""
-    reduced, by = swept.reduced, swept.compiled
-    assert by is not None
-    blocks = mechanism.twists_before(twists)[reduced.joints]
-    joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
-    entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
-    rows, select = by.functions.loops(mechanism, reduced), mechanism.select_passive[reduced.joints]
-    return by.functions.motion(
-        by.tree,
-        rows,
-        by.poses,
+    reduced, shared = swept.reduced, swept.shared
+    along = shared.along(twists)
+    return shared.functions.motion(
+        shared.tree,
+        shared.loops,
+        swept.compiled,
         mapping,
         signs[reduced.joints],
         direct,
-        select,
+        mechanism.select_passive[reduced.joints],
         np.ascontiguousarray(slope),
-        entries,
-        blocks.shape[2],
+        along.entries,
+        along.before.shape[2],
     )
 
 

@@ -83,7 +83,7 @@ class _Work:
         self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if self.all_pairs else ()
         self._n_parameters, n = len(robot.parameters), len(readings)
         self._residuals = np.empty((n, instrument.n_rows))
-        self._columns = np.zeros((n, instrument.n_rows, self._n_parameters + n_actuated))
+        self._columns = np.empty((n, instrument.n_rows, self._n_parameters + n_actuated))  # each is filled once
         self._order = np.argsort(readings.visits, kind="stable")
         self._sorted = readings.visits[self._order]
 
@@ -119,7 +119,8 @@ class _Work:
         by_twist = comparison.by_twist[:, :, : motion.shape[1]]
         if len(at) != len(motion) or np.any(at != np.arange(len(at))):
             motion = motion[at]
-        self._columns[_run(chosen)] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+        self._columns[_run(chosen)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+        self._add_unknowns(chosen, comparison)
 
     def _fill_joint(
         self,
@@ -137,19 +138,25 @@ class _Work:
         comparison = self._compare(chosen, joints[at, index])
         assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
-        self._columns[chosen] += comparison.by_joint[:, :, None] * motion[at]
+        self._columns[_run(chosen)] = comparison.by_joint[:, :, None] * motion[at]
+        self._add_unknowns(chosen, comparison)
         if self._columns.shape[2] > self._n_parameters:
             self._columns[chosen, :, self._n_parameters :] += (
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
     def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
-        """Ask the kind, and keep residuals and the columns of its own unknowns."""
+        """Ask the kind, and keep residuals."""
         unknowns = self.robot.unknowns(self.instrument.name)
         comparison = self.instrument.compare(seen, self.robot.values[unknowns], _some(self.readings, chosen))
-        self._residuals[chosen] = comparison.residuals
-        self._columns[chosen, :, unknowns] += comparison.by_unknown
+        self._residuals[_run(chosen)] = comparison.residuals
         return comparison
+
+    def _add_unknowns(self, chosen: IntArray, comparison: Comparison | JointComparison) -> None:
+        """Add the columns of the kind's own unknowns."""
+        unknowns = self.robot.unknowns(self.instrument.name)
+        if unknowns.stop > unknowns.start:
+            self._columns[chosen, :, unknowns] += comparison.by_unknown
 
     def result(self, configurations: Configurations) -> Observed:
         """Return what was filled in."""

@@ -82,24 +82,24 @@ class _Picked(OnDemand[str]):
 
     Attributes:
         every: All of them.
-        index: Which, (n,).
+        places: Which, (n,).
     """
 
     every: OnDemand[str]
-    index: IntArray
+    places: IntArray
 
     def __len__(self) -> int:
-        return len(self.index)
+        return len(self.places)
 
     def _made(self, k: int) -> str:
-        return self.every[int(self.index[k])]
+        return self.every[int(self.places[k])]
 
 
 def picked(texts: Texts, index: IntArray) -> Texts:
     """Return the texts with these indices (n,), in this order."""
     if isinstance(texts, tuple):
         return tuple([texts[k] for k in index])
-    every, index = (texts.every, texts.index[index]) if isinstance(texts, _Picked) else (texts, index)
+    every, index = (texts.every, texts.places[index]) if isinstance(texts, _Picked) else (texts, index)
     return _Picked(every, index)
 
 

@@ -40,8 +40,8 @@ def page_files() -> dict[str, dict[str, Path]]:
         FileNotFoundError: The installation lacks its data.
     """
     return {
-        folder: {path.name: path for path in sorted(_existing(f"{folder}/{one}").parent.iterdir()) if path.is_file()}
-        for folder, one in (("urdf", "medrue.urdf"), ("docs/examples", "arm.urdf"))
+        folder: {path.name: path for path in sorted(_existing(f"{folder}/{name}").parent.iterdir()) if path.is_file()}
+        for folder, name in (("urdf", "medrue.urdf"), ("docs/examples", "arm.urdf"))
     }
 
 

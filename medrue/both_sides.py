@@ -205,14 +205,14 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
         for s, pose_set in enumerate(task.sets):
             data = visited(model, task.joints, measured, *_visits(way, pose_set, either))
             try:
-                found = fit_data(model, how, data, nearby=Nearby.no_intervals(model))
+                fit = fit_data(model, how, data, nearby=Nearby.no_intervals(model))
             except NotIdentifiableError:  # too few readings for so many parameters
                 continue
-            if not found.converged:
+            if not fit.converged:
                 continue
-            after[w, s] = _predicted(found.robot, task.joints, passive) - measured
+            after[w, s] = _predicted(fit.robot, task.joints, passive) - measured
             if way == EXTENDED and s == 0:
-                values, std = found.robot.values, found.statistics.std
+                values, std = fit.robot.values, fit.statistics.std
     return BothSidesDraw(measured, after, truth.robot.values, values, std)
 
 

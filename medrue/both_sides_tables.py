@@ -28,11 +28,11 @@ BOTH_SIDES_NOTE = (
 _DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
 
 
-def error_columns(found: BothSides) -> list[Column]:
+def error_columns(both_sides: BothSides) -> list[Column]:
     """Return Table IV's columns of the paper's poses, approached from both sides."""
     columns = []
     for header, way in (("O1, both sides", PAPER), ("O1, both sides, extended", EXTENDED)):
-        draws = millimetres(summary(np.linalg.norm(found.errors(way, 0), axis=2)))
+        draws = millimetres(summary(np.linalg.norm(both_sides.errors(way, 0), axis=2)))
         cells: list[Cell] = []
         for k in range(len(STATISTICS)):
             numbers = (draws[0, k], draws[:, k].mean(), standard_error(draws[:, k]))
@@ -41,58 +41,60 @@ def error_columns(found: BothSides) -> list[Column]:
     return columns
 
 
-def component_columns(found: BothSides) -> list[Column]:
+def component_columns(both_sides: BothSides) -> list[Column]:
     """Return Table V's columns of the first draw, approached from both sides."""
     columns = []
     for header, way in (("both sides", PAPER), ("both sides, extended", EXTENDED)):
-        for axis, values in zip("xyz", np.abs(found.errors(way, 0)[0].T), strict=True):
+        for axis, values in zip("xyz", np.abs(both_sides.errors(way, 0)[0].T), strict=True):
             ours = millimetres(summary(values))[: len(STATISTICS)]
             cells = [cell for value in ours for cell in (_cell(value), None)]
             columns.append(Column(f"{header} {axis}", tuple(cells)))
     return columns
 
 
-def both_sides_tables(found: BothSides) -> tuple[ResultTable, ...]:
+def both_sides_tables(both_sides: BothSides) -> tuple[ResultTable, ...]:
     """Return the tables of the measurement from both sides alone."""
-    return pose_count_table(found), extended_parameter_table(found)
+    return pose_count_table(both_sides), extended_parameter_table(both_sides)
 
 
-def pose_count_table(found: BothSides) -> ResultTable:
+def pose_count_table(both_sides: BothSides) -> ResultTable:
     """Error along x that remains, by the number of poses and the way to calibrate."""
-    names = (f"{len(found.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in found.sets[1:]))
+    names = (f"{len(both_sides.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in both_sides.sets[1:]))
     columns = [Column("poses", names)]
     for way in WAYS:
-        columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(found, way).mean(axis=0))))
-    draws = mean_x(found, EXTENDED)
+        columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(both_sides, way).mean(axis=0))))
+    draws = mean_x(both_sides, EXTENDED)
     if len(draws) > 1:
         columns.append(_column(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws))))
     columns += [
-        _column(f"{EXTENDED.name}, rms {axis} [mm]", millimetres(component_rms(found, EXTENDED)[:, k]))
+        _column(f"{EXTENDED.name}, rms {axis} [mm]", millimetres(component_rms(both_sides, EXTENDED)[:, k]))
         for k, axis in enumerate("xyz")
     ]
-    columns.append(_column(f"{EXTENDED.name}, rms x over the noise's", component_rms(found, EXTENDED)[:, 0] / NOISE))
+    columns.append(
+        _column(f"{EXTENDED.name}, rms x over the noise's", component_rms(both_sides, EXTENDED)[:, 0] / NOISE)
+    )
     return ResultTable(
         "pose_count",
         "What remains along x after calibration, by the number of poses",
         tuple(columns),
         (
             "poses chosen by O1 of the extended model; the paper's: by O1 of its own model",
-            f"simulated; {counted(len(found.draws), 'draw')}; at all other poses from both sides, with the tracker's"
-            f" noise, which alone has an rms of {millimetres(NOISE):.4f} mm and a mean magnitude of"
+            f"simulated; {counted(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
+            f" tracker's noise, which alone has an rms of {millimetres(NOISE):.4f} mm and a mean magnitude of"
             f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
             " one visit, in the positive direction; empty: too few readings for the model",
-            f"{found.rail}; the last two are in no model",
+            f"{both_sides.rail}; the last two are in no model",
         ),
     )
 
 
-def extended_parameter_table(found: BothSides) -> ResultTable:
+def extended_parameter_table(both_sides: BothSides) -> ResultTable:
     """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
-    draw, parameters, terms = found.draws[0], found.extended.parameters, found.extended.coefficients
+    draw, parameters, terms = both_sides.draws[0], both_sides.extended.parameters, both_sides.extended.coefficients
     scale = np.array([parameter.per_si for parameter in parameters])
     expected = np.array([parameter.sigma_si for parameter in parameters])
-    tilts = tuple(f"{joint.name}.{tilt}" for joint in found.extended.urdf.joints for tilt in ("ry", "rz"))
+    tilts = tuple(f"{joint.name}.{tilt}" for joint in both_sides.extended.urdf.joints for tilt in ("ry", "rz"))
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
     shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))
 
@@ -114,29 +116,29 @@ def extended_parameter_table(found: BothSides) -> ResultTable:
             "simulated; first draw; only those whose std is less than half of the expected error: the others rest on"
             " their priors",
             "the actual backlash is half of that at the rail's ends; on average over the stroke it is"
-            f" {200 / np.pi * found.rail.wear:.1f} % larger, which is what a model without wear can find",
+            f" {200 / np.pi * both_sides.rail.wear:.1f} % larger, which is what a model without wear can find",
         ),
     )
 
 
-def both_sides_findings(found: BothSides) -> tuple[str, ...]:
+def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
     """Say in words what the tables show."""
-    paper, extended = (_length(mean_x(found, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
-    rms, noise = _length(component_rms(found, EXTENDED)[0, 0]), millimetres(NOISE)
+    paper, extended = (_length(mean_x(both_sides, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
+    rms, noise = _length(component_rms(both_sides, EXTENDED)[0, 0]), millimetres(NOISE)
     return (
-        f"From both sides at the same {len(found.sets[0].chosen)} poses,"
-        f" {counted(len(found.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
+        f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
+        f" {counted(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
         f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
         f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms} and {noise:.3f} mm).",
-        _needed(found),
+        _needed(both_sides),
     )
 
 
-def _needed(found: BothSides) -> str:
+def _needed(both_sides: BothSides) -> str:
     """How many poses each way needs, and which ways do not get there with any number of them."""
-    counts = np.array([len(pose_set.chosen) for pose_set in found.sets[1:]])
-    means = {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS}
-    near = {way.name: component_rms(found, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
+    counts = np.array([len(pose_set.chosen) for pose_set in both_sides.sets[1:]])
+    means = {way.name: mean_x(both_sides, way)[:, 1:].mean(axis=0) for way in WAYS}
+    near = {way.name: component_rms(both_sides, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
     never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
     return (
         f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
@@ -152,14 +154,16 @@ def _least(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
     return ", ".join(enough) or f"more than {counts[-1]}"
 
 
-def mean_x(found: BothSides, way: Way) -> FloatArray:
+def mean_x(both_sides: BothSides, way: Way) -> FloatArray:
     """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way cannot be."""
-    return np.array([np.abs(found.errors(way, s)[:, :, 0]).mean(axis=1) for s in range(len(found.sets))]).T
+    return np.array([np.abs(both_sides.errors(way, s)[:, :, 0]).mean(axis=1) for s in range(len(both_sides.sets))]).T
 
 
-def component_rms(found: BothSides, way: Way) -> FloatArray:
+def component_rms(both_sides: BothSides, way: Way) -> FloatArray:
     """Return the root mean square error along each axis over all draws, (n_sets, 3) [m]; NaN where a way cannot be."""
-    return np.array([np.sqrt(np.mean(found.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(found.sets))])
+    return np.array(
+        [np.sqrt(np.mean(both_sides.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(both_sides.sets))]
+    )
 
 
 def _column(header: str, values: FloatArray) -> Column:

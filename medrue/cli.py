@@ -103,21 +103,21 @@ def poses_command(out: str, output: Output) -> None:
     output.check(out)
     robot = load(robot_file())
     with output.working("solving 420 poses"):
-        found = target_poses(robot)
+        targets = target_poses(robot)
     comments = (
         "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
-    output.write(out, format_positions(robot, found.poses, found.positions, comments))
-    output.json(pose_facts(found))
+    output.write(out, format_positions(robot, targets.poses, targets.positions, comments))
+    output.json(pose_facts(targets))
     output.say(
-        f"{len(found.poses)} poses written to {out}\n"
-        f"largest difference from the closed-form inverse: {found.difference:.1e} (m, rad)\n"
-        f"q1 from {millimetres(found.stroke[0]):.1f} to {millimetres(found.stroke[1]):.1f} mm of 700 mm;"
-        f" probe tilted by {np.degrees(found.tilt[0]):.1f} deg on average,"
-        f" {np.degrees(found.tilt[1]):.1f} deg at most\n"
-        f"nearest to a singular pose: smallest singular value of the loops {found.singular_value:.3f}, smallest sine"
-        f" between two links {found.sine:.3f} (0 is singular)"
+        f"{len(targets.poses)} poses written to {out}\n"
+        f"largest difference from the closed-form inverse: {targets.difference:.1e} (m, rad)\n"
+        f"q1 from {millimetres(targets.stroke[0]):.1f} to {millimetres(targets.stroke[1]):.1f} mm of 700 mm;"
+        f" probe tilted by {np.degrees(targets.tilt[0]):.1f} deg on average,"
+        f" {np.degrees(targets.tilt[1]):.1f} deg at most\n"
+        f"nearest to a singular pose: smallest singular value of the loops {targets.singular_value:.3f}, smallest sine"
+        f" between two links {targets.sine:.3f} (0 is singular)"
     )
 
 
@@ -153,8 +153,8 @@ def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
 
         size = QUICK if quick else StudySize()
         size = replace(size, noise_draws=draws or size.noise_draws)
-        found = run_study(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
-    _finish(study_report(found), out, output, shown=("table2",))
+        study = run_study(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
+    _finish(study_report(study), out, output, shown=("table2",))
 
 
 @group.command("experiment")
@@ -196,8 +196,8 @@ def experiment_command(
         progress = Silent() if output.quiet else TerminalBars()
         robots = load(robot_file()), load(robot_file("medrue_extended"))
         counts = QUICK_COUNTS if quick else COUNTS
-        found = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
-    _finish(experiment_report(found), out, output, shown=("table4", "table5"))
+        experiment = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
+    _finish(experiment_report(experiment), out, output, shown=("table4", "table5"))
 
 
 @group.command("touch")
@@ -212,8 +212,8 @@ def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
 
         size = QUICK if quick else SIZE
         size = replace(size, noise_draws=draws or size.noise_draws)
-        found = run_touch(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
-    _finish(touch_report(found), out, output, shown=("world", "shape"))
+        study = run_touch(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
+    _finish(touch_report(study), out, output, shown=("world", "shape"))
 
 
 def _finish(report: Report, out: str, output: Output, shown: tuple[str, ...]) -> None:

@@ -105,8 +105,8 @@ def signs(q: FloatArray) -> Iterator[tuple[Errors, Errors]]:
         factor = np.ones(len(PARAMETERS))
         for sign, group in zip(reversed_groups, GROUPS, strict=True):
             factor[[PARAMETERS.index(name) for name in group]] = sign
-        one, other = (errors_of(differences(nominal + factor * (p - nominal), q)) for p in _robots())
-        yield one, other
+        errors, other = (errors_of(differences(nominal + factor * (p - nominal), q)) for p in _robots())
+        yield errors, other
 
 
 def rotation_orders(q: FloatArray) -> dict[str, tuple[Errors, Errors]]:
@@ -116,15 +116,15 @@ def rotation_orders(q: FloatArray) -> dict[str, tuple[Errors, Errors]]:
         q: Joint values, (n, 6) [m, rad].
     """
     nominal = forward(q, table1().nominal).p_world_tool
-    found: dict[str, list[Errors]] = {"Rx Ry Rz": [], "transposed": []}
+    errors_by_order: dict[str, list[Errors]] = {"Rx Ry Rz": [], "transposed": []}
     for parameters in _robots():
         named = name_parameters(parameters, len(q))
         R, p = base_in_world(named)
         p_base = np.einsum("nji,nj->ni", R, forward(q, parameters).p_world_tool - p)
         other = rotation_x(named["phi_bx"]) @ rotation_y(named["phi_by"]) @ rotation_z(named["phi_bz"])
         for name, turn in (("Rx Ry Rz", other), ("transposed", np.transpose(R, (0, 2, 1)))):
-            found[name].append(errors_of(np.einsum("nij,nj->ni", turn, p_base) + p - nominal))
-    return {name: (errors[0], errors[1]) for name, errors in found.items()}
+            errors_by_order[name].append(errors_of(np.einsum("nij,nj->ni", turn, p_base) + p - nominal))
+    return {name: (errors[0], errors[1]) for name, errors in errors_by_order.items()}
 
 
 def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[Errors, Errors]]:
@@ -147,9 +147,9 @@ def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[Errors, Erro
             q = inverse(homogeneous(R, p), table1().nominal, WorkingMode(elbows + elbows))
             if not np.isfinite(q).all():
                 continue
-            found = [differences(parameters, q) for parameters in _robots()]
-            if np.isfinite(found).all():
-                yield errors_of(found[0]), errors_of(found[1])
+            deviations = [differences(parameters, q) for parameters in _robots()]
+            if np.isfinite(deviations).all():
+                yield errors_of(deviations[0]), errors_of(deviations[1])
 
 
 def _robots() -> tuple[FloatArray, FloatArray]:
@@ -168,11 +168,11 @@ def main() -> None:
         print(f"  base placed beforehand: {errors_of(placed)}")
     for name, (second, fourth) in rotation_orders(q).items():
         print(f"rotation of the base {name}: Table II {second.mean:.2f} mm, Table IV {fourth.mean:.2f} mm")
-    for what, found in (("signs of groups", list(signs(q))), ("half cylinders", list(placements()))):
-        least = min(fourth.mean for _, fourth in found)
-        near = [sum(pair[k].is_near(error_table(n)["before"]) for pair in found) for k, n in ((0, 2), (1, 4))]
+    for variant, pairs in (("signs of groups", list(signs(q))), ("half cylinders", list(placements()))):
+        least = min(fourth.mean for _, fourth in pairs)
+        near = [sum(pair[k].is_near(error_table(n)["before"]) for pair in pairs) for k, n in ((0, 2), (1, 4))]
         print(
-            f"{len(found)} {what}: least mean of Table IV {least:.2f} mm; mean, largest and std within"
+            f"{len(pairs)} {variant}: least mean of Table IV {least:.2f} mm; mean, largest and std within"
             f" {100 * NEAR:.0f} % of the paper's: Table II {near[0]}, Table IV {near[1]}"
         )
 

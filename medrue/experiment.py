@@ -144,17 +144,17 @@ def run_experiment(
     with progress.stage("choosing poses", 6) as advance:
         _, sets = choose_sets(robot, joints, executor, advance)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, one) for one in seeds]
+    tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, child) for child in seeds]
     for alone in imperfections.causes.values():
-        tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, one) for one in seeds]
-    found = []
+        tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, child) for child in seeds]
+    drawn = []
     with progress.stage("simulated experiments", len(tasks)) as advance:
         for draw in in_order(experiment_draw, tasks, executor):
-            found.append(draw)
+            drawn.append(draw)
             advance(1)
-    causes = {name: tuple(found[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
+    causes = {name: tuple(drawn[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
     both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, executor, progress)
-    return Experiment(robot, joints, sets, imperfections, tuple(found[:draws]), causes, both_sides, seed)
+    return Experiment(robot, joints, sets, imperfections, tuple(drawn[:draws]), causes, both_sides, seed)
 
 
 @one_blas_thread

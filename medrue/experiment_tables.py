@@ -223,7 +223,7 @@ def _axis_finding(experiment: Experiment) -> str:
 def _measuring_finding(experiment: Experiment) -> str:
     """How good the simulated measurement was."""
     draw, draws = experiment.draws[0], experiment.draws
-    outliers = sum(len(one.nest_outliers) for one in draws)
+    outliers = sum(len(each.nest_outliers) for each in draws)
     return (
         f"Repeats at one pose scatter by {micrometres(draw.repeatability):.1f} um on each axis (repeatability). The"
         f" world frame from three nests is uncertain by up to {micrometres(draw.frame_sigma):.0f} um at the tool (one"

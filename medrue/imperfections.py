@@ -196,9 +196,9 @@ def geometry(extended: Robot, like: Robot) -> dict[str, float]:
     """
     values: dict[str, float] = {}
     for joint in extended.urdf.joints:
-        wanted, nominal = like.mechanism.placement(joint.name), extended.nominal.placement(joint.name)
-        turn = pin.log3(nominal.rotation.T @ wanted.rotation)
-        numbers = (*wanted.translation, *turn)
+        placement, nominal = like.mechanism.placement(joint.name), extended.nominal.placement(joint.name)
+        turn = pin.log3(nominal.rotation.T @ placement.rotation)
+        numbers = (*placement.translation, *turn)
         names = (f"{joint.name}.{component}" for component in ("x", "y", "z", "rx", "ry", "rz"))
         values |= {name: float(number) for name, number in zip(names, numbers, strict=True)}
     return values

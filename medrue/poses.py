@@ -49,25 +49,25 @@ class TargetPoses:
     tilt: tuple[float, float]
 
 
-def pose_facts(found: TargetPoses) -> dict[str, object]:
+def pose_facts(targets: TargetPoses) -> dict[str, object]:
     """Return where the poses are, how they are spread and how safe they are, as plain data with units in the names."""
     workspace = target_workspace()
     offset = workspace.T_world_tool[:, :3, 3] - workspace.p_axis
     angles = np.degrees(np.arctan2(offset[:, 2], offset[:, 1])) % 360
     x = millimetres(workspace.T_world_tool[:, 0, 3])
     return {
-        "poses": len(found.poses),
+        "poses": len(targets.poses),
         "axis_of_the_leg_from_mm": [millimetres(c) for c in workspace.p_axis],
         "axis_of_the_leg_to_mm": [millimetres(c) for c in workspace.p_axis + workspace.length * workspace.axis],
         "radius_mm": millimetres(workspace.radius),
         "positions_along_x_mm": [float(x.min()), float(x.max())],
         "positions_from_y_towards_z_deg": [float(angles.min()), float(angles.max())],
         "different_x_and_angles": [len(np.unique(values.round(6))) for values in (x, angles)],
-        "probe_tilt_mean_and_largest_deg": [float(np.degrees(angle)) for angle in found.tilt],
-        "q1_mm": [millimetres(q) for q in found.stroke],
-        "smallest_singular_value_of_the_loops": found.singular_value,
-        "smallest_sine_between_links": found.sine,
-        "largest_difference_from_closed_form_m_rad": found.difference,
+        "probe_tilt_mean_and_largest_deg": [float(np.degrees(angle)) for angle in targets.tilt],
+        "q1_mm": [millimetres(q) for q in targets.stroke],
+        "smallest_singular_value_of_the_loops": targets.singular_value,
+        "smallest_sine_between_links": targets.sine,
+        "largest_difference_from_closed_form_m_rad": targets.difference,
     }
 
 

@@ -109,8 +109,8 @@ def _measurement_file(experiment: Experiment) -> str:
         f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
         f"tracker noise {millimetres(SIGMA):g} mm on each axis, {counted(REPEATS, 'reading')} averaged",
     )
-    found = experiment.both_sides
-    return format_measurements(found.extended, found.first_measurements(), comments)
+    both_sides = experiment.both_sides
+    return format_measurements(both_sides.extended, both_sides.first_measurements(), comments)
 
 
 def _workspace() -> NamedFigure:
@@ -182,16 +182,16 @@ def _touch_errors(study: TouchStudy) -> NamedFigure:
     )
 
 
-def _pose_count(found: BothSides) -> NamedFigure:
-    draws = counted(len(found.draws), "draw")
+def _pose_count(both_sides: BothSides) -> NamedFigure:
+    draws = counted(len(both_sides.draws), "draw")
     return NamedFigure(
         "pose_count",
         "How many poses the extended model needs",
         f"Mean over {draws} at all other poses, approached from both sides. Either side: each pose is visited once,"
         " from a side that chance decides; one side: always in the positive direction.",
         pose_count_figure(
-            tuple(len(pose_set.chosen) for pose_set in found.sets[1:]),
-            {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS},
+            tuple(len(pose_set.chosen) for pose_set in both_sides.sets[1:]),
+            {way.name: mean_x(both_sides, way)[:, 1:].mean(axis=0) for way in WAYS},
             float(NOISE * np.sqrt(2 / np.pi)),
         ),
     )

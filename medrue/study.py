@@ -225,7 +225,9 @@ def _other_robots(
     """Draws of the noise on other robots."""
     tasks = []
     for child in seeds.spawn(size.actual_draws):
-        own, noise = child.spawn(2)
+        robot_seed, noise = child.spawn(2)
         draws = tuple(noise.spawn(size.noise_per_actual))
-        tasks.append(Task(robot, joints, true_positions(joints, drawn_parameters(robot, own)), sets, SIGMA, draws))
+        tasks.append(
+            Task(robot, joints, true_positions(joints, drawn_parameters(robot, robot_seed)), sets, SIGMA, draws)
+        )
     return tasks

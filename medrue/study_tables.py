@@ -113,7 +113,7 @@ def _printed(statistic: str, names: tuple[str, ...]) -> FloatArray:
 def floor_table(study: Study) -> ResultTable:
     """What theory allows against what the draws gave."""
     squares = millimetres(study.validation_errors(study.outcome)[:, :, 3]) ** 2
-    found, spread = squares.mean(axis=0), standard_error(squares)
+    mean_squares, spread = squares.mean(axis=0), standard_error(squares)
     floors = millimetres(study.floors)
     return ResultTable(
         "floor",
@@ -121,8 +121,8 @@ def floor_table(study: Study) -> ResultTable:
         (
             Column("poses chosen by", study.names),
             Column("theory [mm]", tuple(float(value) for value in floors), 4),
-            Column("draws [mm]", tuple(float(value) for value in np.sqrt(found)), 4),
-            Column("ratio of squares", tuple(float(value) for value in found / floors**2), 3),
+            Column("draws [mm]", tuple(float(value) for value in np.sqrt(mean_squares)), 4),
+            Column("ratio of squares", tuple(float(value) for value in mean_squares / floors**2), 3),
             Column("its standard error", tuple(float(value) for value in spread / floors**2), 3),
         ),
         (

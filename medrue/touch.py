@@ -136,17 +136,19 @@ def run_touch(robot: Robot, size: StudySize, seed: int, executor: Executor | Non
             artefacts[artefact] = predicted_error(robot, joints, artefact)
         advance(1)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
-    tasks = [TouchTask(methods, joints, table1().actual, one) for one in noise_seeds.spawn(size.noise_draws)]
+    tasks = [
+        TouchTask(methods, joints, table1().actual, noise_seed) for noise_seed in noise_seeds.spawn(size.noise_draws)
+    ]
     for child in actual_seeds.spawn(size.actual_draws):
-        own, noise = child.spawn(2)
-        actual = drawn_parameters(robot, own)
-        tasks += [TouchTask(methods, joints, actual, one) for one in noise.spawn(size.noise_per_actual)]
-    found = []
+        robot_seed, noise = child.spawn(2)
+        actual = drawn_parameters(robot, robot_seed)
+        tasks += [TouchTask(methods, joints, actual, noise_seed) for noise_seed in noise.spawn(size.noise_per_actual)]
+    drawn = []
     with progress.stage("simulated calibrations", len(tasks) * len(methods)) as advance:
         for distances in in_order(touch_draw, tasks, executor):
-            found.append(distances)
+            drawn.append(distances)
             advance(len(methods))
-    first, others = np.array(found[: size.noise_draws]), np.array(found[size.noise_draws :])
+    first, others = np.array(drawn[: size.noise_draws]), np.array(drawn[size.noise_draws :])
     by_actual = others.reshape(size.actual_draws, size.noise_per_actual, *others.shape[1:])
     seen = {method.name: _seen(method) for method in methods}
     return TouchStudy(methods, selections, artefacts, seen, first, by_actual, seed)
@@ -199,14 +201,14 @@ def touch_draw(task: TouchTask) -> FloatArray:
     generator = np.random.default_rng(task.seed)
     truth = true_positions(task.joints, task.actual)
     calibrated = task.methods[0].robot
-    found = [_judged(calibrated, task.joints, truth)]
+    distances = [_judged(calibrated, task.joints, truth)]
     for method in task.methods:
         data = method.measured(task.actual, generator)
         how = Settings(sigma=SIGMA if isinstance(method, ByTracker) else None)
         calibrated = fit_data(method.robot, how, data, nearby=Nearby.no_intervals(method.robot)).robot
-        found.append(_judged(calibrated, task.joints, truth))
+        distances.append(_judged(calibrated, task.joints, truth))
     tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
-    return np.array([*found, _judged(calibrated.with_parameters(tool), task.joints, truth)])
+    return np.array([*distances, _judged(calibrated.with_parameters(tool), task.joints, truth)])
 
 
 def _judged(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:

@@ -169,13 +169,13 @@ class ByTouch(Method):
         Raises:
             ComputationError: The actual robot does not reach a socket.
         """
-        wanted, origin = self.touches.T_world_tool.copy(), np.array(AXIS_START)
-        offset = wanted[:, :3, 3] - origin
+        touched, origin = self.touches.T_world_tool.copy(), np.array(AXIS_START)
+        offset = touched[:, :3, 3] - origin
         if self.anywhere:
             origin = origin + generator.normal(0.0, PUT_UP[0], 3)
             offset = offset @ pin.exp3(generator.normal(0.0, PUT_UP[1], 3)).T
-        wanted[:, :3, 3] = origin + offset + generator.normal(0.0, SIGMA, offset.shape)
-        joints = inverse(wanted, actual)
+        touched[:, :3, 3] = origin + offset + generator.normal(0.0, SIGMA, offset.shape)
+        joints = inverse(touched, actual)
         if not np.isfinite(joints).all():
             raise ComputationError("a robot with the actual parameters does not reach one of the sockets")
         words = [_socket_name(k) for k in self.touches.socket]
@@ -255,7 +255,9 @@ class _Expected:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """See `Parametrisation`, as for all below."""
-        return tuple(one if one.placement else replace(one, prior=True) for one in self.own.parameters)
+        return tuple(
+            parameter if parameter.placement else replace(parameter, prior=True) for parameter in self.own.parameters
+        )
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Origins."""

@@ -64,20 +64,20 @@ def method_table(study: TouchStudy) -> ResultTable:
     seen = [study.seen[name] for name in names]
     rms = np.sqrt(np.mean(study.noise[:, 1 : 1 + len(names), WAYS.index("world")] ** 2, axis=(0, 2)))
     predicted = [
-        None if one.parameters[0].prior else millimetres(study.selections[name].after["task"])
-        for name, one in zip(names, seen, strict=True)
+        None if determined.parameters[0].prior else millimetres(study.selections[name].after["task"])
+        for name, determined in zip(names, seen, strict=True)
     ]
     return ResultTable(
         "methods",
         "What each method reads, and what it cannot see",
         (
             Column("method", names),
-            Column("rows", tuple(one.n_rows for one in seen), 0),
-            Column("unknowns", tuple(len(one.parameters) for one in seen), 0),
-            Column("rank", tuple(one.rank_all.rank for one in seen), 0),
+            Column("rows", tuple(determined.n_rows for determined in seen), 0),
+            Column("unknowns", tuple(len(determined.parameters) for determined in seen), 0),
+            Column("rank", tuple(determined.rank_all.rank for determined in seen), 0),
             Column("predicted rms [mm]", tuple(predicted), 4),
             Column("rms over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
-            Column("cannot see", tuple(unseen(one) for one in seen)),
+            Column("cannot see", tuple(unseen(determined) for determined in seen)),
         ),
         (
             f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"

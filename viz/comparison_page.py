@@ -29,25 +29,34 @@ class Line:
     real: tuple[bool, ...]
 
 
-def comparison_page(found: ResultComparison, *, command: str = "", created: datetime | None = None) -> Page:
+def comparison_page(comparison: ResultComparison, *, command: str = "", created: datetime | None = None) -> Page:
     """Return the page of a comparison.
 
     Args:
-        found: The comparison.
+        comparison: The comparison.
         command: Command line that made it.
         created: Time to print; now if not given.
     """
-    ranked = found.ranked()
-    rest = [one for one in found.differences if one not in ranked]
-    plots = [*([errors_on_same_rows(found)] if found.sizes else []), intervals(found, ranked)]
+    ranked = comparison.ranked()
+    rest = [difference for difference in comparison.differences if difference not in ranked]
+    plots = [*([errors_on_same_rows(comparison)] if comparison.sizes else []), intervals(comparison, ranked)]
     when = created if created is not None else datetime.now(UTC)
     return Page(
         page_environment()
         .get_template("comparison.html")
         .render(
-            found=found,
-            heads=zip(found.names, found.verdicts, found.n_poses, found.errors, found.errors_on, strict=True),
-            lines=[_line(one) for one in [*ranked, *rest]],
+            comparison=comparison,
+            conclusion=comparison.conclusion(),
+            notes=comparison.notes,
+            heads=zip(
+                comparison.names,
+                comparison.verdicts,
+                comparison.n_poses,
+                comparison.errors,
+                comparison.errors_on,
+                strict=True,
+            ),
+            lines=[_line(difference) for difference in [*ranked, *rest]],
             plots=[plot for plot in plots if plot is not None],
             program=PROGRAM,
             command=command,
@@ -56,10 +65,10 @@ def comparison_page(found: ResultComparison, *, command: str = "", created: date
     )
 
 
-def _line(one: Difference) -> Line:
-    unit = next(str(row["unit"]) for row in one.rows if row is not None)
-    rows = tuple(None if row is None else {**row, **_half(row)} for row in one.rows)
-    return Line(one.name, unit, rows, ", ".join(map(p_text, one.p_values)), (False, *one.real))
+def _line(difference: Difference) -> Line:
+    unit = next(str(row["unit"]) for row in difference.rows if row is not None)
+    rows = tuple(None if row is None else {**row, **_half(row)} for row in difference.rows)
+    return Line(difference.name, unit, rows, ", ".join(map(p_text, difference.p_values)), (False, *difference.real))
 
 
 def _half(row: dict[str, Any]) -> dict[str, float]:
@@ -69,37 +78,41 @@ def _half(row: dict[str, Any]) -> dict[str, float]:
 
 
 @styled
-def errors_on_same_rows(found: ResultComparison) -> Plot:
+def errors_on_same_rows(comparison: ResultComparison) -> Plot:
     """Part of the readings whose error is smaller than a size, for each result."""
     figure, (axes,) = new_figure(1, 1, (8.9, 2.8))
     looks = list(AXES.values())
-    for k, (name, sizes) in enumerate(zip(found.names, found.sizes, strict=True)):
+    for k, (name, sizes) in enumerate(zip(comparison.names, comparison.sizes, strict=True)):
         part = 100 * (np.arange(len(sizes)) + 1) / len(sizes)
         line, colour = _LINES[k % len(_LINES)], looks[k % len(looks)][0]
         axes.plot(np.sort(sizes), part, line, color=colour, label=shortened(name, 40), drawstyle="steps-post")
-    axes.set(xscale="log", xlabel=f"error after calibration [{found.unit}]", ylabel="smaller in [% of readings]")
+    axes.set(xscale="log", xlabel=f"error after calibration [{comparison.unit}]", ylabel="smaller in [% of readings]")
     plain_ticks(axes.xaxis)
     figure.legend(loc="upper center", ncols=3)
     return finished(
         "same-rows",
         "Errors on the same readings",
-        f"{len(found.sizes[0])} readings that no result used: the further to the left, the better.",
+        f"{len(comparison.sizes[0])} readings that no result used: the further to the left, the better.",
         figure,
     )
 
 
 @styled
-def intervals(found: ResultComparison, ranked: list[Difference]) -> Plot | None:
+def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Plot | None:
     """Differences to the first result in half widths of its 95 % intervals; None where there are no intervals."""
-    shown = [one for one in ranked if all(row is not None and row["high95"] is not None for row in one.rows)][:_SHOWN]
+    shown = [
+        difference
+        for difference in ranked
+        if all(row is not None and row["high95"] is not None for row in difference.rows)
+    ][:_SHOWN]
     if not shown:
         return None
-    figure, (axes,) = new_figure(1, 1, (8.9, 1.0 + 0.2 * len(shown) * len(found.names)))
+    figure, (axes,) = new_figure(1, 1, (8.9, 1.0 + 0.2 * len(shown) * len(comparison.names)))
     looks = list(AXES.values())
-    for place, one in enumerate(shown):
-        halves = [_half(row) for row in one.rows if row is not None]
+    for place, difference in enumerate(shown):
+        halves = [_half(row) for row in difference.rows if row is not None]
         first, width = halves[0]["value"], max(halves[0]["half"], 1e-300)
-        for k, (half, real) in enumerate(zip(halves, (False, *one.real), strict=True)):
+        for k, (half, real) in enumerate(zip(halves, (False, *difference.real), strict=True)):
             at = place + 0.8 * ((k + 0.5) / len(halves) - 0.5)
             colour, mark = (ORANGE, "D") if real else (GREY if k == 0 else looks[-1][0], "o")
             x, reach = (half["value"] - first) / width, half["half"] / width
@@ -107,14 +120,14 @@ def intervals(found: ResultComparison, ranked: list[Difference]) -> Plot | None:
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_xscale("symlog", linthresh=2.0)
     plain_ticks(axes.xaxis)
-    axes.set_yticks(range(len(shown)), [shortened(one.name, 30) for one in shown])
+    axes.set_yticks(range(len(shown)), [shortened(difference.name, 30) for difference in shown])
     axes.invert_yaxis()
     axes.set_xlabel("difference to the first result, in half widths of its 95 % interval")
     return finished(
         "intervals",
         "Which differences are real",
-        f"Grey: {shortened(found.names[0], 40)}; below it the others with their 95 % intervals, orange diamonds where a"
-        " difference is real. Overlapping intervals alone decide nothing. The scale is linear to 2 and logarithmic"
-        " beyond.",
+        f"Grey: {shortened(comparison.names[0], 40)}; below it the others with their 95 % intervals, orange diamonds"
+        " where a difference is real. Overlapping intervals alone decide nothing. The scale is linear to 2 and"
+        " logarithmic beyond.",
         figure,
     )

@@ -88,7 +88,9 @@ class Drive:
             "by_passive": self.by_passive.tolist(),
             "constant": self.constant.tolist(),
             "columns": list(self.columns),
-            "loops": [{"a": one.a, "b": one.b, "full": one.full_pose, "rows": list(one.rows)} for one in self.loops],
+            "loops": [
+                {"a": loop.a, "b": loop.b, "full": loop.full_pose, "rows": list(loop.rows)} for loop in self.loops
+            ],
             "passive_range": [[value if np.isfinite(value) else None for value in ends] for ends in self.passive_range],
             "turning": list(self.turning),
             "sliding": list(self.sliding),
@@ -96,7 +98,7 @@ class Drive:
             "home": self.home.tolist(),
             "targets": [{"name": name, "body": body} for name, body in self.targets],
             "length": self.length,
-            "tables": [vars(one) | {"errors": np.round(one.errors, 13).tolist()} for one in self.tables],
+            "tables": [vars(table) | {"errors": np.round(table.errors, 13).tolist()} for table in self.tables],
             "remarks": list(self.remarks),
             "complete": self.complete,
         }
@@ -143,7 +145,7 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
     if not robot.terms:
         return ()
     at_home = _errors(robot, robot.home[None])[0]
-    found = []
+    tables = []
     for k, scale in enumerate(robot.mechanism.joint_scale):
         count = 4 + int(np.ptp(reach[:, k]) / (_TABLE_STEP * scale))
         q = np.tile(robot.home, (count, 1))
@@ -151,8 +153,8 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
         errors = _errors(robot, q) - at_home
         errors[:, k] += at_home[k]
         for j in np.flatnonzero(np.max(np.abs(errors), axis=0) > _NEGLIGIBLE):
-            found.append(ErrorTable(int(j), k, float(q[0, k]), float(q[1, k] - q[0, k]), errors[:, j]))
-    return tuple(found)
+            tables.append(ErrorTable(int(j), k, float(q[0, k]), float(q[1, k] - q[0, k]), errors[:, j]))
+    return tuple(tables)
 
 
 def _errors(robot: Robot, q: FloatArray) -> FloatArray:
@@ -165,6 +167,6 @@ def _remarks(robot: Robot) -> tuple[str, ...]:
     """What the page says about joint terms that do not follow from the motors."""
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
     told = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
-    conditions = {one for term in robot.terms if not term.needs_torque for one in term.depends_on}
-    kinds = sorted(one.value for one in conditions - {Condition.ANOTHER_JOINT})
+    conditions = {condition for term in robot.terms if not term.needs_torque for condition in term.depends_on}
+    kinds = sorted(condition.value for condition in conditions - {Condition.ANOTHER_JOINT})
     return (*told, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(told)

@@ -86,15 +86,15 @@ class FitPlots(Worded):
         Where base and targets are says nothing about the robot, and is left out.
         """
         fit = self._fit
-        own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
-        found, sigma = [fit.parameters[p.name] for p in own], np.array([p.sigma for p in own])
-        drawn = _axes(axes, height=1.0 + 0.15 * len(own))
-        change = np.array([one.value - one.nominal for one in found]) / sigma
-        half = np.array([one.high95 - one.value for one in found]) / sigma
-        place = np.arange(len(found))
+        shown = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+        estimates, sigma = [fit.parameters[p.name] for p in shown], np.array([p.sigma for p in shown])
+        drawn = _axes(axes, height=1.0 + 0.15 * len(shown))
+        change = np.array([estimate.value - estimate.nominal for estimate in estimates]) / sigma
+        half = np.array([estimate.high95 - estimate.value for estimate in estimates]) / sigma
+        place = np.arange(len(estimates))
         drawn.axvline(0.0, color=GREY, linewidth=0.8)
         drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)
-        drawn.set_yticks(place, [one.name for one in found], fontsize=6)
+        drawn.set_yticks(place, [estimate.name for estimate in estimates], fontsize=6)
         drawn.invert_yaxis()
         drawn.set_xlabel("change [expected standard deviations], with 95 % interval")
         return drawn

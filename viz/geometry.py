@@ -50,8 +50,8 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
 def _link(name: str, link: Link, urdf_path: str) -> list[Shape]:
     if link.unknown:
         raise ValueError(f"a {link.unknown[0]} is no shape of a URDF")
-    found = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
-    return [shape for shapes in found for shape in shapes]
+    by_visual = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
+    return [shape for shapes in by_visual for shape in shapes]
 
 
 def _visual(name: str, link: str, visual: Visual, urdf_path: str) -> list[Shape]:
@@ -78,8 +78,8 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
             continue
         vertices, faces = thinned(np.asarray(geometry.vertices), np.asarray(geometry.faces), _MOST_FACES)
         points = vertices @ T_file_part[:3, :3].T + T_file_part[:3, 3]
-        own = _own_colour(geometry.visual) if visual.colour is None else _colour(visual.colour)
-        shapes.append(mesh(f"{name}.{part}", link, points * np.array(visual.size), faces, own, origin))
+        colour = _own_colour(geometry.visual) if visual.colour is None else _colour(visual.colour)
+        shapes.append(mesh(f"{name}.{part}", link, points * np.array(visual.size), faces, colour, origin))
     if not shapes:
         raise ValueError(f"mesh '{visual.file}' holds no triangles")
     return shapes

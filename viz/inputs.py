@@ -77,8 +77,8 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     said, told = remarks(data.comments), fit.told_positions.notes
     readings = reading_errors.of_measurements(data, fit.placed, fit.robot)
-    judged = judgement_of_fit(fit)
-    scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judged, told=told, comments=said)
+    judgement = judgement_of_fit(fit)
+    scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judgement, told=told, comments=said)
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
@@ -103,12 +103,12 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     left_out = content["excluded"] if data is None else []
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
-    judged = of_result(
+    judgement = of_result(
         content["verdict"], validated=any(name in content["errors"] for name in ("validation", "cross_validation"))
     )
     others = other_errors(content.get("instruments", ()), content["errors"]) if data is None else ()
     scene = build_scene(
-        placed, model, table, readings, verdict=judged, notes=notes, told=told.notes, comments=said, others=others
+        placed, model, table, readings, verdict=judgement, notes=notes, told=told.notes, comments=said, others=others
     )
     return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
 
@@ -119,7 +119,7 @@ def _placed(robot: Robot, data: Measurements) -> Robot:
     unknown = description.base.pose == "unknown" or any(
         "unknown" in (target.position, target.orientation) for target in description.targets.values()
     )
-    unknown |= any(place.unknown for one in robot.instruments for place in one.places())
+    unknown |= any(place.unknown for instrument in robot.instruments for place in instrument.places())
     return register(robot, data) if unknown else robot
 
 
@@ -128,4 +128,4 @@ def _stated(robot: Robot, data: Measurements) -> Sigmas:
     stated = {
         group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.is_position
     }
-    return {one.name: stated[one.group] for one in robot.instruments if one.group in stated}
+    return {instrument.name: stated[instrument.group] for instrument in robot.instruments if instrument.group in stated}

@@ -126,7 +126,9 @@ class LiveViewer:
 
     def _cockpit(self, told: Progress) -> dict[str, object]:
         """What the page's script reads: the state, its words, the states before it, and how long the rest takes."""
-        known = [millimetres(one.value) if math.isfinite(one.value) else None for one in (told.predicted, told.unseen)]
+        known = [
+            millimetres(error.value) if math.isfinite(error.value) else None for error in (told.predicted, told.unseen)
+        ]
         if self._history and told.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
             self._history = [row for row in self._history if (row[0] or 0) < told.n_poses]
             self._pace = []

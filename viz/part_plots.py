@@ -79,13 +79,13 @@ def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
 def _of_part(sets: list[ErrorSet], part: Part) -> PartErrors:
     pieces = [
         (
-            errors.data.joints[errors.data.readings[one.name].visits],
-            errors.before[one.name][:, rows],
-            errors.after[one.name][:, rows],
+            errors.data.joints[errors.data.readings[instrument.name].visits],
+            errors.before[instrument.name][:, rows],
+            errors.after[instrument.name][:, rows],
         )
         for errors in sets
-        for one, own, rows in errors.parts()
-        if own == part
+        for instrument, its_part, rows in errors.parts()
+        if its_part == part
     ]
     joints, before, after = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     return PartErrors(part, joints, before, after)

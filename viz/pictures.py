@@ -37,20 +37,20 @@ def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
     }
 
 
-def comparison(found: ResultComparison) -> bytes:
+def comparison(result_comparison: ResultComparison) -> bytes:
     """Return the page of results side by side."""
     from viz.comparison_page import comparison_page
     from viz.report_page import command_line
 
-    return comparison_page(found, command=command_line()).html.encode()
+    return comparison_page(result_comparison, command=command_line()).html.encode()
 
 
-def fleet(found: Fleet) -> bytes:
+def fleet(learned: Fleet) -> bytes:
     """Return the page of robots of one model side by side."""
     from viz.fleet_page import fleet_page
     from viz.report_page import command_line
 
-    return fleet_page(found, command=command_line()).html.encode()
+    return fleet_page(learned, command=command_line()).html.encode()
 
 
 def figures(subject: object) -> dict[str, bytes]:

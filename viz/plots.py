@@ -110,12 +110,12 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
         lengths = np.where(lengths > 0, lengths, np.nan)
         axes.plot(places, lengths, line, color=colour, linewidth=0.7, alpha=0.6, label=f"{state} calibration")
         for name, (mark, face) in _GROUP_MARKS.items():
-            here = np.flatnonzero(group == name)
-            here = here[thinned(len(here))[0]]
-            if len(here):
+            of_group = np.flatnonzero(group == name)
+            of_group = of_group[thinned(len(of_group))[0]]
+            if len(of_group):
                 axes.plot(
-                    places[here],
-                    lengths[here],
+                    places[of_group],
+                    lengths[of_group],
                     mark,
                     color=colour,
                     markerfacecolor=face or colour,
@@ -142,11 +142,13 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
     """
     data, part = errors.data, errors.main_part
     squares = np.full(len(data), -np.inf)
-    for one, own, rows in errors.parts():
-        if own.name == part.name:  # of several readings of a visit the largest
-            own_squares = np.square(errors.after[one.name][:, rows])
+    for instrument, its_part, rows in errors.parts():
+        if its_part.name == part.name:  # of several readings of a visit the largest
+            own_squares = np.square(errors.after[instrument.name][:, rows])
             was_read = np.isfinite(own_squares).any(axis=1)
-            np.maximum.at(squares, data.readings[one.name].visits[was_read], np.nansum(own_squares[was_read], axis=1))
+            np.maximum.at(
+                squares, data.readings[instrument.name].visits[was_read], np.nansum(own_squares[was_read], axis=1)
+            )
     visits = np.flatnonzero(np.isfinite(squares))  # where the part was read
     count = len(np.unique(data.pose_numbers[visits]))
     shown, note = thinned(len(visits))

@@ -136,13 +136,23 @@ def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable
 
 def noise(fit: Fit) -> Sigmas:
     """Return the noise of measured points of each instrument, as found."""
-    by_group = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.is_position}
-    return {one.name: by_group[one.group] for one in fit.robot.instruments if one.group in by_group}
+    by_group = {
+        group_noise.group.name: group_noise.sigma
+        for group_noise in reversed(fit.noise)
+        if group_noise.group.is_position
+    }
+    return {
+        instrument.name: by_group[instrument.group]
+        for instrument in fit.robot.instruments
+        if instrument.group in by_group
+    }
 
 
 def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
     return {
-        one.name: getattr(errors, state)[one.name][:, rows] for one, part, rows in errors.parts() if part.is_position
+        instrument.name: getattr(errors, state)[instrument.name][:, rows]
+        for instrument, part, rows in errors.parts()
+        if part.is_position
     }
 
 
@@ -166,15 +176,18 @@ def _points_off(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
     predicted = predicted_readings(robot, robot.assemble(data.joints, labels=data.labels), points_read)
     off: dict[str, FloatArray] = {}
     for name, readings in points_read.items():
-        one = robot.instrument(name)
-        there, here = one.points(predicted[name].values), one.points(readings.values)
-        if there is not None and here is not None:
-            off[name] = there - here
+        instrument = robot.instrument(name)
+        predicted_points, measured_points = (
+            instrument.points(predicted[name].values),
+            instrument.points(readings.values),
+        )
+        if predicted_points is not None and measured_points is not None:
+            off[name] = predicted_points - measured_points
     return off
 
 
-def _measures_points(one: Instrument) -> bool:
-    return any(part.is_position for part in one.parts)
+def _measures_points(instrument: Instrument) -> bool:
+    return any(part.is_position for part in instrument.parts)
 
 
 def _measured_together(first: Measurements, second: Measurements) -> bool:
@@ -185,54 +198,54 @@ def _measured_together(first: Measurements, second: Measurements) -> bool:
 def _rows(source: _Set) -> PoseTable:
     """One row for each reading of a point, pose by pose; for each visit and target where no points were measured."""
     parts, visits = [], []
-    for one in source.placed.instruments:
-        if one.name in source.before:
-            table, own = _rows_of(source, one)
+    for instrument in source.placed.instruments:
+        if instrument.name in source.before:
+            table, table_visits = _rows_of(source, instrument)
             parts.append(table)
-            visits.append(own)
+            visits.append(table_visits)
     if not any(map(len, parts)):
         return _predictions(source)
     order = np.argsort(source.data.pose_numbers[np.concatenate(visits)], kind="stable")
     return concatenate(parts).subset(order)
 
 
-def _rows_of(source: _Set, one: Instrument) -> tuple[PoseTable, IntArray]:
+def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]:
     """One row for each reading of an instrument, and the visit of each."""
-    readings = source.data.readings[one.name]
-    points = one.points(readings.values)
+    readings = source.data.readings[instrument.name]
+    points = instrument.points(readings.values)
     assert points is not None  # it has a position
     complete = np.flatnonzero(np.isfinite(points).all(axis=1))
     visits, pairs, measured = readings.visits[complete], readings.pairs[complete], points[complete]
-    before, after = source.before[one.name][complete], source.after[one.name][complete]
-    names = [one.name] * len(complete)
+    before, after = source.before[instrument.name][complete], source.after[instrument.name][complete]
+    names = [instrument.name] * len(complete)
     for number, setup in enumerate(source.placed.description.setups):
         rows = np.flatnonzero(pairs == number)
         if number > 0 and len(rows):
-            R, p = _in_first_setup(source.placed, one, number)
+            R, p = _in_first_setup(source.placed, instrument, number)
             measured[rows] = measured[rows] @ R.T + p
             before[rows], after[rows] = before[rows] @ R.T, after[rows] @ R.T
             for row in rows:
-                names[row] = f"{one.name}@{setup}"
+                names[row] = f"{instrument.name}@{setup}"
     spread = np.full(measured.shape, np.nan)
-    if source.predictions is not None and isinstance(one, FrameInstrument):
-        spread = source.predictions.std[visits, source.placed.target_names.index(one.target)]
+    if source.predictions is not None and isinstance(instrument, FrameInstrument):
+        spread = source.predictions.std[visits, source.placed.target_names.index(instrument.target)]
     table = PoseTable(
         joints=source.data.joints[visits],
         measured=measured,
         before=measured + before,
         after=measured + after,
-        sigma=np.full(len(complete), source.sigmas.get(one.name, np.nan)),
+        sigma=np.full(len(complete), source.sigmas.get(instrument.name, np.nan)),
         spread=spread,
-        outlier=np.array([(visit, one.name) in source.outliers for visit in map(int, visits)], dtype=bool),
+        outlier=np.array([(visit, instrument.name) in source.outliers for visit in map(int, visits)], dtype=bool),
         targets=tuple(names),
         **_whence(source, visits),
     )
     return table, visits
 
 
-def _in_first_setup(robot: Robot, one: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
+def _in_first_setup(robot: Robot, instrument: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
     """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in that of the first."""
-    first, later = robot.pairs(one)[0], robot.pairs(one)[setup]
+    first, later = robot.pairs(instrument)[0], robot.pairs(instrument)[setup]
     names = robot.mechanism.origin_names
     T = robot.mechanism.placement(names[first.a - 1]).inverse() * robot.mechanism.placement(names[later.a - 1])
     return T.rotation.copy(), T.translation.copy()

@@ -169,8 +169,8 @@ def of_measurements(data: Measurements, nominal: Robot, calibrated: Robot | None
     if not others:
         return ()
     data = replace(data, readings={name: data.readings[name] for name in others})
-    before = {name: one.residuals for name, one in _seen(nominal, data).items()}
-    after = before if calibrated is None else {k: one.residuals for k, one in _seen(calibrated, data).items()}
+    before = {name: seen.residuals for name, seen in _seen(nominal, data).items()}
+    after = before if calibrated is None else {k: seen.residuals for k, seen in _seen(calibrated, data).items()}
     if calibrated is None:
         after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
     errors = ErrorSet(data, nominal.instruments, before, after, np.full(len(data), np.nan))
@@ -200,15 +200,15 @@ def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     """One table for each part; rows in the order of the sets."""
     result = []
     for key in dict.fromkeys((table.part, table.turns) for table in tables):
-        own = [table for table in tables if (table.part, table.turns) == key]
+        same = [table for table in tables if (table.part, table.turns) == key]
         parts: dict[str, object] = {}
         for field in fields(ReadingErrors):
-            values = [getattr(table, field.name) for table in own]
+            values = [getattr(table, field.name) for table in same]
             if isinstance(values[0], np.ndarray):
                 parts[field.name] = np.concatenate(values)
             elif isinstance(values[0], tuple):
                 parts[field.name] = sum(values, ())
-        result.append(replace(own[0], **parts))  # type: ignore[arg-type]
+        result.append(replace(same[0], **parts))  # type: ignore[arg-type]
     return tuple(result)
 
 
@@ -217,7 +217,7 @@ def _of_set(
 ) -> list[ReadingErrors]:
     """The errors of one set of readings, by instrument and part, pose by pose."""
     data = errors.data
-    names = {one.name for one, part, _ in errors.parts() if not part.is_position}
+    names = {instrument.name for instrument, part, _ in errors.parts() if not part.is_position}
     if not names:
         return []
     data = replace(data, readings={name: data.readings[name] for name in data.readings if name in names})
@@ -225,20 +225,20 @@ def _of_set(
     if calibrated is not None:
         seen["after"] = _seen(calibrated, data)
     tables = []
-    for one, part, rows in errors.parts():
+    for instrument, part, rows in errors.parts():
         if part.is_position:
             continue
-        readings = data.readings[one.name]
-        residuals = {state: getattr(errors, state)[one.name][:, rows] for state in STATES}
-        arrows, turns, best = {}, False, seen[max(seen, key=STATES.index)][one.name]
+        readings = data.readings[instrument.name]
+        residuals = {state: getattr(errors, state)[instrument.name][:, rows] for state in STATES}
+        arrows, turns, best = {}, False, seen[max(seen, key=STATES.index)][instrument.name]
         for state in STATES:
-            about = seen.get(state, seen["before"])[one.name]
+            about = seen.get(state, seen["before"])[instrument.name]
             motion, turns = smallest_motion(about.by_motion[:, rows], residuals[state])
             arrows[state] = np.einsum("nij,nj->ni", about.axes, motion)
         state = "before" if calibrated is None else "after"
-        told = one.texts(readings.pairs, readings.details)
+        told = instrument.texts(readings.pairs, readings.details)
         outlier = np.zeros(len(readings), dtype=bool)
-        outlier[outliers.get(one.name, [])] = True
+        outlier[outliers.get(instrument.name, [])] = True
         table = ReadingErrors(
             part=part,
             turns=turns,
@@ -251,9 +251,9 @@ def _of_set(
             group=(group,) * len(readings),
             outlier=outlier,
             labels=tuple(data.names[visit] for visit in readings.visits),
-            targets=tuple(" ".join((one.name, *words)) for words in zip(*told.values(), strict=True))
+            targets=tuple(" ".join((instrument.name, *words)) for words in zip(*told.values(), strict=True))
             if told
-            else (one.name,) * len(readings),
+            else (instrument.name,) * len(readings),
         )
         tables.append(table.subset(np.argsort(data.pose_numbers[readings.visits], kind="stable")))
     return tables
@@ -286,23 +286,23 @@ def _seen(robot: Robot, data: Measurements) -> dict[str, _Seen]:
     views, result = seen_by(robot, configurations, data.readings), {}
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     for name, readings in data.readings.items():
-        one, seen = robot.instrument(name), views[name]
+        instrument, seen = robot.instrument(name), views[name]
         poses: FloatArray = np.tile(
             np.eye(4), (len(readings), 1, 1)
         )  # of the frame that it looks from, or of the joint
         points: FloatArray = np.zeros((len(readings), 3))
-        compared = one.compare(seen, robot.values[robot.unknowns(name)], readings)
+        compared = instrument.compare(seen, robot.values[robot.unknowns(name)], readings)
         if isinstance(compared, Comparison):
-            assert isinstance(one, FrameInstrument)
+            assert isinstance(instrument, FrameInstrument)
             assert isinstance(seen, View)
-            for number, pair in enumerate(robot.pairs(one)):
+            for number, pair in enumerate(robot.pairs(instrument)):
                 chosen = np.flatnonzero(readings.pairs == number)
                 if pair.a != base and len(chosen):
                     poses[chosen] = _poses(robot, joints, base, pair.a)[readings.visits[chosen]]
-            by_motion, points = compared.by_twist, one.point_seen(seen, readings.details)
+            by_motion, points = compared.by_twist, instrument.point_seen(seen, readings.details)
         else:
-            assert isinstance(one, JointInstrument)
-            index = mechanism.origin_names.index(one.joint)
+            assert isinstance(instrument, JointInstrument)
+            index = mechanism.origin_names.index(instrument.joint)
             poses = _poses(robot, joints, base, index + 1)[readings.visits]
             by_motion = compared.by_joint[:, :, None] * mechanism.axes[index]
         points = np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]

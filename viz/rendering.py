@@ -79,8 +79,8 @@ class _Buffer:
         numbers = self._number(colours)
         corners = _longest_side_first(corners).astype(np.float32)
         along, across = _sides(corners[..., :2])
-        wanted = np.maximum(_DENSER * np.stack([along, across], axis=1), 1.0)
-        steps = np.ceil(_STEP ** np.ceil(np.log(wanted) / np.log(_STEP))).astype(int)  # few different ones
+        needed = np.maximum(_DENSER * np.stack([along, across], axis=1), 1.0)
+        steps = np.ceil(_STEP ** np.ceil(np.log(needed) / np.log(_STEP))).astype(int)  # few different ones
         pairs, of_triangle = np.unique(steps @ [_MOST_STEPS, 1], return_inverse=True)
         for pair, (n_along, n_across) in enumerate(zip(*np.divmod(pairs, _MOST_STEPS), strict=True)):
             s, t = np.meshgrid(
@@ -248,8 +248,8 @@ def points_of(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """
     places, groups = scene.poses.measured, scene.poses.group
     if not np.any(np.isfinite(places)) and scene.readings:
-        places = np.concatenate([one.anchors for one in scene.readings])
-        groups = tuple(group for one in scene.readings for group in one.group)
+        places = np.concatenate([errors.anchors for errors in scene.readings])
+        groups = tuple(group for errors in scene.readings for group in errors.group)
     known = np.isfinite(places).all(axis=1)
     used = np.array([group == IDENTIFICATION for group in groups], dtype=bool)
     colours = np.where(used[:, None], *(np.array(list(bytes.fromhex(colour[1:]))) / 255 for colour in (BLUE, ORANGE)))

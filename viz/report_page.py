@@ -108,7 +108,7 @@ def report_page(
             notes=notes(fit, brief=True),
             unsure=unsure(fit),
             outliers=[row | {"set": "left out"} for row in excluded_rows(fit)] + outlier_rows(fit),
-            only_positions=all(part.is_position for one in fit.nominal.instruments for part in one.parts),
+            only_positions=all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
             uncounted=fit.identification_uncertainty.remark(),

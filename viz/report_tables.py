@@ -27,7 +27,7 @@ class NoiseLine:
     """Noise of one reading as found: of what, in which unit, per what, over how many degrees of freedom."""
 
     of: str
-    found: float
+    sigma: float
     stated: float | None
     unit: str
     per: str
@@ -52,7 +52,7 @@ def judged_by(fit: Fit) -> ErrorSet:
 class Tolerance:
     """Whether the robot keeps what was asked of it: the tolerance, the answer, its grade, and what says so."""
 
-    asked: str
+    text: str
     answer: str
     grade: str
     why: str
@@ -63,21 +63,21 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
 
     Of positions, by what the calibration claims; where that does not hold, nothing does.
     """
-    asked = tolerance(fit)
-    if not asked:
+    text = tolerance(fit)
+    if not text:
         return None
     try:
-        limit = quantity(asked, "length", "tolerance")
+        limit = quantity(text, "length", "tolerance")
     except InputError:
-        return Tolerance(asked, "not judged", "CHECK", "This is no length with a unit, such as 0.1 mm.")
+        return Tolerance(text, "not judged", "CHECK", "This is no length with a unit, such as 0.1 mm.")
     claim = judge(fit).claim
     if claim is None or not claim.told.is_position or not np.isfinite(claim.told.limit95):
-        return Tolerance(asked, "not judged", "CHECK", "These measurements do not tell how far positions are off.")
+        return Tolerance(text, "not judged", "CHECK", "These measurements do not tell how far positions are off.")
     within = f"95 of 100 positions are within {claim.told.shown(claim.told.limit95)}, {claim.region}"
     if not claim.holds:
-        return Tolerance(asked, "not met", "FAIL", f"Poses that were not used are further off than claimed ({within}).")
+        return Tolerance(text, "not met", "FAIL", f"Poses that were not used are further off than claimed ({within}).")
     met = claim.told.limit95 <= limit
-    return Tolerance(asked, "met" if met else "not met", "PASS" if met else "FAIL", f"{within}.")
+    return Tolerance(text, "met" if met else "not met", "PASS" if met else "FAIL", f"{within}.")
 
 
 def worst(fit: Fit) -> str:
@@ -96,8 +96,8 @@ def worst(fit: Fit) -> str:
 def _worst_reading(errors: ErrorSet) -> str:
     """The reading with the largest error of the main part after calibration."""
     sizes = {
-        one.name: np.nansum(errors.after[one.name][:, rows] ** 2, axis=1)
-        for one, part, rows in errors.parts()
+        instrument.name: np.nansum(errors.after[instrument.name][:, rows] ** 2, axis=1)
+        for instrument, part, rows in errors.parts()
         if part.name == errors.main_part.name
     }
     name = max(sizes, key=lambda key: float(np.max(sizes[key])))
@@ -117,18 +117,23 @@ def extent(table: PoseTable) -> str:
 
 def noise_lines(fit: Fit) -> list[NoiseLine]:
     """Return the noise of each group of rows; what it is of is said where there are several."""
-    several = {(one.group, part.name) for one in fit.nominal.instruments for part in one.parts if len(part.axes) > 1}
+    several = {
+        (instrument.group, part.name)
+        for instrument in fit.nominal.instruments
+        for part in instrument.parts
+        if len(part.axes) > 1
+    }
     lines = []
-    for one in fit.noise:
-        scale = error_scale(one.group.dimension)
+    for noise in fit.noise:
+        scale = error_scale(noise.group.dimension)
         lines.append(
             NoiseLine(
-                f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else "",
-                scale * one.sigma,
-                None if one.stated is None else scale * one.stated,
-                ERROR_UNIT[one.group.dimension],
-                " per axis" if (one.group.name, one.group.part) in several else "",
-                one.freedom,
+                f" of {noise.group.name}, {noise.group.part}" if len(fit.noise) > 1 else "",
+                scale * noise.sigma,
+                None if noise.stated is None else scale * noise.stated,
+                ERROR_UNIT[noise.group.dimension],
+                " per axis" if (noise.group.name, noise.group.part) in several else "",
+                noise.freedom,
             )
         )
     return lines

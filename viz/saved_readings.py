@@ -51,7 +51,7 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
     for name in ("set", "pose", "target"):
         if name not in table.names:
             raise DataError(f"{path}: no column '{name}'; run the fit again")
-    known = [one.name for one in robot.instruments]
+    known = [instrument.name for instrument in robot.instruments]
     stranger = next((name for name in table.text("target") if name not in known), None)
     if stranger is not None:
         raise DataError(f"{path}: no instrument of {robot.path} is called '{stranger}'; run the fit again")
@@ -72,7 +72,12 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
 
 
 def _sigmas(robot: Robot, content: dict[str, Any]) -> dict[str, float]:
-    positions = {(one.name, part.name) for one in robot.instruments for part in one.parts if part.is_position}
+    positions = {
+        (instrument.name, part.name)
+        for instrument in robot.instruments
+        for part in instrument.parts
+        if part.is_position
+    }
     return {
         block["name"]: part["sigma"] / error_scale("length")
         for block in content.get("instruments", ())
@@ -86,7 +91,7 @@ def _error_set(robot: Robot, table: Table, rows: IntArray) -> ErrorSet:
     joints = [table.column(name, robot.mechanism.dimensions[name])[rows] for name in robot.joint_names]
     labels, targets = ([table.text(name)[row] for row in rows] for name in ("pose", "target"))
     cells = [(label, *values) for label, *values in zip(labels, *joints, strict=True)]
-    points = {one.name for one in robot.instruments if any(part.is_position for part in one.parts)}
+    points = {instrument.name for instrument in robot.instruments if any(part.is_position for part in instrument.parts)}
     visits = _visits(cells, targets, points)
     first = np.unique(visits, return_index=True)[1]
     names = tuple(labels[row] for row in first)
@@ -94,12 +99,12 @@ def _error_set(robot: Robot, table: Table, rows: IntArray) -> ErrorSet:
     poses = Poses(np.stack(joints, axis=1)[first], tuple(f"pose {name}" for name in names), names, group, ())
     readings: dict[str, Readings] = {}
     errors: dict[str, dict[str, FloatArray]] = {state: {} for state in STATES}
-    for one in robot.instruments:
-        own = np.flatnonzero(np.array(targets) == one.name)
-        if len(own):
-            readings[one.name] = _readings(robot, one, table, rows[own], visits[own])
+    for instrument in robot.instruments:
+        of_instrument = np.flatnonzero(np.array(targets) == instrument.name)
+        if len(of_instrument):
+            readings[instrument.name] = _readings(robot, instrument, table, rows[of_instrument], visits[of_instrument])
             for state in STATES:
-                errors[state][one.name] = _errors(one, table, rows[own], state)
+                errors[state][instrument.name] = _errors(instrument, table, rows[of_instrument], state)
     data = measurements(poses, readings)
     return ErrorSet(data, robot.instruments, errors["before"], errors["after"], np.full(len(first), np.nan))
 
@@ -115,30 +120,34 @@ def _visits(cells: list[tuple[object, ...]], targets: list[str], points: set[str
     return np.array(numbers, dtype=np.intp)
 
 
-def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray, visits: IntArray) -> Readings:
+def _readings(robot: Robot, instrument: Instrument, table: Table, rows: IntArray, visits: IntArray) -> Readings:
     columns = {
-        column.name: table.column(f"measured_{column.name.removeprefix(f'{one.name}_')}", column.dimension, gaps=True)
-        for column in one.columns()
+        column.name: table.column(
+            f"measured_{column.name.removeprefix(f'{instrument.name}_')}", column.dimension, gaps=True
+        )
+        for column in instrument.columns()
     }
-    values = one.values({name: numbers[rows] for name, numbers in columns.items()})
+    values = instrument.values({name: numbers[rows] for name, numbers in columns.items()})
     values = np.broadcast_to(values, (len(rows), values.shape[1]))  # a touch has none
-    words = {name: [table.text(f"looked_at_{name}")[row] for row in rows] for name in one.text_columns()}
-    _, pairs, details = one.looked_at(words, [f"{table.path}, row {row + 1}" for row in rows])
+    words = {name: [table.text(f"looked_at_{name}")[row] for row in rows] for name in instrument.text_columns()}
+    _, pairs, details = instrument.looked_at(words, [f"{table.path}, row {row + 1}" for row in rows])
     setups = list(robot.description.setups)
     if setups and "setup" in table.names:
         named = table.text("setup")
         stranger = next((named[row] for row in rows if named[row] not in setups), None)
         if stranger is not None:
             raise DataError(f"{table.path}: no setup of {robot.path} is called '{stranger}'; run the fit again")
-        pairs = pairs + in_setups(robot, one, np.array([setups.index(named[row]) for row in rows], dtype=np.intp))
+        pairs = pairs + in_setups(
+            robot, instrument, np.array([setups.index(named[row]) for row in rows], dtype=np.intp)
+        )
     return Readings(visits, pairs, values, None, details)
 
 
-def _errors(one: Instrument, table: Table, rows: IntArray, state: str) -> FloatArray:
+def _errors(instrument: Instrument, table: Table, rows: IntArray, state: str) -> FloatArray:
     return np.stack(
         [
             table.column(f"error_{state}_{axis}", part.dimension, gaps=True)[rows]
-            for part in one.parts
+            for part in instrument.parts
             for axis in part.axes
         ],
         axis=1,

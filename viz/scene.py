@@ -144,7 +144,9 @@ class Scene:
     @property
     def states(self) -> tuple[str, ...]:
         """States whose errors are known: `before`, `after`."""
-        known = {state: [self.poses.error(state), *(one.sizes(state) for one in self.readings)] for state in STATES}
+        known = {
+            state: [self.poses.error(state), *(errors.sizes(state) for errors in self.readings)] for state in STATES
+        }
         return tuple(state for state in STATES if any(np.any(np.isfinite(errors)) for errors in known[state]))
 
     @property
@@ -196,7 +198,7 @@ def build_scene(
     """
     table = empty(nominal) if poses is None else poses
     rows = rows_shown(table)
-    kept = tuple(one.subset(one.rows_shown()) for one in readings)
+    kept = tuple(errors.subset(errors.rows_shown()) for errors in readings)
     shown, pose_of_row = _shown(table.joints[rows] if len(table) else nominal.home[None, :], kept)
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)
@@ -216,13 +218,13 @@ def build_scene(
     size = float(np.linalg.norm(view.high - view.low))
     every = [
         (table.measured, {state: table.error(state) for state in STATES}),
-        *((one.anchors, {state: one.arrows(state) for state in STATES}) for one in kept),
+        *((errors.anchors, {state: errors.arrows(state) for state in STATES}) for errors in kept),
     ]
     factors = tuple(
         {state: nice_factor(_typical(arrows[state]), _VECTOR_SIZE * size) for state in STATES} for _, arrows in every
     )
     longest = _LONGEST_TIP * size
-    tips = np.concatenate([_tips(*one, factor, longest) for one, factor in zip(every, factors, strict=True)])
+    tips = np.concatenate([_tips(*drawn, factor, longest) for drawn, factor in zip(every, factors, strict=True)])
     around = np.concatenate([view.outline, tips @ view.upright.T])
     moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
     return Scene(
@@ -260,12 +262,12 @@ def other_errors(blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any
     """
     read = [(block["name"], part) for block in blocks for part in block["parts"] if part["errors"]]
     others = [(name, part) for name, part in read if part["name"] != POSITION.name]
-    found = [OtherErrors((name,), part["name"], part["unit"], _means(part["errors"])) for name, part in others]
-    if found and len(others) == len(read):
-        several = tuple(name for name, part in others if part["name"] == found[0].part)
+    errors = [OtherErrors((name,), part["name"], part["unit"], _means(part["errors"])) for name, part in others]
+    if errors and len(others) == len(read):
+        several = tuple(name for name, part in others if part["name"] == errors[0].part)
         if len(several) > 1:
-            return (replace(found[0], instruments=several, sets=_means(together)), *found)
-    return tuple(found)
+            return (replace(errors[0], instruments=several, sets=_means(together)), *errors)
+    return tuple(errors)
 
 
 def _means(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
@@ -286,11 +288,11 @@ def joints_of(robot: Robot) -> tuple[Joint, ...]:
     )
 
 
-def nice_factor(typical: float, wanted: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, from 1 to 1000, that makes `typical` at most `wanted` where it can [m]."""
-    if not (typical > 0 and wanted > 0):
+def nice_factor(typical: float, longest: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, from 1 to 1000, that makes `typical` at most `longest` if it can [m]."""
+    if not (typical > 0 and longest > 0):
         return 1.0
-    ratio = min(max(wanted / typical, 1.0), _LARGEST_FACTOR)
+    ratio = min(max(longest / typical, 1.0), _LARGEST_FACTOR)
     decade = 10.0 ** np.floor(np.log10(ratio))
     return float(max(step * decade for step in _NICE if step * decade <= ratio * (1 + 1e-9)))
 
@@ -319,9 +321,9 @@ def _shown(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tuple[Flo
         numbers.setdefault(row.tobytes(), number)
     more: list[FloatArray] = []
     of_row = []
-    for one in readings:
-        places = np.zeros(len(one), dtype=np.intp)
-        for k, row in enumerate(one.joints):
+    for errors in readings:
+        places = np.zeros(len(errors), dtype=np.intp)
+        for k, row in enumerate(errors.joints):
             places[k] = numbers.setdefault(row.tobytes(), len(joints) + len(more))
             if places[k] == len(joints) + len(more):
                 more.append(row)

@@ -170,7 +170,7 @@ def colours() -> NDArray[np.uint8]:
 def point_radius(scene: Scene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    anchors = np.concatenate([one.anchors for one in _rows(scene)])
+    anchors = np.concatenate([rows.anchors for rows in _rows(scene)])
     grid = max(_SAME * size, 1e-6)  # points of several instruments at one place are one
     points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
     if len(points) < 2:
@@ -218,12 +218,12 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
     """What the page shows errors of: names, units, ends of the colours in these units, first enlargements."""
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
-    for rows, own in zip(_rows(scene), factors, strict=True):
+    for rows, enlargements in zip(_rows(scene), factors, strict=True):
         is_position, scale = rows.part == POSITION, _scale(rows)
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
         sizes = sizes or {state: rows.sizes(state) for state in STATES}
-        found = ranges(sizes, scene.poses.outlier if is_position else rows.outlier)
+        limits = ranges(sizes, scene.poses.outlier if is_position else rows.outlier)
         parts.append(
             {
                 "name": rows.part.name,
@@ -231,8 +231,8 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
                 "axes": list(rows.part.axes),
                 "position": is_position,
                 "turns": rows.turns,
-                "vector_factors": own,
-                "range": {state: [scale * low, scale * high] for state, (low, high) in found.items()},
+                "vector_factors": enlargements,
+                "range": {state: [scale * low, scale * high] for state, (low, high) in limits.items()},
             }
         )
     return parts
@@ -244,15 +244,15 @@ def _in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
         return None
     sets = [name for name, *_ in other.sets]
     group = VALIDATION if VALIDATION in sets else IDENTIFICATION
-    for one in scene.readings:
-        own = np.array(
+    for errors in scene.readings:
+        chosen = np.array(
             [
                 target.split(" ")[0] in other.instruments and of == group
-                for target, of in zip(one.targets, one.group, strict=True)
+                for target, of in zip(errors.targets, errors.group, strict=True)
             ]
         )
-        if one.part.name == other.part and not one.turns and np.any(own):
-            return [_MM * float(np.nanmean(np.linalg.norm(one.arrows(state)[own], axis=1))) for state in STATES]
+        if errors.part.name == other.part and not errors.turns and np.any(chosen):
+            return [_MM * float(np.nanmean(np.linalg.norm(errors.arrows(state)[chosen], axis=1))) for state in STATES]
     return None
 
 
@@ -267,41 +267,41 @@ def _table(scene: Scene) -> dict[str, Any]:
     n_others = sum(map(len, scene.readings))
     codes = [
         GROUPS.index(name) + len(GROUPS) * bad
-        for one in parts
-        for name, bad in zip(one.group, one.outlier, strict=True)
+        for rows in parts
+        for name, bad in zip(rows.group, rows.outlier, strict=True)
     ]
     arrays = {
-        "joints": [one.joints for one in parts],
+        "joints": [rows.joints for rows in parts],
         "measured": [points.measured, np.full((n_others, 3), np.nan)],
-        "place": [one.anchors for one in parts],
-        "before": [one.before for one in parts],
-        "after": [one.after for one in parts],
+        "place": [rows.anchors for rows in parts],
+        "before": [rows.before for rows in parts],
+        "after": [rows.after for rows in parts],
         "sigma": [points.sigma, np.full(n_others, np.nan)],
         "spread": [points.spread, np.full((n_others, 3), np.nan)],
-        **{f"size_{state}": [_scale(one) * one.sizes(state) for one in scene.readings] for state in STATES},
-        **{f"residual_{state}": [_components(one, state) for one in scene.readings] for state in STATES},
+        **{f"size_{state}": [_scale(errors) * errors.sizes(state) for errors in scene.readings] for state in STATES},
+        **{f"residual_{state}": [_components(errors, state) for errors in scene.readings] for state in STATES},
     }
     return {
         "n": len(codes),
         "n_points": len(points),
-        "labels": [label for one in parts for label in one.labels],
-        "targets": [target for one in parts for target in one.targets],
+        "labels": [label for rows in parts for label in rows.labels],
+        "targets": [target for rows in parts for target in rows.targets],
         "readings": [*points.readings.tolist(), *[1] * n_others],
         "group": _encode(np.array(codes, dtype=np.uint8)),
-        "part": _encode(np.repeat(np.arange(len(parts)), [len(one) for one in parts]).astype(np.uint8)),
+        "part": _encode(np.repeat(np.arange(len(parts)), [len(rows) for rows in parts]).astype(np.uint8)),
         "pose": _encode(np.concatenate([np.arange(len(points)), *scene.pose_of_row]).astype("<u4")),
         **{name: _encode(np.concatenate([np.zeros(0), *map(np.ravel, pieces)])) for name, pieces in arrays.items()},
     }
 
 
-def _scale(one: ReadingErrors) -> float:
-    return error_scale(one.part.dimension)
+def _scale(errors: ReadingErrors) -> float:
+    return error_scale(errors.part.dimension)
 
 
-def _components(one: ReadingErrors, state: str) -> FloatArray:
+def _components(errors: ReadingErrors, state: str) -> FloatArray:
     """The first components of errors, in the unit of the part; NaN where there are fewer, (n, _MOST_AXES)."""
-    components = np.full((len(one), _MOST_AXES), np.nan)
-    kept = _scale(one) * one.residuals(state)[:, :_MOST_AXES]
+    components = np.full((len(errors), _MOST_AXES), np.nan)
+    kept = _scale(errors) * errors.residuals(state)[:, :_MOST_AXES]
     components[:, : kept.shape[1]] = kept
     return components
 

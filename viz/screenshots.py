@@ -58,12 +58,12 @@ def small(picture: bytes) -> bytes:
         return file.getvalue()
 
 
-def take(folder: Path, wanted: tuple[tuple[str, str, dict[str, int], str], ...] = PICTURES) -> dict[str, bytes]:
+def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] = PICTURES) -> dict[str, bytes]:
     """Take pictures, and return PNG files by name.
 
     Args:
         folder: Folder with the pages, of a result; map.html need not be there.
-        wanted: What to take, as `PICTURES` has it.
+        views: What to take, as `PICTURES` has it.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.
@@ -72,7 +72,7 @@ def take(folder: Path, wanted: tuple[tuple[str, str, dict[str, int], str], ...] 
         from playwright.sync_api import sync_playwright
     except ImportError:
         raise InputError("playwright is not installed; in a checkout: pip install -e '.[browser]'") from None
-    pictures = [picture for picture in wanted if picture[1] != _MAP or (folder / picture[1]).is_file()]
+    pictures = [picture for picture in views if picture[1] != _MAP or (folder / picture[1]).is_file()]
     for _, page, _, _ in pictures:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")

@@ -87,7 +87,7 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
         live=live,
         report=report,
         licences=licences,
-        allowed=" ".join(f"'sha256-{digest_of_script(one)}'" for one in (meshcat, script)),
+        allowed=" ".join(f"'sha256-{digest_of_script(source)}'" for source in (meshcat, script)),
         meshcat=meshcat,
         style=(templates / "viewer.css").read_text(encoding="utf-8"),
         script=script,
@@ -98,9 +98,9 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
 
 def meshcat_script() -> tuple[str, str]:
     """Return meshcat's viewer (with three.js) and its licences."""
-    found = find_spec("meshcat")  # importing it would bring IPython
-    assert found is not None, "it is among the requirements"
-    folder = Path(str(found.origin)).parent / "viewer" / "dist"
+    package = find_spec("meshcat")  # importing it would bring IPython
+    assert package is not None, "it is among the requirements"
+    folder = Path(str(package.origin)).parent / "viewer" / "dist"
     return (
         (folder / "main.min.js").read_text(encoding="utf-8"),
         (folder / "main.min.js.LICENSE.txt").read_text(encoding="utf-8"),

@@ -228,7 +228,9 @@ class Measurements(Poses):
 
     def read_visits(self) -> Self:
         """Return the visits at which something was read, of which a camera that saw nothing has none."""
-        read = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(one.visits for one in self.readings.values())]))
+        read = np.unique(
+            np.concatenate([np.zeros(0, dtype=np.intp), *(readings.visits for readings in self.readings.values())])
+        )
         return self if len(read) in (0, len(self)) else self.subset(read)
 
     @worded

@@ -134,12 +134,12 @@ def test_order_names_and_the_boards_origin_do_not_matter():
 
 
 def test_each_mistake_is_named_and_none_passes():
-    one = scene(10, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    one = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     n = len(one)
     shifted = replace(one, tool=np.roll(one.tool, 1, axis=0))
     larger = replace(one, body=one.body / 1.02)
     swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
-    late = np.arange(n) >= 6
+    late = np.arange(n) >= 5
     moved = replace(one, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ one.tool, one.tool))
     cases = {
         "pairs_shifted": (shifted, INTRINSICS),

@@ -154,10 +154,11 @@ def motoman(shared_data, tmp_path_factory):
     return robot, calib.read_measurements(folder / "train.csv", robot)
 
 
-def test_a_healthy_real_arm_shows_no_mistake(motoman):
+@pytest.mark.amount(1, 2)
+def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
     robot, data = motoman
     generator = np.random.default_rng(1)
-    for _ in range(2):
+    for _ in range(amount):
         assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
 
 

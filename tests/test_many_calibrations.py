@@ -277,8 +277,8 @@ def test_draws_without_an_answer_are_counted_and_left_out(five_bar):
         ({"seed": -1}, "seed -1"),
         ({"elsewhere": [[0.0, 1.0]]}, "joint values of shape"),
         ({"resample": True}, "resample: needs measurements"),
-        ({"resample": True, "truth": "priors"}, "truth and noise say nothing"),
-        ({"resample": True, "noise": with_blunders}, "truth and noise say nothing"),
+        ({"resample": True, "truth": "priors"}, "truth and noise have no effect"),
+        ({"resample": True, "noise": with_blunders}, "truth and noise have no effect"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arm, given, message):
@@ -384,7 +384,7 @@ def test_the_command_prints_and_writes_what_python_gives(five_bar, run_calib, tm
         (("five_bar.yaml", "five_bar_simulated.csv", "--truth", "arm.yaml"), "has joints joint_1"),
         (("five_bar.yaml", "five_bar_simulated.csv", "--elsewhere", "nothing.csv"), "nothing.csv: no such file"),
         (("five_bar.yaml", "five_bar_truth.csv", "--resample"), "no column 'left_motor'"),
-        (("five_bar.yaml", "five_bar_simulated.csv", "--resample", "--truth", "priors"), "say nothing"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--resample", "--truth", "priors"), "have no effect"),
     ],
 )
 def test_wrong_input_of_the_command_is_one_line(run_calib, given, said):

@@ -194,7 +194,7 @@ def _described(text: UrdfText, mjcf: MjcfRobot | None, target: str | None, relat
     if target is None:
         raise InputError(f"{text.path}: has loops; say what is measured: --target, a body or a site of the file")
     if not mjcf.motors:
-        raise InputError(f"{text.path}: has loops, and no joint has an actuator: nobody knows which have motors")
+        raise InputError(f"{text.path}: has loops, and no joint has an actuator; add actuators to those with motors")
     closed = {
         "name_mot": mjcf.motors,
         "closed_loop": tuple(loop.links for loop in mjcf.loops),

@@ -99,8 +99,8 @@ def reading_columns(
                 column[line] = cell
         if not dimensions and np.any(readings.values):
             raise DataError(
-                f"instrument '{instrument.name}' reads no numbers, so that no file can say by how much it missed: what"
-                " it touches must be touched; give joint values at which it is"
+                f"instrument '{instrument.name}' does not reach what it touches, and no file can say by how"
+                " much; give joint values at contact"
             )
     return visits, columns
 

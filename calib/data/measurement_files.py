@@ -217,8 +217,8 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
     lost = np.flatnonzero(np.isnan(tilts).any(axis=1))
     if len(lost):
         raise DataError(
-            f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(section.joints)} cannot be turned so that"
-            f" '{sensor}' sees gravity as it read it; check the axes of {section.frame}, and its signs"
+            f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(section.joints)} have no values at"
+            f" which '{sensor}' reads this direction of gravity; check the axes of {section.frame}, and its signs"
         )
     lower, upper = robot.urdf.limits(section.joints)
     beyond = (tilts < lower) | (tilts > upper)

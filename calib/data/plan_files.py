@@ -55,7 +55,7 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
     }
     said = {name: looks for name, looks in plan.items() if looks is not None}
     if len(said) == len(robot.instruments) and not any(len(looks) for looks in said.values()):
-        raise DataError(f"{table.path}: says of no pose that anything is read there")
+        raise DataError(f"{table.path}: no row names anything to read; fill in its columns of instruments")
     return replace(poses, wanted=said)
 
 

@@ -78,8 +78,8 @@ def _check_model(content: Mapping[str, Any], path: Path | str) -> None:
     model = str(content.get("distortion_model") or content.get("camera_model") or "").casefold()
     if model in _FISHEYE or any(key.casefold().startswith("fisheye") and content[key] for key in content):
         raise DescriptionError(
-            f"{path}: is of a fish-eye camera ({model or 'fisheye'}), whose model is another one than the pinhole with"
-            " k1 k2 p1 p2 k3 that is known here; undistort the images first, and give the intrinsics of those"
+            f"{path}: is of a fish-eye camera ({model or 'fisheye'}), but only the pinhole model with"
+            " k1 k2 p1 p2 k3 is known here; undistort the images first, and give the intrinsics of those"
         )
     if model and model not in _PLAIN:
         raise DescriptionError(f"{path}: distortion_model '{model}' is not known here{nearest(model, _PLAIN)}")

@@ -191,7 +191,7 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str)
     """Return a robot of which components of origins are expected to be off by `sigma`; see `Robot.with_prior`."""
     description = robot.description
     if not description.priors:
-        raise ParameterError(f"{robot.path}: says that priors do not count (priors: false); leave that out")
+        raise ParameterError(f"{robot.path}: says priors: false, so a prior has no effect; leave that out")
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)
         parameter = robot.parameters[place]

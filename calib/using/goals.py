@@ -185,8 +185,8 @@ def _setups(table: Table, robot: Robot) -> IntArray | None:
     wrong = np.flatnonzero(np.isin(setups, moved))
     if len(wrong):
         raise DataError(
-            f"{table.path}, line {table.lines[wrong[0]]}, column 'setup': goals are seen as in the first setup"
-            f" '{names[0]}', and something was moved before '{names[setups[wrong[0]]]}'; give them as seen there,"
+            f"{table.path}, line {table.lines[wrong[0]]}, column 'setup': goals are in the frame of the first setup"
+            f" '{names[0]}', and something was moved before '{names[setups[wrong[0]]]}'; give them in that frame,"
             " without the column, to a description whose gravity.down is that of the setup"
         )
     return setups

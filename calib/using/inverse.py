@@ -166,7 +166,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     lacking = [name for name in robot.sensed_names if name not in goals.stands]
     if lacking:
         raise InputError(
-            f"{robot.path}: inclinometers read {listed(lacking)}, which nobody commands; say how the robot stands at"
+            f"{robot.path}: inclinometers read {listed(lacking)}, which nobody commands; give their values at"
             " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
             " program that has no such columns, make these joints fixed in the URDF, as they stand"
         )

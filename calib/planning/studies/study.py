@@ -147,7 +147,7 @@ def study(
 def _measured(poses: object, truth: object, noise: object) -> Measurements:
     """The measurements to resample; `InputError` where that makes no sense."""
     if truth is not None or noise is not None:
-        raise InputError("resample: simulates nothing, so that truth and noise say nothing; leave them out")
+        raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
     if not isinstance(poses, Measurements):
         raise InputError("resample: needs measurements, as calib.read_measurements reads them; these are poses alone")
     return poses

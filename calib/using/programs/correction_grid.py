@@ -123,7 +123,7 @@ def _axes(positions: FloatArray, counts: tuple[int, int, int]) -> list[FloatArra
             raise InputError(f"grid: {counted(count, 'node')} along {axis}, where the program {extends}")
         axes.append(np.linspace(low, high, count))
     if np.prod([float(count) for count in counts]) > _MOST:
-        raise InputError(f"grid: more than {_MOST} nodes; take fewer, and see how wrong interpolation is")
+        raise InputError(f"grid: more than {_MOST} nodes; take fewer; the output states the error of interpolation")
     if all(len(axis) == 1 for axis in axes):
         raise InputError("grid: the program has a single position; compensate the program itself")
     return axes

@@ -328,5 +328,5 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     unit = DISPLAY_UNIT[dimensions[pattern.name]]
     amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
     if pattern.kind == "wave":
-        return f"an error of joint {pattern.name} that repeats {pattern.detail}, {amount:.2g} {unit} high ({size})"
+        return f"an error of joint {pattern.name} that repeats {pattern.detail}, amplitude {amount:.2g} {unit} ({size})"
     return f"joint {pattern.name} differs by {2 * amount:.2g} {unit} with the direction of approach ({size})"

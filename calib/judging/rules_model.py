@@ -250,7 +250,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             largest = max(pattern.size for pattern in kinds)
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             yield Code.SYSTEMATIC.says(
-                f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}. The model leaves this out, and"
+                f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
                 " intervals do not include it",
                 counted=kinds is not changing or largest < LASTING * left,
             )

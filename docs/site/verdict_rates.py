@@ -37,7 +37,7 @@ HEALTHY_TIMES = 6
 OUTCOMES = ("PASS", "CHECK", "FAIL", "refused")
 KINDS = {
     "healthy": "healthy",
-    "counted": "something is wrong, and the claim counts it at poses like those measured",
+    "counted": "something is wrong, and the claim includes it at poses like those measured",
     "sick": "sick",
     "hidden": "sick, and no such data can show it",
 }

@@ -6,6 +6,7 @@ without arguments it returns shapes whose `body` is None, in the measurement fra
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from importlib.metadata import entry_points
 
@@ -17,6 +18,7 @@ from viz.shapes import Colour, Shape, mesh
 ENTRY_POINTS = "viz.decorations"
 
 
+@functools.cache  # to look through all installed packages is a tenth of a live viewer's new scene
 def decorations_of(robot_name: str) -> tuple[Shape, ...]:
     """Return the shapes that installed packages give for the robot of this name."""
     shapes: list[Shape] = []

@@ -34,7 +34,7 @@ _SECTIONS = 48  # of round shapes
 _CORNERS = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 _BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
         [1, 5, 7], [1, 7, 3]]  # fmt: skip
-_POINT, _SMALL_POINT, _FEW_POINTS = 4.5, 2.0, 100  # radius of a point [px], where there are few and many
+_POINT, _SMALL_POINT, _FEW_POINTS = 4.5, 2.0, 200  # radius of a point [px], where there are few and many
 _Samples = NDArray[np.float32]
 
 

@@ -19,6 +19,8 @@ from calib.commands.common import Output, shared_options
 
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
+PAPER = {"width": 688, "height": 890}
+"""A window as wide as what A4 leaves between its margins: pages in it are drawn as they are printed."""
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
@@ -89,6 +91,8 @@ def take(folder: Path, views: tuple[tuple[str, str, dict[str, int], str], ...] =
 
 def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
+    if size == PAPER:
+        tab.emulate_media(media="print")
     tab.goto(page.as_uri())
     if tab.query_selector("#pane"):
         tab.wait_for_selector("body[data-ready]")

@@ -1,4 +1,6 @@
-"""Take docs/figures/kind-*.png: the viewer of the example arm, measured by every kind of instrument, simulated.
+"""Take docs/figures/kind-*.png and print-*.png: the example arm, measured by every kind of instrument, simulated.
+
+The first are of the viewer, the others of the first page that the report prints.
 
     python docs/site/make_pictures.py [--out FOLDER]
 
@@ -8,6 +10,8 @@ It needs Chromium and the extra `browser`. Errors of the arm are drawn at random
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +20,9 @@ import numpy as np
 
 import calib
 from calib.base.files import write_folder
+from viz.report_page import report_page
 from viz.scene import scene_of_fit
-from viz.screenshots import small, take
+from viz.screenshots import PAPER, small, take
 from viz.viewer_page import scene_page
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -78,39 +83,45 @@ PICTURES = tuple(
         "distance": "",
         "touch": "",
     }.items()
-)
-"""As `viz.screenshots.PICTURES`: each kind with its colours for the errors after calibration."""
+) + tuple((f"print-{kind}", f"print-{kind}.html", PAPER, "") for kind in ("pixel", "distance", "touch"))
+"""As `viz.screenshots.PICTURES`: each kind with its colours for the errors after calibration, and printed reports."""
 _LOW, _HIGH = np.radians([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]])
 _POSES, _SEED = 60, 7
 _SEEN = 4  # times as many, of which the camera sees some
 
 
-def page(kind: str, folder: Path) -> str:
-    """Return the viewer page of the arm, calibrated with simulated readings of a kind."""
+def pages(kind: str) -> dict[str, str]:
+    """Return viewer page and report of the arm, calibrated with simulated readings of a kind, by their file names.
+
+    Writes into the present folder, so that the report names its files without a path.
+    """
     target, instruments = KINDS[kind]
-    path = folder / f"{kind}.yaml"
+    path = Path(f"{kind}.yaml")
     path.write_text(_ARM.format(urdf=EXAMPLES / "arm.urdf", target=target, instruments=instruments))
     robot, rng = calib.load(path), np.random.default_rng(_SEED)
     if kind == "touch":
-        data = calib.read_measurements(_TOUCHES, robot)
+        data = calib.read_measurements(shutil.copy(_TOUCHES, "."), robot)
     else:
         sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
         actual = robot.with_parameters(robot.values + 0.3 * sigma * rng.standard_normal(len(sigma)))
         q = rng.uniform(_LOW, _HIGH, (_POSES * (_SEEN if kind == "pixel" else 1), 6))
         data = calib.simulate(actual, q, None, rng)
         data = replace(data, comments=(f"simulated readings of the example arm, kind {kind}",))
-    return scene_page(scene_of_fit(calib.fit(robot, data, validation=0.25))).html
+    fit = calib.fit(robot, data, validation=0.25)
+    scene = scene_of_fit(fit)
+    return {f"{kind}.html": scene_page(scene).html, f"print-{kind}.html": report_page(fit, scene=scene).html}
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", metavar="FOLDER", type=Path, default=FIGURES, help="folder for the PNG files")
-    out = parser.parse_args().out
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for kind in KINDS:
-            (folder / f"{kind}.html").write_text(page(kind, folder), encoding="utf-8")
+    out = parser.parse_args().out.resolve()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        with contextlib.chdir(folder):
+            for name, html in (entry for kind in KINDS for entry in pages(kind).items()):
+                Path(name).write_text(html, encoding="utf-8")
         taken = take(folder, PICTURES)
     write_folder(out, {name: small(picture) for name, picture in taken.items()}, force=True)
     print("\n".join(f"{name}: {(out / name).stat().st_size / 1000:.0f} kB" for name in taken))

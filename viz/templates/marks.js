@@ -26,19 +26,20 @@ const SHARED_SHADER = `
   }`;
 
 const POINT_VERTEX = `
-  uniform float radius; uniform float pixels; uniform float smallest; uniform float size;
+  uniform float radius; uniform float pixels; uniform float smallest; uniform float size; varying float vEdge;
   void main() {
     colour();
     vec4 seen = modelViewMatrix * vec4(place, 1.0);
     gl_Position = isVisible() ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = size * max(smallest, pixels * projectionMatrix[1][1] * radius / -seen.z);
+    vEdge = clamp((gl_PointSize - 3.0) / 6.0, 0.3, 1.0); // a full edge would leave small points no colour
   }`;
 
 // Shapes tell the groups apart without colour; a cross through one marks an outlier, used or left out.
 const SHAPES = ["disc", "diamond", "square"];
 
 const POINT_FRAGMENT = `
-  uniform vec3 edge; varying vec3 vColour; varying float vShape; varying float vOutlier;
+  uniform vec3 edge; varying vec3 vColour; varying float vShape; varying float vOutlier; varying float vEdge;
   void main() {
     vec2 p = 2.0 * gl_PointCoord - 1.0;
     int shape = int(vShape + 0.5);
@@ -49,7 +50,7 @@ const POINT_FRAGMENT = `
       return;
     }
     if (reach > 1.0) discard;
-    gl_FragColor = vec4(reach > 0.76 ? edge : vColour, 1.0);
+    gl_FragColor = vec4(reach > 0.76 ? mix(vColour, edge, vEdge) : vColour, 1.0);
   }`;
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.

@@ -518,7 +518,7 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
 
 
 def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
-    """336 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
+    """100 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
     table = write_table(tmp_path, "ur10")
     nominal = robot_of(table, tmp_path / "ur10.yaml")
     text = (tmp_path / "ur10.yaml").read_text()
@@ -537,7 +537,7 @@ def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calib
         return truth.positions(waves(q))[:, 0]
 
     q, program = (
-        rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 336)
+        rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 100)
     )
     measured = did(q) + 2e-5 * rng.standard_normal((400, 3))
     with_curves, without = (calib.fit(one, calib.as_measurements(one, q, measured)) for one in (described, nominal))

@@ -65,9 +65,9 @@ def drawn(robot: calib.Robot, rng: np.random.Generator) -> calib.Robot:
     return robot.with_parameters(values)
 
 
-def flange_error(found: calib.Robot, true: calib.Robot, q: np.ndarray) -> float:
+def flange_error(estimate: calib.Robot, true: calib.Robot, q: np.ndarray) -> float:
     """Root mean square of how far off the flange is, base and tool placed as well as possible [mm]."""
-    at, expected = found.forward(q, "flange"), true.forward(q, "flange")[:, :3, 3]
+    at, expected = estimate.forward(q, "flange"), true.forward(q, "flange")[:, :3, 3]
 
     def off(x: np.ndarray) -> np.ndarray:
         base = pin.exp6(x[:6])

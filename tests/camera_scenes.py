@@ -60,10 +60,7 @@ def scene(n=12, mount="tool", seed=0, noise=0.2, shift=0.0, turn=0.0, intrinsics
     pixels = np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3], intrinsics) for view in seen])
     pixels = pixels + noise * generator.standard_normal(pixels.shape)
     told = np.array(
-        [
-            one @ pose(shift * generator.standard_normal(3), np.rad2deg(turn * generator.standard_normal(3)))
-            for one in real
-        ]
+        [T @ pose(shift * generator.standard_normal(3), np.rad2deg(turn * generator.standard_normal(3))) for T in real]
     )
     names = tuple(f"shot_{k + 1:02d}" for k in range(n))
     return Scene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)

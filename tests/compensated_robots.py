@@ -122,10 +122,10 @@ class TrueFrame:
         columns = [(self.moved(*near, h) - self.moved(*near, -h)).ravel() / 2e-6 for h in 1e-6 * np.eye(n)]
         _, values, right = np.linalg.svd(np.stack(columns, axis=1) / np.sqrt(onto.size / 3), full_matrices=False)
         basis = right[values > 0.03].T
-        found = scipy.optimize.least_squares(
+        best = scipy.optimize.least_squares(
             lambda z: 1e3 * (self.moved(*near, basis @ z) - onto).ravel(), np.zeros(basis.shape[1]), xtol=1e-14
         )
-        self.motion = basis @ found.x
+        self.motion = basis @ best.x
 
     def placed(self, positions, rotations):
         """Poses seen from about where the tracker is."""
@@ -187,9 +187,9 @@ def angles(rotations, others):
 
 def of_program(trial, known, goals=None):
     """Errors of a compensated program of joints, or of poses: after, promised, limit, before, not laid; and turns."""
-    found = calib.compensate(known, trial.program if goals is None else goals)
-    q, commands = trial.program[found.ok], found.q[found.ok]
-    t = trial.nominal.target_names.index(found.target)
+    compensated = calib.compensate(known, trial.program if goals is None else goals)
+    q, commands = trial.program[compensated.ok], compensated.q[compensated.ok]
+    t = trial.nominal.target_names.index(compensated.target)
     (meant, turned), (did, real), (plain, _) = (
         (x[:, t], R[:, t]) for x, R in (trial.frame.meant(q), poses_of(trial.truth, commands), poses_of(trial.truth, q))
     )
@@ -198,17 +198,21 @@ def of_program(trial, known, goals=None):
     rows = {
         "": (
             lengths(did - meant),
-            found.expected[found.ok],
-            found.high95[found.ok],
+            compensated.expected[compensated.ok],
+            compensated.high95[compensated.ok],
             lengths(plain - meant),
             lengths(trial.truth.positions(commands)[:, t] - fixed),
         )
     }
-    if found.keep == "pose":
+    if compensated.keep == "pose":
         nothing = np.full(len(q), np.nan)
         rows[" (angle)"] = (
-            angles(real, turned), found.expected_angle[found.ok], found.high95_angle[found.ok], nothing, nothing
-        )  # fmt: skip
+            angles(real, turned),
+            compensated.expected_angle[compensated.ok],
+            compensated.high95_angle[compensated.ok],
+            nothing,
+            nothing,
+        )
     return rows
 
 
@@ -227,9 +231,9 @@ def of_solve(trial, known):
     if len(trial.nominal.joint_names) == 2:
         goals[:, 2] = np.nan  # it moves in a plane
     whole = len(trial.nominal.joint_names) == 6
-    found = calib.solve(known, calib.Goals(goals, rotations[:, 0] if whole else None), near=trial.program[:30])
-    ok, expected = found.ok, found.expected
-    off = np.nan_to_num(trial.truth.positions(found.q[ok])[:, 0] - goals[ok])
+    solution = calib.solve(known, calib.Goals(goals, rotations[:, 0] if whole else None), near=trial.program[:30])
+    ok, expected = solution.ok, solution.expected
+    off = np.nan_to_num(trial.truth.positions(solution.q[ok])[:, 0] - goals[ok])
     nothing = np.full(int(np.sum(ok)), np.nan)
     return {"": (lengths(off), expected.distance[ok], expected.distance95[1, ok], nothing, nothing)}
 
@@ -250,10 +254,12 @@ def of_gcode(trial, known):
     rng, corners = np.random.default_rng(0), box_of(trial)
     ends = rng.uniform(*corners, (12, 3))
     moves = StraightMoves(np.vstack([corners[:1], ends[:-1]]), ends, tuple(f"move {k}" for k in range(12)))
-    found = compensate_moves(known, moves, 2e-5)
-    (did, _), (plain, meant) = (driven_nominally(trial, x) for x in (np.array([way[-1] for way in found.told]), ends))
+    compensated = compensate_moves(known, moves, 2e-5)
+    (did, _), (plain, meant) = (
+        driven_nominally(trial, x) for x in (np.array([way[-1] for way in compensated.told]), ends)
+    )
     nothing = np.full(12, np.nan)
-    return {"": (lengths(did - meant), found.expected, nothing, lengths(plain - meant), nothing)}
+    return {"": (lengths(did - meant), compensated.expected, nothing, lengths(plain - meant), nothing)}
 
 
 def of_grid(trial, known):
@@ -343,11 +349,11 @@ def of_make(name, nominal, places, errors, seeds):
     for (verdict, form), cell in cells.items():
         which = "as expected" if errors else "none" if verdict else "none, verdict ignored"
         print(f"| {name} | {places} | {which} | {form} | {row(cell)} |", flush=True)
-    agree, ratios, found = zip(*seen, strict=True)
-    found = [one for one in found if one is not None]
+    agree, ratios, terms_found = zip(*seen, strict=True)
+    terms_found = [named for named in terms_found if named is not None]
     return (
         f"| {name} | {places} | {'as expected' if errors else 'none'} | {kept} of {len(seen)} | {sum(agree)} of"
-        f" {len(seen)} | {np.sqrt(np.mean(np.square(ratios))):.2f} | {sum(found)} of {len(found)} |"
+        f" {len(seen)} | {np.sqrt(np.mean(np.square(ratios))):.2f} | {sum(terms_found)} of {len(terms_found)} |"
     )
 
 

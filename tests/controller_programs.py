@@ -77,14 +77,14 @@ def _ur(T):
 def urscript(q):
     """Joints, poses, poses in a feature, with a stated branch."""
     lines = ["def part():", f"  set_tcp({_ur(TOOL)})  # tool 1.5", f"  feature = {_ur(FRAME)}", "  speed = 0.25"]
-    lines += [f"  global joints_{k} = [{', '.join(f'{v:.6f}' for v in one)}]" for k, one in enumerate(q)]
-    lines += [f"  global point_{k} = {_ur(flange(one) @ TOOL)}" for k, one in enumerate(q)]
-    for k, one in enumerate(q):
+    lines += [f"  global joints_{k} = [{', '.join(f'{v:.6f}' for v in row)}]" for k, row in enumerate(q)]
+    lines += [f"  global point_{k} = {_ur(flange(row) @ TOOL)}" for k, row in enumerate(q)]
+    for k, row in enumerate(q):
         lines += [
             f"  movej(joints_{k}, a=1.4, v=speed)",
             f'  textmsg("at [1, 2, 3, 4, 5, 6]", {k})',
             f"  movej(get_inverse_kin(point_{k}, qnear=joints_{k}), a=1.4, v=1.05)",
-            f"  movel(pose_trans(feature, {_ur(tip(one))}), a=1.2, v=0.25, r=0.001)",
+            f"  movel(pose_trans(feature, {_ur(tip(row))}), a=1.2, v=0.25, r=0.001)",
         ]
     return "\r\n".join(
         [*lines, "  if speed > 0.1:", "    movel(pose_add(point_0, p[0,0,0.1,0,0,0]))", "  end", "end", ""]
@@ -93,17 +93,17 @@ def urscript(q):
 
 def run_urscript(text, q):
     """Joints to which the controller goes, (n, 6), and which row each is of."""
-    lists = [np.array(one.split(","), float) for one in re.findall(r"joints_\d+ = \[(.*?)\]", text)]
-    points = [np.array(one.split(","), float) for one in re.findall(r"point_\d+ = p\[(.*?)\]", text)]
-    inline = [np.array(one.split(","), float) for one in re.findall(r"pose_trans\(feature, p\[(.*?)\]\)", text)]
+    lists = [np.array(numbers.split(","), float) for numbers in re.findall(r"joints_\d+ = \[(.*?)\]", text)]
+    points = [np.array(numbers.split(","), float) for numbers in re.findall(r"point_\d+ = p\[(.*?)\]", text)]
+    inline = [np.array(numbers.split(","), float) for numbers in re.findall(r"pose_trans\(feature, p\[(.*?)\]\)", text)]
 
     def pose(values):
         return transform(Rotation.from_rotvec(values[3:]), values[:3])
 
     tool = np.linalg.inv(TOOL)
     went = [*lists]
-    went += [joints_of(pose(one) @ tool, near) for one, near in zip(points, q, strict=True)]
-    went += [joints_of(FRAME @ pose(one) @ tool, near) for one, near in zip(inline, q, strict=True)]
+    went += [joints_of(pose(values) @ tool, near) for values, near in zip(points, q, strict=True)]
+    went += [joints_of(FRAME @ pose(values) @ tool, near) for values, near in zip(inline, q, strict=True)]
     return np.array(went), np.tile(np.arange(len(q)), 3)
 
 
@@ -126,10 +126,10 @@ def rapid(q):
         f'  TASK PERS wobjdata wTable:=[FALSE,TRUE,"",[{half}],[{_abb(FRAME)}]];',
         "  ! a remark with numbers 1.5 [2,3]",
     ]
-    for k, one in enumerate(q):
-        cf = [int(np.floor(one[j] / (np.pi / 2))) for j in (0, 3, 5)]
-        lines.append(f"  CONST robtarget p{k}:=[{_abb(tip(one))},[{cf[0]},{cf[1]},{cf[2]},0],{none}];")
-        lines.append(f"  CONST jointtarget j{k}:=[[{','.join(f'{np.degrees(v):.5f}' for v in one)}],{none}];")
+    for k, row in enumerate(q):
+        cf = [int(np.floor(row[j] / (np.pi / 2))) for j in (0, 3, 5)]
+        lines.append(f"  CONST robtarget p{k}:=[{_abb(tip(row))},[{cf[0]},{cf[1]},{cf[2]},0],{none}];")
+        lines.append(f"  CONST jointtarget j{k}:=[[{','.join(f'{np.degrees(v):.5f}' for v in row)}],{none}];")
     lines.append("  PROC main()\n    ConfL\\On;\n    VAR num n:=0;")
     for k in range(len(q)):
         lines.append(f"    MoveAbsJ j{k}\\NoEOffs, v1000, z50, tGrip\\WObj:=wTable;")
@@ -140,7 +140,7 @@ def rapid(q):
 
 def run_rapid(text, q):
     went = []
-    for name, near in ((f"p{k}", one) for k, one in enumerate(q)):
+    for name, near in ((f"p{k}", row) for k, row in enumerate(q)):
         v = np.array(re.findall(NUMBER, re.search(rf"robtarget {name}:=(.*?);", text)[1])[:7], float)
         T = transform(Rotation.from_quat([*v[4:7], v[3]]), v[:3] / 1e3)
         went.append(joints_of(FRAME @ T @ np.linalg.inv(TOOL), near))
@@ -173,11 +173,11 @@ def krl(q):
     ]
     dat += [f"TOOL_DATA[1]={{{_kuka(TOOL)}}}", f"BASE_DATA[2]={{{_kuka(FRAME)}}}"]
     src = ["&ACCESS RVP", "DEF PART( )", "BAS (#INITMOV,0 )"]
-    for k, one in enumerate(q):
+    for k, row in enumerate(q):
         dat.append(
-            f"DECL E6POS XP{k}={{{_kuka(tip(one))},S 2,T {_turns(one)},E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}}"
+            f"DECL E6POS XP{k}={{{_kuka(tip(row))},S 2,T {_turns(row)},E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}}"
         )
-        axes = ",".join(f"A{j + 1} {np.degrees(v):.5f}" for j, v in enumerate(one))
+        axes = ",".join(f"A{j + 1} {np.degrees(v):.5f}" for j, v in enumerate(row))
         dat.append(f"DECL E6AXIS XA{k}={{{axes},E1 0.0}}")
         src += [
             f";FOLD PTP P{k} Vel=100 % PDAT1 Tool[1]:grip Base[2]:table;%{{PE}}%R 8.3.22",
@@ -206,7 +206,7 @@ def run_krl(src, dat, q):
         T = transform(Rotation.from_euler("ZYX", v[3:], degrees=True), v[:3] / 1e3)
         return FRAME @ T @ np.linalg.inv(TOOL)
 
-    went = [joints_of(pose(re.search(rf"XP{k}=(.*)", dat)[1]), one) for k, one in enumerate(q)]
+    went = [joints_of(pose(re.search(rf"XP{k}=(.*)", dat)[1]), near) for k, near in enumerate(q)]
     for k in range(len(q)):
         text = re.search(rf"XA{k}=(.*)", dat)[1]
         went.append(np.radians([float(re.search(rf"A{j} ({NUMBER})", text)[1]) for j in range(1, 7)]))
@@ -221,13 +221,13 @@ def fanuc(q):
     """A teach pendant program; its third joint counts against J2, as on the pendant."""
     head = ["/PROG  PART", "/ATTR", 'COMMENT = "1.5 mm";', "LINE_COUNT = 9;", "/MN"]
     motion, places = [], ["/POS"]
-    for k, one in enumerate(q):
+    for k, row in enumerate(q):
         motion.append(f"L P[{2 * k + 1}:point {k}] 100mm/sec FINE    ;")
         motion.append(f"J P[{2 * k + 2}] 50% CNT50    ;")
-        T = tip(one)
+        T = tip(row)
         w, p, r = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         x, y, z = 1e3 * T[:3, 3]
-        flip = "F" if one[4] < 0 else "N"
+        flip = "F" if row[4] < 0 else "N"
         places += [
             f'P[{2 * k + 1}:"point {k}"]{{',
             "   GP1:",
@@ -236,7 +236,7 @@ def fanuc(q):
             f"\tW = {w:9.3f} deg,\tP = {p:9.3f} deg,\tR = {r:9.3f} deg",
             "};",
         ]
-        v = np.degrees(one)
+        v = np.degrees(row)
         v[2] -= v[1]
         shown = [f"J{j}= {angle:9.3f} deg" for j, angle in enumerate(v, 1)]
         places += [

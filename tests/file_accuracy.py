@@ -133,7 +133,7 @@ if __name__ == "__main__":
     for made in robots:
         with tempfile.TemporaryDirectory() as scratch:
             errors, fit = files_of(*made(options.folder), Path(scratch))
-        added = ", ".join(one.term for one in fit.terms.tried if one.added) or "nothing"
+        added = ", ".join(term.term for term in fit.terms.tried if term.added) or "nothing"
         print(f"{made.__name__}: {fit.validation.data.n_poses} poses not used, auto added {added}; mm RMS")
         for name, error in errors.items():
             print(f"  {name}: {error if isinstance(error, str) else f'{1e3 * error:.4f}'}", flush=True)

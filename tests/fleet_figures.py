@@ -65,15 +65,17 @@ def results_of(robot, folder, n, rng, mean, wrong=False, spread=SPREAD):
     return folders
 
 
-def judged(fit, truth, q):
+def measures(fit, truth, q):
     """Root mean square error of positions at poses q [mm], and parts of intervals that hold the truth."""
     error = fit.robot.positions(q) - truth.positions(q)
-    found = fit.predict(q)
-    std = np.sqrt(np.diagonal(found.covariance, axis1=2, axis2=3))
-    held = np.abs(error) <= found.coverage_factor * std
+    predicted = fit.predict(q)
+    std = np.sqrt(np.diagonal(predicted.covariance, axis1=2, axis2=3))
+    held = np.abs(error) <= predicted.coverage_factor * std
     shared, _ = own(fit.nominal)
     rows = [fit.parameters[name] for name in names(fit.nominal, shared)]
-    inside = [one.low95_si <= truth.values[k] <= one.high95_si for k, one in zip(shared, rows, strict=True)]
+    inside = [
+        estimate.low95_si <= truth.values[k] <= estimate.high95_si for k, estimate in zip(shared, rows, strict=True)
+    ]
     return 1e3 * float(np.sqrt(np.mean(np.sum(error**2, axis=2)))), float(np.mean(held)), float(np.mean(inside))
 
 
@@ -124,10 +126,10 @@ def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False):
         except calib.NotIdentifiableError:
             figures[name] = (np.nan,) * 3
             continue
-        figures[name] = judged(fit, truth, q)
+        figures[name] = measures(fit, truth, q)
         said = fit.nominal.description.fleet
         unlike = said.unlike if said is not None else unlike
-    return figures, [one.name for one in fleet.members if one.odd], unlike
+    return figures, [member.name for member in fleet.members if member.odd], unlike
 
 
 def main():

@@ -175,18 +175,18 @@ class Compiled:
 
     def jacobian(self, q, context):
         given, motions = self._given(context), np.empty((len(q), 6, self.n))
-        for row, one, motion in zip(np.ascontiguousarray(q), given, motions, strict=True):
-            self.compiled.motion_of(_at(row), _at(one), 0, _at(motion))
+        for row, given_row, motion in zip(np.ascontiguousarray(q), given, motions, strict=True):
+            self.compiled.motion_of(_at(row), _at(given_row), 0, _at(motion))
         return motions
 
     def inverse(self, poses, start, context, use=(1, 1, 1, 1, 1, 1)):
-        given, found, use = self._given(context), np.empty((len(poses), self.n)), (ctypes.c_int * 6)(*use)
+        given, commands, use = self._given(context), np.empty((len(poses), self.n)), (ctypes.c_int * 6)(*use)
         poses, start = np.ascontiguousarray(poses), np.ascontiguousarray(start)
-        for pose, one, here, q in zip(
-            np.ascontiguousarray(poses), given, np.ascontiguousarray(start), found, strict=True
+        for pose, given_row, here, q in zip(
+            np.ascontiguousarray(poses), given, np.ascontiguousarray(start), commands, strict=True
         ):
-            self.compiled.commands_of(_at(pose), _at(here), _at(one), use, _at(q))
-        return found
+            self.compiled.commands_of(_at(pose), _at(here), _at(given_row), use, _at(q))
+        return commands
 
     def _given(self, context):
         columns = (context.approach, context.time, context.temperature + 20.0, context.load)
@@ -234,11 +234,11 @@ def _figures(name, robot, folder, n=10_000):
             given = {key: value[some] for key, value in given.items()}
             back = functions.inverse(poses[some], start, **given)
             there = functions.forward(back, **given)
-        found = np.isfinite(back[:, 0])
-        missed = np.abs(there - poses[some])[found].max()
+        solved = np.isfinite(back[:, 0])
+        missed = np.abs(there - poses[some])[solved].max()
         print(
             f"  {language:5}  closes the same: {same}; position {apart[:, :3, 3].max():.1e} m, rotation"
-            f" {apart[:, :3, :3].max():.1e}; back: {found.sum()} of {len(some)}, to {missed:.1e}"
+            f" {apart[:, :3, :3].max():.1e}; back: {solved.sum()} of {len(some)}, to {missed:.1e}"
         )
     print("  us for a pose: " + ", ".join(f"{key} {value / len(timed) * 1e6:.1f}" for key, value in seconds.items()))
 

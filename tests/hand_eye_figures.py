@@ -27,10 +27,10 @@ REFERENCE = {"given": (2.668, 3.338, 1.420, 1.822), "found": (1.128, 1.538, 0.61
 def main(folder: Path) -> None:
     started = time.perf_counter()
     board = given_board(BOARD)
-    *_, found = detect(board, ((one.name, one.read()) for one in shots([str(folder / "images")])))
-    print(f"{found.n_points} corners: {' '.join(str(len(one.points)) for one in found.images)}")
+    *_, detected = detect(board, ((image.name, image.read()) for image in shots([str(folder / "images")])))
+    print(f"{detected.n_points} corners: {' '.join(str(len(image.points)) for image in detected.images)}")
     names, tool = read_tool_poses(folder / "poses.csv")
-    scene = scene_of(found.usable, board, np.array([tool[names.index(one.name)] for one in found.usable]))
+    scene = scene_of(detected.usable, board, np.array([tool[names.index(image.name)] for image in detected.usable]))
     given = yaml.safe_load((folder / "cal.yaml").read_text())["intrinsics"]
     intrinsics = np.array([*(given[key] for key in ("fx", "fy", "cx", "cy")), 0, 0, 0, 0, 0])
     for lens, reference in REFERENCE.items():
@@ -38,7 +38,7 @@ def main(folder: Path) -> None:
         own = rms(result.pixels), rms(result.left.pixels), 1e3 * rms(result.board), 1e3 * rms(result.left.board)
         print(f"{lens}: px {own[0]:.3f}, left out {own[1]:.3f}; mm {own[2]:.3f}, left out {own[3]:.3f}")
         print("   over the reference: " + ", ".join(f"{a / b:.4f}" for a, b in zip(own, reference, strict=True)))
-        print(f"   camera alone {rms(result.alone):.3f} px; {[one.code for one in result.mistakes]}")
+        print(f"   camera alone {rms(result.alone):.3f} px; {[mistake.code for mistake in result.mistakes]}")
     print(f"{time.perf_counter() - started:.1f} s")
 
 

@@ -52,12 +52,12 @@ def forward(numbers, q):
     return result
 
 
-def joints_of(numbers, wanted, q):
+def joints_of(numbers, goal, q):
     """Joint values that bring the tool to a pose, from those of the pose before."""
 
     def off(q):
         there = forward(numbers, q)
-        return np.r_[there[:3, 3] - wanted[:3, 3], 0.5 * (there[:3, :3] - wanted[:3, :3]).ravel()]
+        return np.r_[there[:3, 3] - goal[:3, 3], 0.5 * (there[:3, :3] - goal[:3, :3]).ravel()]
 
     return least_squares(off, q, max_nfev=60)
 
@@ -68,11 +68,11 @@ def reached(numbers, ideal, generator):
         q = generator.uniform([-2, -2, -2, -2, 0.6, -2], [2, 0, 2, 2, 1.6, 2])
         base = ideal[0] @ np.linalg.inv(forward(numbers, q))
         joints = []
-        for one in ideal:
-            found = joints_of(numbers, np.linalg.inv(base) @ one, q)
-            if found.cost > 1e-10:
+        for goal in ideal:
+            solution = joints_of(numbers, np.linalg.inv(base) @ goal, q)
+            if solution.cost > 1e-10:
                 break
-            q = found.x
+            q = solution.x
             joints.append(q)
         else:
             return np.array(joints), base

@@ -91,9 +91,9 @@ class Command:
         with tempfile.TemporaryDirectory() as here:
             os.chdir(here)
             assert child(lambda: run(self.group, self.words.format(variant=variant))) == 0, f"{self.group} {self.words}"
-            found = self.seen()
+            written = self.seen()
             os.chdir("/")
-        return found
+        return written
 
     def seen(self) -> dict[str, bytes]:
         """What is there now, but for when it was made and how many seconds it was made."""
@@ -148,16 +148,16 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
         assert child(lambda words=words: run("calib", words)) == 0
     robot = calib.load(medrue.robot_file())
     studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, Silent()) for seed in (0, 1)]
-    reports = [medrue.reports.study_report(found) for found in studies]
+    reports = [medrue.reports.study_report(study) for study in studies]
     assert all(report.files() for report in reports)  # and keeps its figures
     medrue.study.run_study = lambda robot, size, seed, executor, progress: seed
     medrue.reports.study_report = lambda seed: reports[seed]
     chance = random.Random(seed)
-    found = {}
+    counts = {}
     for group, words, name in _COMMANDS:
         command = Command(group, words.replace("RESULT", f"{results}/r"), name)
         for way, part in _WAYS.items():
-            counted = found[f"{command.group} {command.words.split()[0]}, {way}"] = Counter()
+            counted = counts[f"{command.group} {command.words.split()[0]}, {way}"] = Counter()
             for _ in range(round(runs * part / len(_COMMANDS))):
                 with tempfile.TemporaryDirectory() as here:
                     os.chdir(here)
@@ -170,8 +170,8 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
                     counted["LEFTOVER"] += bool(list(Path(here).rglob(".calib-*")))
                     counted["MIXTURE OR LOST"] += seen == "MIXTURE" or (before and seen == "none")
                     os.chdir("/")
-            print(f"{list(found)[-1]}: {dict(+counted)}", flush=True)
-    return found
+            print(f"{list(counts)[-1]}: {dict(+counted)}", flush=True)
+    return counts
 
 
 def main() -> int:

@@ -97,7 +97,7 @@ def state(seen: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) 
 
 def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, first: int) -> Counter[str]:
     """End a piece of writing before one in `every` of its lines from the `first`, and count what is there then."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     number = first - every
     while True:
         number += every
@@ -106,7 +106,7 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
 
             def work(number: int = number, write: Callable[[], None] = write) -> None:
                 if not exchange:
-                    calib.base.replacing.exchange = lambda one, other: False
+                    calib.base.replacing.exchange = lambda path, other: False
                 at_line(number, OF_WRITING, act)
                 write()
 
@@ -116,13 +116,13 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
             calib.base.replacing.clear_leftovers(out)
             after = state(tree(out) if out.is_dir() else {}, old, new)
             if before == "MIXTURE" or (old and after == "none"):
-                found["MIXTURE OR LOST"] += 1
+                counts["MIXTURE OR LOST"] += 1
             left = [path.name for path in Path(here).rglob(".calib-*")]
-            found["LEFTOVER"] += bool(left)
-            found[before if before == after else f"{before}, then {after}"] += 1
+            counts["LEFTOVER"] += bool(left)
+            counts[before if before == after else f"{before}, then {after}"] += 1
             if code in (0, 70):  # it was written, or would never be
-                found["NOT WRITTEN"] += after != "new"
-                return found
+                counts["NOT WRITTEN"] += after != "new"
+                return counts
 
 
 def _new_folder(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
@@ -151,19 +151,19 @@ def steps(every: int) -> dict[str, Counter[str]]:
 
     Where not every line is tried, each piece begins with another one.
     """
-    found = {}
+    counts = {}
     for name in _PIECES:
         for act in (killed, interrupted):
             for exchange in (True, False) if "place" in name else (True,):
                 title = f"{name}, {act.__name__}{'' if exchange else ', without an exchange in one step'}"
-                found[title] = steps_of(name, act, exchange, every, 1 + len(found) % every)
-    return found
+                counts[title] = steps_of(name, act, exchange, every, 1 + len(counts) % every)
+    return counts
 
 
-def verdict(found: dict[str, Counter[str]]) -> int:
+def verdict(counts: dict[str, Counter[str]]) -> int:
     """Print counts; return 1 if anything was wrong."""
-    print(json.dumps({title: +counted for title, counted in found.items()}, indent=1))
-    return int(any(counted[wrong] for counted in found.values() for wrong in WRONG))
+    print(json.dumps({title: +counted for title, counted in counts.items()}, indent=1))
+    return int(any(counted[wrong] for counted in counts.values() for wrong in WRONG))
 
 
 if __name__ == "__main__":

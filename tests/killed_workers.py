@@ -64,11 +64,15 @@ def program(pool: str) -> None:
 
 def workers_of(process: int) -> list[psutil.Process]:
     """The two processes that work for a program; fewer if they do not appear in time."""
-    until, found = time.monotonic() + _START, list[psutil.Process]()
-    while len(found) < 2 and time.monotonic() < until:
+    until, workers = time.monotonic() + _START, list[psutil.Process]()
+    while len(workers) < 2 and time.monotonic() < until:
         time.sleep(0.05)
-        found = [one for one in psutil.Process(process).children() if "resource_tracker" not in " ".join(one.cmdline())]
-    return found
+        workers = [
+            process
+            for process in psutil.Process(process).children()
+            if "resource_tracker" not in " ".join(process.cmdline())
+        ]
+    return workers
 
 
 def outcome(pool: str, chance: random.Random, within: float) -> str:
@@ -84,7 +88,7 @@ def outcome(pool: str, chance: random.Random, within: float) -> str:
         if len(workers) != 2:
             return "did not start"
         time.sleep(chance.uniform(0, _MOMENTS))
-        chance.choice(sorted(workers, key=lambda one: one.pid)).kill()
+        chance.choice(sorted(workers, key=lambda worker: worker.pid)).kill()
         said, _ = started.communicate(timeout=within)  # which closes its standard input
         return "complete" if started.returncode == 0 and said.endswith(b"complete\n") else "lost"
     except subprocess.TimeoutExpired:
@@ -108,9 +112,9 @@ def main() -> int:
         program(options.program)
         return 0
     chance = random.Random(options.seed)
-    found = Counter(outcome(options.pool, chance, options.within) for _ in range(options.runs))
-    print(f"{options.pool}, {options.runs} programs, seed {options.seed}: {dict(found)}")
-    return int(found["complete"] < options.runs)
+    outcomes = Counter(outcome(options.pool, chance, options.within) for _ in range(options.runs))
+    print(f"{options.pool}, {options.runs} programs, seed {options.seed}: {dict(outcomes)}")
+    return int(outcomes["complete"] < options.runs)
 
 
 if __name__ == "__main__":

@@ -13,15 +13,15 @@ _DIFFERENCES = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 """Central differences of fourth order."""
 
 
-def relative_error(found, expected):
+def relative_error(computed, expected):
     """Largest difference of a column, relative to that column's largest entry (to 1e-3 for zero columns)."""
     scale = np.maximum(np.max(np.abs(expected), axis=(0, 1)), 1e-3)
-    return float(np.max(np.abs(found - expected) / scale))
+    return float(np.max(np.abs(computed - expected) / scale))
 
 
-def kind_error(one, view, unknowns, readings):
+def kind_error(instrument, view, unknowns, readings):
     """Relative error of `by_twist` and `by_unknown` of one instrument, by moving the frame b and the unknowns."""
-    found = one.compare(view, unknowns, readings)
+    comparison = instrument.compare(view, unknowns, readings)
     columns = []
     for component in range(6):
         column = 0.0
@@ -32,21 +32,21 @@ def kind_error(one, view, unknowns, readings):
                 translation=view.translation + xi[:3],
                 rotation=Rotation.from_rotvec(xi[3:]).as_matrix() @ view.rotation,
             )
-            column = column + weight / _STEP * one.compare(moved, unknowns, readings).residuals
+            column = column + weight / _STEP * instrument.compare(moved, unknowns, readings).residuals
         columns.append(column)
-    error = relative_error(found.by_twist, np.stack(columns, axis=2))
+    error = relative_error(comparison.by_twist, np.stack(columns, axis=2))
     for component in range(len(unknowns)):
         column = 0.0
         for k, weight in _DIFFERENCES.items():
             there = unknowns + k * _STEP * np.eye(len(unknowns))[component]
-            column = column + weight / _STEP * one.compare(view, there, readings).residuals
-        error = max(error, relative_error(found.by_unknown[:, :, [component]], column[:, :, None]))
+            column = column + weight / _STEP * instrument.compare(view, there, readings).residuals
+        error = max(error, relative_error(comparison.by_unknown[:, :, [component]], column[:, :, None]))
     return error
 
 
 def chain_error(robot, q, readings):
     """Relative error of the derivative of all readings by all parameters, loops closed again for every difference."""
-    found = observe(robot, robot.assemble(q), readings)
+    observed = observe(robot, robot.assemble(q), readings)
     worst = 0.0
     for k, parameter in enumerate(robot.parameters):
         columns = dict.fromkeys(readings, 0.0)
@@ -56,7 +56,7 @@ def chain_error(robot, q, readings):
             for name, there in observe(moved, moved.assemble(q), readings).items():
                 columns[name] = columns[name] + weight / _STEP * there.residuals
         for name, column in columns.items():
-            error = relative_error(found[name].jacobian[:, :, [k]], column[:, :, None])
+            error = relative_error(observed[name].jacobian[:, :, [k]], column[:, :, None])
             assert error <= 1e-6, f"{name}, {parameter.name}: {error}"
             worst = max(worst, error)
     return worst
@@ -83,4 +83,7 @@ def positions_by_joint(robot, q):
     """Derivative of what a robot's instruments of positions read by the joints, (n, n_instruments, 3, n_actuated)."""
     at = robot.assemble(q)
     observed = observe(robot, at, predicted_readings(robot, at), joints=True)
-    return np.stack([observed[one.name].by_joint for one in robot.instruments if isinstance(one, Position)], axis=1)
+    return np.stack(
+        [observed[instrument.name].by_joint for instrument in robot.instruments if isinstance(instrument, Position)],
+        axis=1,
+    )

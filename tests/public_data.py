@@ -197,7 +197,7 @@ def held_out(fit, state="after"):
 
 
 def _added(fit):
-    return "+".join(one.term for one in fit.terms.tried if one.added) or "nothing"
+    return "+".join(term.term for term in fit.terms.tried if term.added) or "nothing"
 
 
 def print_ur10_tracker(folder):
@@ -234,30 +234,30 @@ def print_motoman_right(folder):
     for tracker, turned in ((True, False), (True, True), (False, False), (False, True)):
         robot, train, test = motoman_cameras(folder, tracker, turned)
         fit = calib.fit(robot, train, validation=test if tracker else None)
-        error = held_out(fit) if tracker else _judged(fit, arm, by_tracker[1])
+        error = held_out(fit) if tracker else _placed_error(fit, arm, by_tracker[1])
         print(f"pixels{' turned back' * turned}{' and tracker' * tracker}: {fit.verdict.grade} {error}", flush=True)
     for terms in (None, "auto"):
         fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)
         print(f"tracker, priors of the example, {terms}: {fit.verdict.grade} {held_out(fit)}", flush=True)
 
 
-def _judged(fit, arm, data):
+def _placed_error(fit, arm, data):
     """Root mean square error of an arm with origins that were found, its base and target placed by the data [mm]."""
-    found = {p.name: value for p, value in zip(fit.robot.parameters, fit.robot.values, strict=True)}
-    own = {p.name: found[p.name] for p in arm.parameters if not p.placement}
+    values = {p.name: value for p, value in zip(fit.robot.parameters, fit.robot.values, strict=True)}
+    own = {p.name: values[p.name] for p in arm.parameters if not p.placement}
     errors = register(arm.with_parameters(own), data).positions(data.joints) - data.points(arm)
     return round(1e3 * float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))), 4)
 
 
 def print_mukca(folder):
     """Print the tables of the arms that touched two sockets; with masses, too, if packages that know them are there."""
-    for arm, masses in [(one, known) for one in PLACES for known in (None, masses_of(one))]:
+    for arm, masses in [(name, known) for name in PLACES for known in (None, masses_of(name))]:
         for held in PLACES[arm] if masses is None or masses.is_file() else ():
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)
     for masses in (None, masses_of("panda_1")):
         for place in PLACES["panda_1"] if masses is None or masses.is_file() else ():
-            others = tuple(one for one in PLACES["panda_1"] if one != place)
+            others = tuple(other for other in PLACES["panda_1"] if other != place)
             _print_mukca(folder, "panda_1", (place,), others, masses)
 
 
@@ -269,13 +269,15 @@ def _print_mukca(folder, arm, places, held, masses):
         print(f"{arm}{' with masses' * bool(masses)}, {' and '.join(places)}, {terms or 'origins'}{added}:", end=" ")
         for place in (*places, *held):
             holes = mukca_joints(folder, arm, place)
-            errors = [judge(one, holes) for judge in (from_sockets, from_means) for one in (fit.placed, fit.robot)]
+            errors = [judge(robot, holes) for judge in (from_sockets, from_means) for robot in (fit.placed, fit.robot)]
             print("{}: {:.2f} -> {:.3f} (from means {:.2f} -> {:.3f})".format(place, *errors), end="; ")
         print(flush=True)
 
 
 if __name__ == "__main__":
-    printers = {name.removeprefix("print_"): one for name, one in globals().items() if name.startswith("print_")}
+    printers = {
+        name.removeprefix("print_"): function for name, function in globals().items() if name.startswith("print_")
+    }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", metavar="FOLDER", type=Path)
     parser.add_argument("robots", metavar="ROBOT", nargs="*", help=f"of {', '.join(printers)}; all if none are named")

@@ -141,9 +141,9 @@ def _ur_product(path: Path, robot: calib.Robot) -> Tip:
     """As ur_description builds its chain from the file, with what it has behind wrist_3."""
     kinematics = yaml.safe_load(path.read_text())["kinematics"]
     origins = [
-        _moved(Rotation.from_euler("xyz", [one[k] for k in ("roll", "pitch", "yaw")]).as_matrix(),
-               (one["x"], one["y"], one["z"]))
-        for one in kinematics.values() if isinstance(one, dict)
+        _moved(Rotation.from_euler("xyz", [origin[k] for k in ("roll", "pitch", "yaw")]).as_matrix(),
+               (origin["x"], origin["y"], origin["z"]))
+        for origin in kinematics.values() if isinstance(origin, dict)
     ]  # fmt: skip
     nominal, zero = urdf_links(robot.urdf.source), dict.fromkeys(robot.joint_names, 0.0)
     joints, target = (
@@ -172,7 +172,7 @@ def _with_zeros(path: Path, robot: calib.Robot) -> Tip:
 
 def _with_properties(path: Path, robot: calib.Robot) -> bytes:
     """The nominal URDF with the origins that a xacro file's properties give."""
-    values = {one.get("name"): one.get("value") for one in ElementTree.parse(path).getroot()}
+    values = {element.get("name"): element.get("value") for element in ElementTree.parse(path).getroot()}
     root = ElementTree.fromstring(robot.urdf.source)
     for joint in root.iter("joint"):
         for old in joint.findall("origin"):

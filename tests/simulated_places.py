@@ -38,7 +38,7 @@ class Guessing(_Search):
 
 def search(rule, fit):
     """The search by one of the rules."""
-    tried = tuple(one for one in candidates(fit.robot, fit.identification.data) if not one.refused)
+    tried = tuple(candidate for candidate in candidates(fit.robot, fit.identification.data) if not candidate.refused)
     trials = Trials(fit, tried)
     if rule == "no places left out":
         trials._partitions = trials._partitions[:1]
@@ -87,11 +87,16 @@ def held_out(folder, arm, lacks, n, seed):
             fit = calib.fit(pair, replace(read, joints=q[at != held]))
             row = [from_sockets(fit.robot, test)]
             for k, rule in enumerate(RULES):
-                found = search(rule, fit)
-                groups, _ = found.chosen()
+                search_ = search(rule, fit)
+                groups, _ = search_.chosen()
                 counts[k] += len(groups), sum(not kinds & set(group) for group in groups)
-                chosen = found.of(groups)
-                added = [s for one in found.tried if one.term in chosen.terms for s in found.entries(one, chosen)]
+                chosen = search_.of(groups)
+                added = [
+                    s
+                    for candidate in search_.tried
+                    if candidate.term in chosen.terms
+                    for s in search_.entries(candidate, chosen)
+                ]
                 row.append(from_sockets(calib.fit(pair.with_terms(added), fit.identification.data).robot, test))
             errors.append(row)
     return np.array(errors), counts
@@ -104,7 +109,7 @@ def main(folder, n, seed):
     for arm in PLACES:
         for lacks in (False, True):
             errors, counts = held_out(folder, arm, lacks, n, seed)
-            mean = " | ".join(f"{one:.3f}" for one in np.exp(np.mean(np.log(errors), axis=0)))
+            mean = " | ".join(f"{error:.3f}" for error in np.exp(np.mean(np.log(errors), axis=0)))
             wrong = ", ".join(f"{bad} of {added}" for added, bad in counts)
             print(f"| {arm} | {'lacking' if lacks else 'all described'} | {mean} | {wrong} |", flush=True)
 

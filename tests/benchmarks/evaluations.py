@@ -84,12 +84,12 @@ def extended_medrue(off=0.3):
 
 def problems(folder=None):
     """Robots and measurements by name; those of others where there is a folder."""
-    found = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
-    found["MedRUE, extended"] = extended_medrue()
+    problems = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
+    problems["MedRUE, extended"] = extended_medrue()
     if folder:
-        found["Motoman"] = motoman(folder / "motoman_right")[:2]
-        found["UR10"] = ur10(folder / "ur10_tracker")
-    return found
+        problems["Motoman"] = motoman(folder / "motoman_right")[:2]
+        problems["UR10"] = ur10(folder / "ur10_tracker")
+    return problems
 
 
 def fitted(robot, data, sigma):
@@ -104,12 +104,12 @@ def most_of(starts, robot, data, sigma):
     problem = Problem.of(robot, data, sigma)
     placed, unknowns = place(problem), problem.unknowns
     groups = solve_from(problem, placed, Settings(sigma=sigma)).groups
-    found = []
+    solutions = []
     for seed in range(starts):
         away = np.where(unknowns.prior.has, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)
         start = unknowns.moved(placed.robot, unknowns.deviations(placed.robot.values) + away)
-        found.append(problem.solve(problem.evaluate(start), groups)[1])
-    return max(solution.evaluations for solution in found), all(solution.converged for solution in found)
+        solutions.append(problem.solve(problem.evaluate(start), groups)[1])
+    return max(solution.evaluations for solution in solutions), all(solution.converged for solution in solutions)
 
 
 def table(robots, starts=0):
@@ -119,8 +119,8 @@ def table(robots, starts=0):
     for name, (robot, data) in robots.items():
         row = f"| {name} |"
         for sigma in SIGMAS:
-            one = (robot, data, float(sigma))
-            evaluations, converged = most_of(starts, *one) if starts else fitted(*one)
+            problem = (robot, data, float(sigma))
+            evaluations, converged = most_of(starts, *problem) if starts else fitted(*problem)
             row += f" {evaluations}{'' if converged else ' *'} |"
         yield row
 
@@ -169,11 +169,11 @@ def subset_table(robots, count):
     yield "| rows | fits | evaluations: median | most | MINPACK: median | most | more than MINPACK's | higher cost |"
     yield "|---|---:|---:|---:|---:|---:|---:|---:|"
     for name, (robot, data) in robots.items():
-        found = {}
+        by_sort = {}
         for sort, rows in subsets(data.joints, count):
-            found.setdefault(sort, []).append(against_minpack(robot, data.subset(rows)))
-        for sort, each in found.items():
-            ours, theirs, cost, other, converged = np.array([one for one in each if one]).T
+            by_sort.setdefault(sort, []).append(against_minpack(robot, data.subset(rows)))
+        for sort, each in by_sort.items():
+            ours, theirs, cost, other, converged = np.array([counts for counts in each if counts]).T
             failed = "" if np.all(converged) else f", {int(np.sum(converged == 0))} not converged"
             numbers = np.median(ours), np.max(ours), np.median(theirs), np.max(theirs), np.sum(ours > theirs)
             shown = " | ".join(f"{number:.0f}" for number in (*numbers, np.sum(cost > (1 + 1e-6) * other)))

@@ -125,8 +125,8 @@ def fits(problems, rounds):
         (measured,) = (readings.values for readings in data.readings.values())
         cost, hand = fit(arm, data.joints, measured, sigma)
         with evaluations.counted() as counts:
-            found = calib.fit(robot, data, sigma=sigma)
-        assert abs(found.rows.cost / cost - 1) < SAME_COST, (found.rows.cost, cost)
+            result = calib.fit(robot, data, sigma=sigma)
+        assert abs(result.rows.cost / cost - 1) < SAME_COST, (result.rows.cost, cost)
         taken = least(
             rounds,
             hand=lambda arm=arm, data=data, measured=measured, sigma=sigma: fit(arm, data.joints, measured, sigma),
@@ -134,7 +134,7 @@ def fits(problems, rounds):
             compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
         )
         ours, quick = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled"))
-        rows.append((name, len(data), len(found.unknowns), ours, quick if NUMBA else "-", sum(counts.values()), hand))
+        rows.append((name, len(data), len(result.unknowns), ours, quick if NUMBA else "-", sum(counts.values()), hand))
     return rows
 
 

@@ -42,9 +42,9 @@ def robot():
 @pytest.mark.parametrize("index", ["O1", "O2", "O3", "O4", "O5", "task"])
 def test_84_of_420(benchmark, robot, index):
     q = np.array(target_workspace().q)
-    found = benchmark.pedantic(select, args=(robot, q, 84, index), rounds=5, warmup_rounds=1)
-    benchmark.extra_info["efficiency"] = found.efficiency
-    benchmark.extra_info["choosing alone [s]"] = found.selecting_seconds
+    selection = benchmark.pedantic(select, args=(robot, q, 84, index), rounds=5, warmup_rounds=1)
+    benchmark.extra_info["efficiency"] = selection.efficiency
+    benchmark.extra_info["choosing alone [s]"] = selection.selecting_seconds
 
 
 def test_check_of_420(benchmark, robot):

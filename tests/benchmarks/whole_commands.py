@@ -74,19 +74,19 @@ def prepared(folder):
                 many = q[rng.integers(len(q), size=MANY)] + spread
                 text = format_table(list(joint_columns(medrue, many)))
                 file.write(text if start == 0 else text.partition("\n")[2])
-    found = {"`calib --version`": ["--version"]}
+    commands = {"`calib --version`": ["--version"]}
     for pages in (False, True):
         for name, path in robots.items():
             some_rows(EXAMPLES / f"{path.stem}_simulated.csv", folder / f"{name}.csv")
             arguments = ["fit", str(path), f"{name}.csv", "--out", f"{name}-{pages}", *["--no-pages"] * (not pages)]
-            found[f"`calib fit`, 30 poses, {name}{', with pages' * pages}"] = arguments
-    found["`calib check` without data, MedRUE"] = ["check", str(robots["MedRUE"])]
-    found["`calib solve`, 1000 targets, MedRUE"] = [
+            commands[f"`calib fit`, 30 poses, {name}{', with pages' * pages}"] = arguments
+    commands["`calib check` without data, MedRUE"] = ["check", str(robots["MedRUE"])]
+    commands["`calib solve`, 1000 targets, MedRUE"] = [
         *("solve", str(robots["MedRUE"]), "targets.csv"),
         *("--skip-unreachable", "--out", "solved.csv"),
     ]
     for n in (MANY, MOST):
-        found[f"`calib select`, 84 of {n} poses, MedRUE"] = [
+        commands[f"`calib select`, 84 of {n} poses, MedRUE"] = [
             *("select", str(robots["MedRUE"]), f"candidates-{n}.csv", "--count", "84", "--out", "chosen.csv")
         ]
     for name in ("arm", "MedRUE"):
@@ -96,10 +96,10 @@ def prepared(folder):
         simulate = ["simulate", str(robots[name]), f"{name}-many.csv", "--seed", "2", "--out", f"{name}-read.csv"]
         taken(["-m", "calib", *simulate], folder)
         fit = ["fit", str(robots[name]), f"{name}-read.csv", "--no-pages", "--out", f"{name}-many"]
-        found[f"`calib fit`, {MANY} poses, {name}"] = fit
+        commands[f"`calib fit`, {MANY} poses, {name}"] = fit
     for command in ("study", "experiment"):
-        found[f"`medrue {command} --quick`"] = [command, "--quick", "--jobs", "1", "--out", command]
-    return found
+        commands[f"`medrue {command} --quick`"] = [command, "--quick", "--jobs", "1", "--out", command]
+    return commands
 
 
 def table(rounds):

@@ -145,8 +145,8 @@ def test_joints_moved_by_hand_take_the_loops_along_as_the_engine_closes_them(tab
         q = np.array(tab.state("v.live.joints"))
         for name, state in (("solid", "after"), ("ghost", "before")):
             expected = posed_robot(robots[name], scene.bodies, q[None])
-            found = np.array(tab.state(f"v.live.{name}"))
-            np.testing.assert_allclose(found, expected.values[0], atol=1e-8)
+            shown = np.array(tab.state(f"v.live.{name}"))
+            np.testing.assert_allclose(shown, expected.values[0], atol=1e-8)
             position = np.array(tab.state(f"v.live.predicted.{state}"))[0]
             np.testing.assert_allclose(position, robots[name].positions(q)[0, 0], atol=1e-8)  # asked for: 1e-6 m
     assert "Moved by hand" in tab.page.locator("#pose-head").inner_text()
@@ -205,7 +205,7 @@ def with_terms(folder, name, terms, generator):
     (folder / "robot.yaml").write_text("\n".join([described, "joint_terms:", *(f"  - {{{term}}}" for term in terms)]))
     robot = calib.load(folder / "robot.yaml")
     values = robot.values.copy()
-    sigma = [one.sigma_si for one in robot.parameters[robot.coefficients]]
+    sigma = [parameter.sigma_si for parameter in robot.parameters[robot.coefficients]]
     values[robot.coefficients] = generator.normal(scale=sigma)
     return robot, robot.with_parameters(values)
 

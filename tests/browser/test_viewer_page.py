@@ -59,10 +59,10 @@ def test_loops_are_closed_in_every_pose_shown(tab, scene):
     for pose in range(0, len(scene.poses), 10):
         slide(tab, "pose", pose)
         for which, factor in (("solidMatrices", 1), ("ghostMatrices", 20)):
-            found = matrices(tab, which)[:, :3, 3]
-            assert np.linalg.norm(found[names.index("G2_E")] - found[names.index("G2_slide")]) < 1e-6 * factor
+            places = matrices(tab, which)[:, :3, 3]
+            assert np.linalg.norm(places[names.index("G2_E")] - places[names.index("G2_slide")]) < 1e-6 * factor
             for number in (1, 2):
-                apart = found[names.index(f"E{number}_B")] - found[names.index(f"E{number}_D")]
+                apart = places[names.index(f"E{number}_B")] - places[names.index(f"E{number}_D")]
                 assert np.linalg.norm(apart[1:]) < 1e-6 * factor
 
 
@@ -303,7 +303,7 @@ def test_text_stands_out_from_its_background(tab, theme):
           return [(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), e.textContent]; });
     }""")
     assert len(ratios) > 30
-    assert [found for found in ratios if found[0] < 4.5] == []  # WCAG AA
+    assert [contrast for contrast in ratios if contrast[0] < 4.5] == []  # WCAG AA
     assert tab.state("document.documentElement.dataset.theme") == theme
 
 

@@ -67,8 +67,8 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         print(f"{options.results} has no results; name a folder of data", file=sys.stderr)
         return 2
     if options.page is not None:
-        judged = {**told, "rows": summary(told["rows"]), "versions": _versions(told["rows"])}
-        written(options.page, judged, sets)
+        summarised = {**told, "rows": summary(told["rows"]), "versions": _versions(told["rows"])}
+        written(options.page, summarised, sets)
     return 0
 
 
@@ -76,12 +76,12 @@ def _joined(
     told: dict[str, Any], new: list[dict[str, Any]], sets: Sequence[DataSet], codes: Sequence[Code]
 ) -> dict[str, Any]:
     """Results with new ones in place of those of the same code and rows, in the order of data sets and codes."""
-    new = [one | {"errors": [float(f"{e:.4g}") for e in one["errors"]]} if "errors" in one else one for one in new]
-    done = {(one["data"], one["split"], one["code"]) for one in new}
-    rows = [one for one in told["rows"] if (one["data"], one["split"], one["code"]) not in done] + new
-    orders = [[one.name for one in ordered] for ordered in (sets, codes)]
+    new = [row | {"errors": [float(f"{e:.4g}") for e in row["errors"]]} if "errors" in row else row for row in new]
+    done = {(row["data"], row["split"], row["code"]) for row in new}
+    rows = [row for row in told["rows"] if (row["data"], row["split"], row["code"]) not in done] + new
+    orders = [[entry.name for entry in ordered] for ordered in (sets, codes)]
     at = [{name: order.index(name) for name in order} for order in orders]
-    splits = {split: k for k, split in enumerate(dict.fromkeys((one["data"], one["split"]) for one in rows))}
+    splits = {split: k for k, split in enumerate(dict.fromkeys((row["data"], row["split"]) for row in rows))}
     rows.sort(key=lambda o: (at[0].get(o["data"], 99), splits[o["data"], o["split"]], at[1].get(o["code"], 99)))
     machine = f"{_processor()}, one thread for each code, Python {platform.python_version()}, {date.today():%B %Y}"
     return {"machine": machine, "rows": rows}
@@ -96,7 +96,7 @@ def _processor() -> str:
 
 
 def _versions(rows: Sequence[dict[str, Any]]) -> list[str]:
-    return sorted({one["package"].partition(" (")[0] for one in rows if one.get("package")})
+    return sorted({row["package"].partition(" (")[0] for row in rows if row.get("package")})
 
 
 def _installed(codes: Sequence[Code], environments: Path) -> None:

@@ -108,10 +108,10 @@ class DataSet:
             if not path.is_file():
                 where = self.addresses.get(name, f"{self.origin}, and write {self.columns}")
                 raise MissingDataError(f"{path} is missing; take it from {where}")
-            found = hashlib.sha256(path.read_bytes()).hexdigest()
-            if found != digest:
+            digest_read = hashlib.sha256(path.read_bytes()).hexdigest()
+            if digest_read != digest:
                 raise MissingDataError(
-                    f"{path} has SHA-256 {found[:12]}..., not {digest[:12]}...: other data than here"
+                    f"{path} has SHA-256 {digest_read[:12]}..., not {digest[:12]}...: other data than here"
                 )
         return here
 

@@ -74,7 +74,8 @@ def _splits(rows: Sequence[Row]) -> list[tuple[Row, dict[str, Row]]]:
     for row in rows:
         kept.setdefault((row["data"], row["split"]), {})[row["code"]] = row
     return [
-        (next(iter(one.values())), {name: row for name, row in one.items() if "rms" in row}) for one in kept.values()
+        (next(iter(by_code.values())), {name: row for name, row in by_code.items() if "rms" in row})
+        for by_code in kept.values()
     ]
 
 
@@ -93,14 +94,14 @@ def _best(own: dict[str, Row]) -> Row:
 
 
 def _standing(rows: Sequence[Row]) -> str:
-    judged = [(one, _best(own)) for told, own in _splits(rows) if (one := _own(told, own)) and len(own) > 1]
-    even = sum(best["code"] == one["code"] or best.get("compared") == "tie" for one, best in judged)
-    behind = [one["rms"] / best["rms"] - 1 for one, best in judged if one["rms"] > BEHIND * best["rms"]]
+    pairs = [(ours, _best(own)) for told, own in _splits(rows) if (ours := _own(told, own)) and len(own) > 1]
+    even = sum(best["code"] == ours["code"] or best.get("compared") == "tie" for ours, best in pairs)
+    behind = [ours["rms"] / best["rms"] - 1 for ours, best in pairs if ours["rms"] > BEHIND * best["rms"]]
     words = "It is nowhere more than 3 % behind the best."
     if behind:
         words = f"On {len(behind)} it is more than 3 % behind the best, by up to {100 * max(behind):.0f} %."
     return (
-        f"On {even} of {len(judged)} splits this project predicts unseen rows best, or in a tie with the best (arms:"
+        f"On {even} of {len(pairs)} splits this project predicts unseen rows best, or in a tie with the best (arms:"
         f" with `--terms auto`). {words}"
     )
 
@@ -112,23 +113,23 @@ def _summary(rows: Sequence[Row]) -> str:
         " | verdict right | fit [s] | command [s] | memory [MB] | lines |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    pairs = [(own, one) for told, own in _splits(rows) if (one := _own(told, own))]
+    pairs = [(own, ours) for told, own in _splits(rows) if (ours := _own(told, own))]
     for name in _names(rows):
-        asked = sum(row["code"] == name for row in rows)
+        n_splits = sum(row["code"] == name for row in rows)
         own = [row for row in rows if row["code"] == name and "rms" in row]
         code = next(code for code in CODES if (code.name, code.problem) == (name, _problem(rows[0])))
         compared = [row["compared"] for row in own if "compared" in row]
-        over = [both[name]["rms"] / one["rms"] for both, one in pairs if name in both]
+        over = [both[name]["rms"] / ours["rms"] for both, ours in pairs if name in both]
         counts = ", ".join(str(compared.count(word)) for word in ("worse", "tie", "better")) if compared else ""
         ratios = sorted(row["claimed_rms"] / row["rms"] for row in own if row["claimed_rms"] and name != PLACED)
         claim = f"{median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})" if ratios else "none"
         claim += "" if not ratios or all(row["own_claim"] for row in own if row["claimed_rms"]) else " \\*"
-        judged = [row["verdict_right"] for row in own if "verdict_right" in row]
-        verdict = f"{sum(judged)} of {len(judged)}" if judged else "none"
+        verdicts = [row["verdict_right"] for row in own if "verdict_right" in row]
+        verdict = f"{sum(verdicts)} of {len(verdicts)}" if verdicts else "none"
         fit, command, memory = (median(r[key] for r in own) for key in ("fit_seconds", "command_seconds", "memory_mb"))
         middle = f"{median(over):.2f}" if over else ""
         lines.append(
-            f"| {name} | {len(own)} of {asked} | {counts} | {middle} | {claim} | {verdict}"
+            f"| {name} | {len(own)} of {n_splits} | {counts} | {middle} | {claim} | {verdict}"
             f" | {fit:.2f} | {command:.1f} | {memory:.0f} | {code.lines if name != PLACED else ''} |"
         )
     return "\n".join(lines)
@@ -160,10 +161,10 @@ def _behind(rows: Sequence[Row], sets: Sequence[DataSet]) -> str:
     reasons = {data.name: data.reasons for data in sets}
     lines = []
     for told, own in _splits(rows):
-        one, best = _own(told, own), _best(own) if own else None
-        if one and best and one["rms"] > BEHIND * best["rms"]:
+        ours, best = _own(told, own), _best(own) if own else None
+        if ours and best and ours["rms"] > BEHIND * best["rms"]:
             why = reasons.get(told["data"], {}).get(told["split"], "the reason is not known")
-            by = 100 * (one["rms"] / best["rms"] - 1)
+            by = 100 * (ours["rms"] / best["rms"] - 1)
             lines.append(f"| {told['data']}: {told['split']} | {by:.0f} % | {best['code']} | {why} |")
     if not lines:
         return ""
@@ -197,12 +198,12 @@ def _origins(sets: Sequence[DataSet], rows: Sequence[Row]) -> str:
 
 def drawing(rows: Sequence[Row]) -> str:
     """Every split a line, every code a mark: its RMS over this project's, as SVG."""
-    splits = [(told, own, one) for told, own in _splits(rows) if (one := _own(told, own))]
+    splits = [(told, own, ours) for told, own in _splits(rows) if (ours := _own(told, own))]
     with rc_context(_STYLE):
         figure = Figure(figsize=(8.5, 1.6 + 0.24 * len(splits)), layout="constrained")
         axes = figure.add_subplot()
         for k, name in enumerate(_names(rows)):
-            at = [(own[name]["rms"] / one["rms"], -i) for i, (_, own, one) in enumerate(splits) if name in own]
+            at = [(own[name]["rms"] / ours["rms"], -i) for i, (_, own, ours) in enumerate(splits) if name in own]
             x, y = zip(*at, strict=True) if at else ((), ())
             axes.plot(x, y, "osD^v<>P"[k % 8], color=_COLOURS[(k + k // 8) % 8], label=name, markersize=5, alpha=0.8)
         axes.set_yticks([-i for i in range(len(splits))], [f"{told['data']}: {told['split']}" for told, *_ in splits])

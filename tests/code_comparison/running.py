@@ -60,55 +60,55 @@ def results(
     for split in data.splits(here):
         if not any(word.strip() in f"{data.name}: {split.words}" for word in only):
             continue
-        found = []
+        answers = []
         with tempfile.TemporaryDirectory() as name:
             data.write(here, split, Path(name))
             for code in (code for code in codes if code.problem == data.problem):
-                one = run(code, Path(name), environments)
-                one |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
-                one |= {
+                answer = run(code, Path(name), environments)
+                answer |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
+                answer |= {
                     "problem": data.problem,
                     "chance": data.chance,
                     "n_train": len(split.train),
                     "n_unseen": len(split.unseen),
                 }
-                points = one.pop("points", None)
+                points = answer.pop("points", None)
                 if points is not None:
-                    one["errors"] = data.errors(split.unseen, np.array(points)).tolist()
-                found.append(one)
-                print(f"{data.name}, {split.words}, {code.name}: {_said(one, *data.unit)}", flush=True)
-        yield found
+                    answer["errors"] = data.errors(split.unseen, np.array(points)).tolist()
+                answers.append(answer)
+                print(f"{data.name}, {split.words}, {code.name}: {_said(answer, *data.unit)}", flush=True)
+        yield answers
 
 
 def _limited() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 10))
 
 
-def _said(one: dict[str, object], unit: str, scale: float) -> str:
-    told = f"{one.get('command_seconds', 0):.1f} s"
-    return f"failed: {one['failed']}" if "failed" in one else f"{scale * rms(one):.4f} {unit}, {told}"
+def _said(answer: dict[str, object], unit: str, scale: float) -> str:
+    told = f"{answer.get('command_seconds', 0):.1f} s"
+    return f"failed: {answer['failed']}" if "failed" in answer else f"{scale * rms(answer):.4f} {unit}, {told}"
 
 
-def rms(one: dict[str, object]) -> float:
+def rms(answer: dict[str, object]) -> float:
     """Root mean square error of unseen rows [m, or px]."""
-    return float(np.sqrt(np.mean(np.square(one["errors"]))))
+    return float(np.sqrt(np.mean(np.square(answer["errors"]))))
 
 
-def summary(found: Sequence[dict[str, object]]) -> list[dict[str, object]]:
+def summary(answers: Sequence[dict[str, object]]) -> list[dict[str, object]]:
     """What the page needs of results: RMS, largest error, costs, and how each code compares with this project."""
     rows = []
-    for one in found:
-        same = [o for o in found if (o["data"], o["split"]) == (one["data"], one["split"]) and "errors" in o]
-        row = {key: value for key, value in one.items() if key != "errors"}
-        if "errors" in one:
-            row |= {"rms": rms(one), "max": max(one["errors"])}
-            own = OURS[one.get("problem", "arm")]
+    for answer in answers:
+        same = [o for o in answers if (o["data"], o["split"]) == (answer["data"], answer["split"]) and "errors" in o]
+        row = {key: value for key, value in answer.items() if key != "errors"}
+        if "errors" in answer:
+            row |= {"rms": rms(answer), "max": max(answer["errors"])}
+            own = OURS[answer.get("problem", "arm")]
             ours, nominal = (next((o for o in same if o["code"] == name), None) for name in (own, PLACED))
-            if ours is not None and one["code"] not in (own, PLACED):
-                row["compared"] = compared(ours["errors"], one["errors"], one.get("chance", DataSet.chance))
-            if one.get("verdict") and one.get("claimed_rms"):
-                good = row["rms"] <= 1.25 * one["claimed_rms"] and (nominal is None or row["rms"] < rms(nominal))
-                row["verdict_right"] = (one["verdict"] == "PASS") == good
+            if ours is not None and answer["code"] not in (own, PLACED):
+                row["compared"] = compared(ours["errors"], answer["errors"], answer.get("chance", DataSet.chance))
+            if answer.get("verdict") and answer.get("claimed_rms"):
+                good = row["rms"] <= 1.25 * answer["claimed_rms"] and (nominal is None or row["rms"] < rms(nominal))
+                row["verdict_right"] = (answer["verdict"] == "PASS") == good
         rows.append(row)
     return rows
 

@@ -79,8 +79,8 @@ def hold(file, robot: calib.Robot, q, values: dict[str, float], weld: str | None
     put(plant, instance, context, values)
     motors = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(instance)]
     command = dict(zip(robot.joint_names, q, strict=True))
-    wanted = [command[name] for name in motors] + [0.0] * len(motors)
-    plant.get_desired_state_input_port(instance).FixValue(context, wanted)
+    state = [command[name] for name in motors] + [0.0] * len(motors)
+    plant.get_desired_state_input_port(instance).FixValue(context, state)
     plant.get_actuation_input_port().FixValue(context, np.zeros(len(motors)))
     simulator.AdvanceTo(seconds)
     assert np.abs(plant.GetVelocities(context)).max() < 1e-5
@@ -93,19 +93,19 @@ def place(plant, instance, context, frame: str) -> np.ndarray:
 
 @pytest.mark.parametrize("file", ["drake.urdf", "free_drake.urdf"])
 def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predicts(case, file: str) -> None:
-    opening = there = asked = 0.0
+    opening = there = from_commanded = 0.0
     for k in range(0, 50, 12):
         *where, actual = hold(case.folder / file, case.robot, case.q[k], case.joints[k])
         tool = place(*where, "target_tool")
         for a, b in case.robot.description.closed_loop:
             opening = max(opening, float(np.abs(place(*where, a) - place(*where, b)).max()))
         there = max(there, float(np.linalg.norm(tool - case.robot.forward(actual)[:3, 3])))
-        asked = max(asked, float(np.linalg.norm(tool - case.robot.forward(case.q[k])[:3, 3])))
+        from_commanded = max(from_commanded, float(np.linalg.norm(tool - case.robot.forward(case.q[k])[:3, 3])))
     print(f"Drake, {file}: loops open by {opening:.1e} m; tool against predict at the joints where the servos stand"
-          f" {there:.1e} m, at the commanded ones {asked:.1e} m")  # fmt: skip
+          f" {there:.1e} m, at the commanded ones {from_commanded:.1e} m")  # fmt: skip
     assert opening < SOFTNESS
     assert there < SOFTNESS
-    assert asked < SAG
+    assert from_commanded < SAG
 
 
 def test_a_tilted_five_bar_stands_right_with_a_free_slide(tilted, tmp_path) -> None:

@@ -149,9 +149,9 @@ def same_in_pinocchio(robot: calib.Robot, urdf: Path, target: str, q: np.ndarray
             joint = model.joints[model.getJointId(name)]
             values[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
         pin.framesForwardKinematics(model, data, values)
-        found = data.oMf[model.getFrameId(target, pin.FrameType.BODY)].homogeneous
+        placed = data.oMf[model.getFrameId(target, pin.FrameType.BODY)].homogeneous
         expected = np.linalg.solve(robot.forward(row, root), robot.forward(row, target))
-        assert np.abs(found - expected).max() < 1e-9
+        assert np.abs(placed - expected).max() < 1e-9
 
 
 def same_in_pinocchio_from_mjcf(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
@@ -191,8 +191,8 @@ def same_in_drake(robot: calib.Robot, urdf: Path, q: np.ndarray) -> None:
             plant.GetFrameByName(name).CalcPoseInWorld(context)
             for name in ("measurement_frame", f"target_{robot.target_names[0]}")
         )
-        found = frame.inverse().multiply(point.translation())
-        assert np.abs(found - robot.positions(row)[0, 0]).max() < 1e-9
+        placed = frame.inverse().multiply(point.translation())
+        assert np.abs(placed - robot.positions(row)[0, 0]).max() < 1e-9
 
 
 def same_in_mujoco(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
@@ -207,8 +207,8 @@ def same_in_mujoco(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
             data.qpos[model.joint(name).qposadr[0]] = value
         mujoco.mj_kinematics(model, data)
         frame, point = data.body("measurement_frame"), data.body(f"target_{robot.target_names[0]}")
-        found = frame.xmat.reshape(3, 3).T @ (point.xpos - frame.xpos)
-        assert np.abs(found - robot.positions(row)[0, 0]).max() < 1e-9
+        placed = frame.xmat.reshape(3, 3).T @ (point.xpos - frame.xpos)
+        assert np.abs(placed - robot.positions(row)[0, 0]).max() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -31,8 +31,8 @@ def test_gaps_of_tilted_links_are_those_that_pinocchio_measures(tilted: calib.Ro
     for row in np.hstack([poses, passive]):
         values = dict(zip((*tilted.joint_names, *tilted.passive_names), row, strict=True))
         pin.framesForwardKinematics(model, data, np.array([values[name] for name in model.names[1:]]))
-        one, other = (data.oMf[model.getFrameId(name)] for name in ("E1_B", "E1_D"))
-        difference = one.actInv(other.translation)
+        on_body, on_slide = (data.oMf[model.getFrameId(name)] for name in ("E1_B", "E1_D"))
+        difference = on_body.actInv(on_slide.translation)
         assert np.abs(difference[1:]).max() < 1e-11  # the plane itself is closed
         apart.append(difference[0])
     gap = loop_gaps(tilted)[0]

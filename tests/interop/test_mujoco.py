@@ -96,12 +96,12 @@ def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predict
         stood.append(actual)
         tools.append(data.body("target_tool").xpos.copy())
     there = np.linalg.norm(np.array(tools) - predict_by_command(case.robot, np.array(stood), tmp_path), axis=1).max()
-    asked = np.linalg.norm(np.array(tools) - case.robot.positions(case.q[rows])[:, 0], axis=1).max()
+    from_commanded = np.linalg.norm(np.array(tools) - case.robot.positions(case.q[rows])[:, 0], axis=1).max()
     print(f"MuJoCo, {file}: loops open by {opening:.1e} m; tool against predict at the joints where the servos stand"
-          f" {there:.1e} m, at the commanded ones {asked:.1e} m")  # fmt: skip
+          f" {there:.1e} m, at the commanded ones {from_commanded:.1e} m")  # fmt: skip
     assert opening < SOFTNESS
     assert there < SOFTNESS
-    assert asked < SAG
+    assert from_commanded < SAG
 
 
 def predict_by_command(robot: calib.Robot, q: np.ndarray, folder: Path) -> np.ndarray:
@@ -118,9 +118,9 @@ def predict_by_command(robot: calib.Robot, q: np.ndarray, folder: Path) -> np.nd
 
 def test_a_tilted_five_bar_is_strained_by_a_3d_constraint_and_stands_right_with_a_free_slide(tilted, tmp_path) -> None:
     q = tilted.home + np.array([0.0, 0.25, 0.2, 0.1, -0.2, 0.3])
-    found = tilted.assemble(q)
+    configurations = tilted.assemble(q)
     joints = dict(zip(tilted.joint_names, q, strict=True)) | dict(
-        zip(tilted.passive_names, found.passive[0], strict=True)
+        zip(tilted.passive_names, configurations.passive[0], strict=True)
     )
     expected = tilted.forward(q, "tool")[:3, 3]
     misses = {}

@@ -51,15 +51,17 @@ def test_snippet_finds_the_tool_where_calib_does(name: str, folder: Path, monkey
             NEEDS[name], reason=f"{NEEDS[name]} is not installed (in a checkout: pip install -e '.[interop]')"
         )
     monkeypatch.chdir(folder)
-    found: dict[str, object] = {}
-    exec(SNIPPETS[name], found)
+    variables: dict[str, object] = {}
+    exec(SNIPPETS[name], variables)
     robot = calib.load("robot.yaml")
     if name == "urdf_parser_py":
-        assert found["tool"].xyz == list(next(joint.xyz for joint in robot.urdf.joints if joint.name == "tool_origin"))
+        assert variables["tool"].xyz == list(
+            next(joint.xyz for joint in robot.urdf.joints if joint.name == "tool_origin")
+        )
         return
     step = np.array([0, 0.02, 0, 0, 0, 0]) if name == "Pinocchio with loops" else np.zeros(6)
     expected = robot.forward(robot.home + step, "tool")[:3, 3]
-    assert np.abs(np.array(found["position"]) - expected).max() < TOLERANCES.get(name, STILL)
+    assert np.abs(np.array(variables["position"]) - expected).max() < TOLERANCES.get(name, STILL)
 
 
 def test_the_page_has_a_snippet_for_each_tool() -> None:

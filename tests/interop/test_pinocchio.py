@@ -18,8 +18,8 @@ def test_tool_is_where_the_closed_form_says(case) -> None:
 
 
 def test_every_link_is_where_calib_says(case) -> None:
-    found = {link: case.robot.forward(case.q, link) for link in case.robot.urdf.links}
-    largest = case.largest_difference("calib, URDF and description", lambda k, link: found[link][k])
+    poses = {link: case.robot.forward(case.q, link) for link in case.robot.urdf.links}
+    largest = case.largest_difference("calib, URDF and description", lambda k, link: poses[link][k])
     assert largest < 2e-12  # calib closes the loops to 1e-12 m
 
 
@@ -75,8 +75,8 @@ def test_pinocchio_closes_the_loops_of_the_mjcf_to_the_same_passive_joints(case)
                 rows.append(point.jacobian(model, data, point_data)[:, columns])
             step = np.linalg.lstsq(np.vstack(rows), np.concatenate(gaps))[0]
             q[columns] -= step * min(1.0, 0.3 / np.abs(step).max())
-        found = {name: q[model.joints[model.getJointId(name)].idx_q] for name in case.robot.passive_names}
-        assert found == pytest.approx({name: target[name] for name in found}, abs=1e-10)
+        passive = {name: q[model.joints[model.getJointId(name)].idx_q] for name in case.robot.passive_names}
+        assert passive == pytest.approx({name: target[name] for name in passive}, abs=1e-10)
 
 
 def test_mjcf_loops_are_those_of_calib_also_where_they_are_open(case) -> None:

@@ -60,7 +60,7 @@ def solve(problem: Problem, how: str) -> Answer:
     told = None if claim is None else claim.told.rms
     version = f"this project {calib.__version__}"
     if how == "auto":
-        version += f" (added: {'+'.join(one.term for one in fit.terms.tried if one.added) or 'nothing'})"
+        version += f" (added: {'+'.join(term.term for term in fit.terms.tried if term.added) or 'nothing'})"
     points = fit.robot.positions(problem.unseen)[:, 0]
     return Answer(points, told, told is not None, fit.verdict.grade, version)
 

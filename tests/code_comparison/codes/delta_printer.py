@@ -29,7 +29,7 @@ class Printers:
         cfg = configparser.ConfigParser()
         cfg.read(self.files[k])
         each = [cfg[stepper] for stepper in STEPPERS]
-        full = [float(one.get("full_steps_per_rotation", "200")) for one in each]
+        full = [float(section.get("full_steps_per_rotation", "200")) for section in each]
         step = [float(o["rotation_distance"]) / (f * float(o["microsteps"])) for o, f in zip(each, full, strict=True)]
         return [np.array(text.split(","), float) * step for text in texts]
 
@@ -38,7 +38,7 @@ class Printers:
 def settings(cfg):
     """Radius, three angles, three arms, three endstops [mm, deg]."""
     each = [cfg[stepper] for stepper in STEPPERS]
-    three = [[float(one[key]) for one in each] for key in ("angle", "arm_length", "position_endstop")]
+    three = [[float(section[key]) for section in each] for key in ("angle", "arm_length", "position_endstop")]
     return np.array([float(cfg["printer"]["delta_radius"]), *np.ravel(three)])
 
 
@@ -56,7 +56,7 @@ def nozzle(p, down):
     line, off = line / np.linalg.norm(line), start - centres[0]
     half = line @ off
     t = -half + np.array([-1, 1]) * np.sqrt(half**2 - off @ off + arms[0] ** 2)
-    return min((start + one * line for one in t), key=lambda point: point[2])
+    return min((start + root * line for root in t), key=lambda point: point[2])
 
 
 def value(p, places):
@@ -80,8 +80,8 @@ def calibrated(start, rows):
     def misses(values):
         return np.array([value(parameters(values), places) - measured for measured, places in rows])
 
-    found = least_squares(lambda values: weight * misses(values), start[free], x_scale="jac").x
-    return parameters(found), misses(found)
+    best = least_squares(lambda values: weight * misses(values), start[free], x_scale="jac").x
+    return parameters(best), misses(best)
     # -- end
 
 

@@ -114,8 +114,8 @@ def fit_time() -> Iterator[None]:
 def main(solve: Any, reader: Any = Problem) -> None:
     """Read the folder that the command line names, solve it, write the answer where it says."""
     folder, path, *options = sys.argv[1:]
-    found: Answer = solve(reader(Path(folder)), *options)
-    told = vars(found) | {"points": np.asarray(found.points).tolist(), "fit_seconds": _seconds}
+    answer: Answer = solve(reader(Path(folder)), *options)
+    told = vars(answer) | {"points": np.asarray(answer.points).tolist(), "fit_seconds": _seconds}
     told["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     Path(path).write_text(json.dumps(told))
 

@@ -32,9 +32,9 @@ def lenses(problem, images):
     matrix = np.array([[problem.intrinsics[0], 0, problem.intrinsics[2]],
                        [0, problem.intrinsics[1], problem.intrinsics[3]], [0, 0, 1.0]])  # fmt: skip
     yield matrix, np.zeros(5)
-    corners, pixels = ([part.astype(np.float32) for part in one] for one in zip(*images, strict=True))
-    _, found, bend, *_ = cv2.calibrateCamera(corners, pixels, problem.size, matrix.copy(), np.zeros(5), flags=RADIAL)
-    yield found, bend.ravel()
+    corners, pixels = ([part.astype(np.float32) for part in per_image] for per_image in zip(*images, strict=True))
+    _, fitted, bend, *_ = cv2.calibrateCamera(corners, pixels, problem.size, matrix.copy(), np.zeros(5), flags=RADIAL)
+    yield fitted, bend.ravel()
 
 
 def solutions(problem, which):
@@ -49,15 +49,15 @@ def solutions(problem, which):
         T_camera_board = np.array([joined(cv2.Rodrigues(turn)[0], shift) for turn, shift in told])
         if which == "hand-eye":
             for name, method in HAND_EYE.items():
-                found = cv2.calibrateHandEye(*parts(np.linalg.inv(tool)), *parts(T_camera_board), method=method)
-                camera = joined(*found)
+                transforms = cv2.calibrateHandEye(*parts(np.linalg.inv(tool)), *parts(T_camera_board), method=method)
+                camera = joined(*transforms)
                 boards = np.linalg.inv(tool) @ camera @ T_camera_board
                 turn = Rotation.from_matrix(boards[:, :3, :3]).mean().as_matrix()
                 yield camera, joined(turn, boards[:, :3, 3].mean(axis=0)), lens, name
         else:
             for name, method in ROBOT_WORLD.items():
-                found = cv2.calibrateRobotWorldHandEye(*parts(T_camera_board), *parts(tool), method=method)
-                yield np.linalg.inv(joined(*found[2:])), np.linalg.inv(joined(*found[:2])), lens, name
+                transforms = cv2.calibrateRobotWorldHandEye(*parts(T_camera_board), *parts(tool), method=method)
+                yield np.linalg.inv(joined(*transforms[2:])), np.linalg.inv(joined(*transforms[:2])), lens, name
 
 
 def solve(problem: Photographs, which: str) -> Answer:

@@ -65,9 +65,9 @@ class Model:
         poses, lines = self.chain.poses(self.problem.q), []
         own = poses[:, :3, :3] @ self.problem.p_link_point + poses[:, :3, 3]
         for place in self.places:
-            one, two = (own[np.all(self.problem.read == [place, hole], axis=1)].mean(axis=0) for hole in (0, 1))
-            line = (two - one) / np.linalg.norm(two - one)
-            lines += [*(one + two) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2])]
+            first, second = (own[np.all(self.problem.read == [place, hole], axis=1)].mean(axis=0) for hole in (0, 1))
+            line = (second - first) / np.linalg.norm(second - first)
+            lines += [*(first + second) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2])]
         return np.array(lines)
 
     def points(self, x: np.ndarray, q: np.ndarray) -> np.ndarray:

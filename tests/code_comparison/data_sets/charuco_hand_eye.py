@@ -89,14 +89,14 @@ def read(folder: Path, board: str) -> Images:
     """Return the corners of all images of a folder, in the order of its table of poses."""
     described = given_board(board)
     table = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
-    *_, found = detect(described, ((one.name, one.read()) for one in shots([str(folder / "images")])))
-    seen = {Path(one.name).stem: one for one in found.usable}
-    points, rows = found.board.points(), [row for row in table if str(int(row[0])) in seen]
+    *_, detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
+    seen = {Path(image.name).stem: image for image in detected.usable}
+    points, rows = detected.board.points(), [row for row in table if str(int(row[0])) in seen]
     own = [seen[str(int(row[0]))] for row in rows]
     return Images(
         np.array([_pose(tuple(row[1:])) for row in rows]),
-        tuple(np.array([points[name] for name in one.points]) for one in own),
-        tuple(np.asarray(one.pixels) for one in own),
+        tuple(np.array([points[name] for name in image.points]) for image in own),
+        tuple(np.asarray(image.pixels) for image in own),
     )
 
 
@@ -106,9 +106,9 @@ def halves(images: Images) -> Iterator[Split]:
     mixed = np.random.default_rng(0).permutation(n)
     for kind, order, words in (("random", mixed, ("half at random", "the other half")),
                                ("stretches", np.arange(n), ("second half unseen", "first half unseen"))):  # fmt: skip
-        one, two = np.sort(order[: n // 2]), np.sort(order[n // 2 :])
-        yield Split(kind, words[0], images[one], images[two])
-        yield Split(kind, words[1], images[two], images[one])
+        first, second = np.sort(order[: n // 2]), np.sort(order[n // 2 :])
+        yield Split(kind, words[0], images[first], images[second])
+        yield Split(kind, words[1], images[second], images[first])
 
 
 def _splits(folder: Path) -> Iterator[Split]:

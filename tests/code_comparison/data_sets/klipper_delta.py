@@ -49,11 +49,11 @@ class Folds:
     shifted: bool
 
     def __len__(self) -> int:
-        return len(self.folds[0].rows) if self.fitted else sum(len(one.unseen) for one in self.folds)
+        return len(self.folds[0].rows) if self.fitted else sum(len(fold.unseen) for fold in self.folds)
 
     def keys(self) -> set[tuple[int, Row]]:
         """What tells one row of a fit from another."""
-        return {(k, row) for k, one in enumerate(self.folds) for row in (one.rows if self.fitted else one.unseen)}
+        return {(k, row) for k, fold in enumerate(self.folds) for row in (fold.rows if self.fitted else fold.unseen)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,31 +64,31 @@ class Printers(DataSet):
     chance: ClassVar[float] = 1e-2  # rows left out in turn are few
 
     def write(self, here: Path, split: Split, folder: Path) -> None:
-        for k, one in enumerate(split.train.folds):
-            texts = [one.head]
+        for k, fold in enumerate(split.train.folds):
+            texts = [fold.head]
             for n in (1, 2):
-                same = [row for row in one.rows if len(row.places) == n]
+                same = [row for row in fold.rows if len(row.places) == n]
                 texts += [line for number, row in enumerate(same) for line in row.lines(number)]
             (folder / f"fold_{k}.cfg").write_text("\n".join(texts) + "\n")
         (folder / "unseen.json").write_text(json.dumps([[row.places for row in o.unseen] for o in split.train.folds]))
 
     def errors(self, unseen: Folds, predicted: np.ndarray) -> np.ndarray:
         """Of heights and distances [m]."""
-        off = predicted - [1e-3 * row.measured for one in unseen.folds for row in one.unseen]
-        parts = np.split(off, np.cumsum([len(one.unseen) for one in unseen.folds])[:-1])
+        off = predicted - [1e-3 * row.measured for fold in unseen.folds for row in fold.unseen]
+        parts = np.split(off, np.cumsum([len(fold.unseen) for fold in unseen.folds])[:-1])
         return np.abs(np.concatenate([part - part.mean() if unseen.shifted else part for part in parts]))
 
 
 def read(path: Path, microsteps: str | None = None) -> tuple[str, tuple[Row, ...]]:
     """Return what stands before the rows of a file, and its rows; microsteps in place of those that it says."""
-    head, found = [], dict[tuple[str, str], dict[str, str]]()
+    head, rows_by_places = [], dict[tuple[str, str], dict[str, str]]()
     for line in path.read_text().splitlines():
         match = _ROW.match(line)
         if match:
-            found.setdefault((match[1], match[2]), {})[match[3] or ""] = match[4]
+            rows_by_places.setdefault((match[1], match[2]), {})[match[3] or ""] = match[4]
         else:
             head.append(re.sub(r"^microsteps:.*", f"microsteps: {microsteps}", line) if microsteps else line)
-    rows = tuple(Row(float(of[""]), tuple(of[end] for end in sorted(of) if end)) for of in found.values())
+    rows = tuple(Row(float(of[""]), tuple(of[end] for end in sorted(of) if end)) for of in rows_by_places.values())
     return "\n".join(head), rows
 
 
@@ -103,7 +103,7 @@ def heights(head: str, rows: tuple[Row, ...], by: str) -> Iterator[Row]:
     own, other = (int(re.search(r"^microsteps: (\d+)", text, re.MULTILINE)[1]) for text in (head, by))
     for row in rows:
         if len(row.places) == 1:
-            steps = (float(one) * other / own for one in row.places[0].split(","))
+            steps = (float(text) * other / own for text in row.places[0].split(","))
             yield Row(row.measured, (",".join(map(repr, steps)),))
 
 
@@ -118,9 +118,9 @@ def _splits(folder: Path) -> Iterator[Split]:
         yield split("random", f"{words}: each row left out", [f for name in names for f in left_out(*files[name])])
     for days, words in (("kossel_1", "kossel_2"), "Kossel"), (("v400_a1", "v400_a2", "v400_a3", "v400_a4"), "V400"):
         folds = [
-            Fold(*files[one], tuple(heights(*files[other], files[one][0])))
+            Fold(*files[day], tuple(heights(*files[other], files[day][0])))
             for pair in itertools.pairwise(days)
-            for one, other in (pair, pair[::-1])
+            for day, other in (pair, pair[::-1])
         ]
         yield split("stretches", f"{words}: heights of another day, up to a shift", folds, shifted=True)
 

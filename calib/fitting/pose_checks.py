@@ -102,8 +102,8 @@ def unstated(condition: Condition, data: Measurements) -> int | None:
 
 def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     """Raise `DataError` where the positions of all targets lie on one line: they leave the measurement frame open."""
-    every = data.points(robot)
-    points = every.reshape(-1, 3)
+    by_target = data.points(robot)
+    points = by_target.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     turned = any(
         robot.instrument(name).orientations(readings.values[:1]) is not None for name, readings in data.readings.items()

@@ -105,9 +105,9 @@ def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatA
     n_effective = effective_parameters(known, final.prior)
     pooled = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
-    every = np.ones(len(n_rows))
+    ones = np.ones(len(n_rows))
     factors = Factors(
-        pooled.values * every, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * every, pooled.slope
+        pooled.values * ones, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * ones, pooled.slope
     )
     return RobustFit(at, solution, weights, factors, groups, settled)
 

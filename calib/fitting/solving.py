@@ -269,8 +269,8 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
 
 def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
     """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from."""
-    every = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
-    scales, _ = every.found_scales(evaluation, groups)
+    all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
+    scales, _ = all_found.found_scales(evaluation, groups)
     contradicted = problem.contradicted(scales)
     return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
 

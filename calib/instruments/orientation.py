@@ -117,8 +117,8 @@ class Orientation(FrameInstrument):
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of rotation vectors (n, 3), or of tilts (n, 2) [rad]."""
-        every = values if self.gravity else written_rotations(self.rotation, values)
-        return {column.name: every[:, k] for k, column in enumerate(self.columns())}
+        columns = values if self.gravity else written_rotations(self.rotation, values)
+        return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the rotation vector of R_ab, (n, 3), or tilts, (n, 2) [rad]."""
@@ -151,8 +151,8 @@ class Orientation(FrameInstrument):
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the orientations of measurement frame and sensor that fit best, pair by pair."""
-        every = range(len(scene.pairs))
-        used = [k for k in every if np.any(scene.readings.pairs == k)]
+        pairs = range(len(scene.pairs))
+        used = [k for k in pairs if np.any(scene.readings.pairs == k)]
         guesses = [guess for k in used for guess in self._of_pair(scene, k)]
         if len(used) < 2 or not guesses:
             return tuple(guesses)

@@ -159,13 +159,13 @@ class Pixel(FrameInstrument):
         flat = np.concatenate([view.rotation.reshape(-1, 9), view.translation], axis=1)
         first = np.concatenate([[True], np.any(np.diff(flat, axis=0) != 0, axis=1)])  # readings of one view follow
         rotation, translation = view.rotation[first], view.translation[first]
-        every = np.array(list(self.points_of_body.values()))
-        points = np.einsum("kab,jb->kja", rotation, every) + translation[:, None]
+        body_points = np.array(list(self.points_of_body.values()))
+        points = np.einsum("kab,jb->kja", rotation, body_points) + translation[:, None]
         seen = self._seen(points.reshape(-1, 3), numbers)[1].reshape(points.shape[:2])
         middle = points.mean(axis=1)
         facing = np.einsum("ka,ka->k", rotation[:, :, 2], middle) > _STEEPEST * np.linalg.norm(middle, axis=1)
         large = np.min(numbers[:2]) * board.smallest >= _SMALLEST * middle[:, 2]
-        least = len(every) if board.dictionary is None else min(_LEAST_SEEN, len(every))
+        least = len(body_points) if board.dictionary is None else min(_LEAST_SEEN, len(body_points))
         return (facing & large & (np.sum(seen, axis=1) >= least))[np.cumsum(first) - 1]
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
@@ -199,9 +199,9 @@ class Pixel(FrameInstrument):
             )
             known = (not scene.unknown[names[0]], not scene.unknown[names[1]])
             now = (scene.places[names[0]], scene.places[names[1]])
-            every = [now] if all(known) else guesses(sightings, now, known)
-            self._check(sightings, every)
-            some = [dict(zip(names, places, strict=True)) for places in every]
+            guessed = [now] if all(known) else guesses(sightings, now, known)
+            self._check(sightings, guessed)
+            some = [dict(zip(names, places, strict=True)) for places in guessed]
             result = some if not result else [some[0] | result[0]]  # of several setups: as the first one says
         return tuple(Guess(places) for places in result)
 
@@ -223,8 +223,8 @@ class Pixel(FrameInstrument):
             " together",
         )
 
-    def _check(self, sightings: Sightings, every: Sequence[tuple[FloatArray, FloatArray]]) -> None:
-        away = min(int(np.sum(~in_front(seen_points(sightings, places)))) for places in every)
+    def _check(self, sightings: Sightings, guessed: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+        away = min(int(np.sum(~in_front(seen_points(sightings, places)))) for places in guessed)
         if away > _MOSTLY * len(sightings.view):
             raise DataError(
                 f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
@@ -234,8 +234,8 @@ class Pixel(FrameInstrument):
 
     def _body(self, details: FloatArray) -> FloatArray:
         """Where the points of readings are in the target frame, (n, 3) [m]."""
-        every = np.array(list(self.points_of_body.values()))
-        return every[details[:, 0].astype(np.intp)]
+        body_points = np.array(list(self.points_of_body.values()))
+        return body_points[details[:, 0].astype(np.intp)]
 
     @property
     def _unknown_numbers(self) -> list[int]:

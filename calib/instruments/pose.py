@@ -74,8 +74,8 @@ class Pose(FrameInstrument):
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of positions and rotation vectors, (n, 6) [m, rad]."""
-        every = np.hstack([values[:, :3], written_rotations(self.rotation, values[:, 3:])])
-        return {column.name: every[:, k] for k, column in enumerate(self.columns())}
+        columns = np.hstack([values[:, :3], written_rotations(self.rotation, values[:, 3:])])
+        return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab and the rotation vector of R_ab, (n, 6) [m, rad]."""

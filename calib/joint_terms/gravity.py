@@ -142,19 +142,19 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
         raise DataError(f"{path}: columns '{first}' and '{second}' both say where gravity points; leave one out")
     for names in having:
         missing = next((name for name in names if name not in conditions), None)
-        every = [sensor + name for name in names]
+        columns = [sensor + name for name in names]
         if missing is not None:
-            raise DataError(f"{path}: no column '{sensor}{missing}'; gravity's direction needs {', '.join(every)}")
+            raise DataError(f"{path}: no column '{sensor}{missing}'; gravity's direction needs {', '.join(columns)}")
         read = np.stack([conditions[name] for name in names], axis=1)
         empty = np.isnan(read).any(axis=1)
         if np.any(empty):
             raise DataError(
-                f"{path}, line {lines[int(np.argmax(empty))]}: says nothing in {', '.join(every)}, where other rows say"
-                " where gravity points; fill it in, or leave the row out"
+                f"{path}, line {lines[int(np.argmax(empty))]}: says nothing in {', '.join(columns)}, where other rows"
+                " say where gravity points; fill it in, or leave the row out"
             )
         wrong, why = _no_tilts(read) if names is _TILTS else _no_gravity(read)
         if np.any(wrong):
-            raise DataError(f"{path}, line {lines[int(np.argmax(wrong))]}: {every[0][:-2]} {why}")
+            raise DataError(f"{path}, line {lines[int(np.argmax(wrong))]}: {columns[0][:-2]} {why}")
 
 
 def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:

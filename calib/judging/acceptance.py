@@ -207,8 +207,10 @@ def poses_needed(
 def _is_noise(promise: Promise, system: System, level: float) -> bool:
     """Whether repeats scatter more than promised, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
-    every = promise.robot.instruments
-    positions = {(instrument.group, part.name) for instrument in every for part in instrument.parts if part.is_position}
+    instruments = promise.robot.instruments
+    positions = {
+        (instrument.group, part.name) for instrument in instruments for part in instrument.parts if part.is_position
+    }
     sigma = [size for key, size in promise.sigma.items() if key in positions]
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False

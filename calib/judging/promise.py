@@ -293,9 +293,9 @@ class System:
 
     def changes(self) -> tuple[Change, ...]:
         """Return candidates that the readings see, those with the largest z first."""
-        left, every = self._left(self.candidate_columns), candidates(self.promise.robot)
-        size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
-        visible = np.flatnonzero(size > 1e-6 * np.maximum(whole, 1e-300))
+        left, listed = self._left(self.candidate_columns), candidates(self.promise.robot)
+        size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
+        visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
         if len(visible) == 0:
             return ()
         unit = left[:, visible] / size[visible]
@@ -307,12 +307,12 @@ class System:
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
         changes = [
             Change(
-                every[k].name,
-                every[k].dimension,
-                float(-z[j] / size[k] * every[k].scale),  # the residual is prediction minus read
-                float(spread * every[k].scale / size[k]),
+                listed[k].name,
+                listed[k].dimension,
+                float(-z[j] / size[k] * listed[k].scale),  # the residual is prediction minus read
+                float(spread * listed[k].scale / size[k]),
                 float(-z[j] / spread),
-                float(spread * needed * every[k].scale / size[k]),
+                float(spread * needed * listed[k].scale / size[k]),
                 min(1.0, len(distinct) * 2.0 * float(scipy.special.stdtr(self.promise.freedom, -abs(z[j] / spread)))),
             )
             for j, k in enumerate(visible)
@@ -321,11 +321,11 @@ class System:
         return tuple(changes)
 
 
-def _candidate_columns(robot: Robot, every: FloatArray, n_free: int) -> FloatArray:
+def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatArray:
     """Columns of the candidates, (n_rows, n_candidates), from those of all free parameters and joints."""
     return np.stack(
         [
-            c.scale * every[:, n_free + c.index] if c.is_joint else every[:, c.index]  # parameters are scaled already
+            c.scale * columns[:, n_free + c.index] if c.is_joint else columns[:, c.index]  # parameters are scaled
             for c in candidates(robot)
         ],
         axis=1,
@@ -341,15 +341,15 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
     """Leave out readings that lie further off than noise explains, one by one, as long as they are few."""
     left_out: list[int] = []
     most = int(_OUTLIERS * len(system.visit))
-    whole = system
+    complete = system
     while len(left_out) < most:
         reading, chance = system.worst()
         if chance >= FALSE_ALARM / 2:
             return system, left_out
         left_out.append(reading)
-        system = whole.without(np.array(left_out))
+        system = complete.without(np.array(left_out))
     if left_out and system.worst()[1] < FALSE_ALARM / 2:
-        return whole, []  # so many are no outliers
+        return complete, []  # so many are no outliers
     return system, left_out
 
 

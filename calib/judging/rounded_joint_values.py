@@ -98,14 +98,14 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
-    every = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()}) * scatter
+    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()}) * scatter
     visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
     pulled = linear.pulled
     mean = square = statistic = 0.0
     through = np.zeros((pulled.shape[1], pulled.shape[1]))
     twice = 0.0
     for rows in np.split(np.argsort(visit, kind="stable"), np.cumsum(np.bincount(visit))[:-1]):
-        a, p = every[rows], pulled[rows]
+        a, p = by_joint[rows], pulled[rows]
         ap, aa = a.T @ p, a.T @ a
         statistic += float(np.sum((a.T @ linear.rows.residuals[rows]) ** 2))
         mean += float(np.trace(aa))

@@ -244,13 +244,13 @@ def learn_without_odd(
         What the others say; the results that are unlike them; how each compares with the others (of two: None).
     """
     odd: list[int] = []
-    every = range(len(results))
+    indices = range(len(results))
     while True:
-        kept = [i for i in every if i not in odd]
+        kept = [i for i in indices if i not in odd]
         whole = learn([results[i] for i in kept], kinds)
         start = whole.variance * (whole.freedom - 2.0) / whole.freedom
         compared: list[Likeness | None] = []
-        for i in every:
+        for i in indices:
             rest = [results[k] for k in kept if k != i]
             compared.append(_compared(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])

@@ -159,10 +159,10 @@ def minimise(
         evaluations += 1
         bent = path.bent(values)
         if bent is not None and evaluations < max_evaluations:
-            others = residuals(bent)
+            bent_values = residuals(bent)
             evaluations += 1
-            if _cost(others) < _cost(values):
-                x, values = bent, others
+            if _cost(bent_values) < _cost(values):
+                x, values = bent, bent_values
         path.go_on(x, values, jacobian)
         message = path.ended()
     best = path.current

@@ -56,25 +56,25 @@ def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mappi
     Raises:
         InputError: An unknown instrument, a group given twice, or groups said in two ways.
     """
-    every = tuple(instrument.name for instrument in robot.instruments)
+    names = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
         if instruments != ALL:
             raise InputError("count gives a number for each instrument already; leave out which instruments to choose")
-        return Groups(_members(tuple(count), every), True, tuple(count.values()))
+        return Groups(_members(tuple(count), names), True, tuple(count.values()))
     if instruments == ALL:
-        return Groups((every,), False)
+        return Groups((names,), False)
     if instruments == EACH:
-        return Groups(tuple((name,) for name in every), True)
+        return Groups(tuple((name,) for name in names), True)
     named = [instruments] if isinstance(instruments, str) else list(instruments)
-    return Groups(_members(named, every), True)
+    return Groups(_members(named, names), True)
 
 
-def _members(named: Sequence[str], every: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def _members(named: Sequence[str], names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     groups = tuple(tuple(name.strip() for name in group.split(TOGETHER)) for group in named)
     for group in groups:
         for name in group:
-            if name not in every:
-                raise InputError(f"instruments: no instrument '{name}'{nearest(name, (*every, ALL, EACH))}")
+            if name not in names:
+                raise InputError(f"instruments: no instrument '{name}'{nearest(name, (*names, ALL, EACH))}")
         if len(set(group)) < len(group):
             raise InputError(f"instruments: '{TOGETHER.join(group)}' names an instrument twice")
     if not groups or len({frozenset(group) for group in groups}) < len(groups):

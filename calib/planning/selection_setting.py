@@ -198,9 +198,11 @@ def _require_on_grid(robot: Robot, request: Request, poses: Poses) -> None:
         return
     if request.groups.chosen:
         raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
-    every = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
+    all_looks = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
     for name, looks in looks_at(robot, poses).items():
-        if not np.array_equal(looks.visits, every[name].visits) or not np.array_equal(looks.pairs, every[name].pairs):
+        if not np.array_equal(looks.visits, all_looks[name].visits) or not np.array_equal(
+            looks.pairs, all_looks[name].pairs
+        ):
             raise InputError(
                 f"{poses.path}: says at which poses '{name}' reads what, which poses off the grid cannot; choose on the"
                 " grid"

@@ -132,20 +132,22 @@ def turned_joints(
     data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
     places = [mechanism.origin_names.index(name) for name in section.joints]
     result = np.full((len(q), 2), np.nan)
-    every = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
-    for k, row in enumerate(every):
+    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    for k, row in enumerate(joints):
         value = q[k, columns]
         for _ in range(_ROUNDS):
             row = row + mechanism.select_actuated[:, columns] @ (value - row[places])
             pin.forwardKinematics(model, data, row)
-            seen = data.oMi[index].rotation @ read[k]
-            slope = np.stack([np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], seen) for i in places], axis=1)
-            step, _, rank, _ = np.linalg.lstsq(slope, down[k] - seen, rcond=_SAME_AXIS)
+            measured = data.oMi[index].rotation @ read[k]
+            slope = np.stack(
+                [np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], measured) for i in places], axis=1
+            )
+            step, _, rank, _ = np.linalg.lstsq(slope, down[k] - measured, rcond=_SAME_AXIS)
             if rank < 2:
                 break
             value = value + step
             if np.max(np.abs(step)) < _SETTLED:
-                result[k] = value if np.linalg.norm(down[k] - seen) < _MISSED else np.nan
+                result[k] = value if np.linalg.norm(down[k] - measured) < _MISSED else np.nan
                 break
     return result
 
@@ -310,8 +312,10 @@ def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
 
     What hangs on fixed joints is part of the link before.
     """
-    whole = pin.buildModelFromXML(urdf.source.decode())
-    inertias = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
+    full_model = pin.buildModelFromXML(urdf.source.decode())
+    inertias = {
+        name: inertia for name, inertia in zip(full_model.names, full_model.inertias, strict=True) if inertia.mass > 0
+    }
     if not inertias.keys() & {*mechanism.origin_names}:
         return None
     model = mechanism.model.copy()

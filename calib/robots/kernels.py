@@ -217,7 +217,7 @@ def close(
     values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
     follows, factor = _leads(select, loops.signs)
     driven, gear = _leads(motors, loops.signs)
-    every, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints + 1, dtype=np.bool_)
+    all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints + 1, dtype=np.bool_)
     for j in range(n_joints):
         moved[j + 1] = follows[j] >= 0 or moved[tree.parents[j]]
     _stand(T)
@@ -229,7 +229,7 @@ def close(
             for j in range(n_joints):
                 if follows[j] >= 0:
                     q[j] = rest[k, j] + factor[j] * passive[k, follows[j]]
-            _walk(tree, moved[1:] if attempt else every, q, T)
+            _walk(tree, moved[1:] if attempt else all_joints, q, T)
             for j in range(n_joints):
                 if follows[j] >= 0:
                     _twist(T, j + 1, tree.axes, j, twists, j)
@@ -274,10 +274,10 @@ def close(
 def poses(tree: Tree, q: FloatArray) -> FloatArray:
     """Return the poses of all frames in configurations q (n, n_joints), (n, n_joints + 1, 12)."""
     n, n_joints = q.shape
-    T, every = np.empty((n, n_joints + 1, 12)), np.ones(n_joints, dtype=np.bool_)
+    T, all_joints = np.empty((n, n_joints + 1, 12)), np.ones(n_joints, dtype=np.bool_)
     for k in range(n):
         _stand(T[k])
-        _walk(tree, every, q[k], T[k])
+        _walk(tree, all_joints, q[k], T[k])
     return T
 
 

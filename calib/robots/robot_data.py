@@ -133,12 +133,12 @@ class RobotData(ReadOnlyArrays):
         """Parameters, in the order of `values`, and by name; two of one name are a `DescriptionError`."""
         of_instruments = tuple(p for instrument in self.instruments for p in instrument.unknowns)
         of_terms = tuple(p for term in self.terms for p in term.parameters)
-        every = self.parametrisation.parameters + of_instruments + of_terms
-        twice = next((name for name, n in Counter(parameter.name for parameter in every).items() if n > 1), None)
+        parameters = self.parametrisation.parameters + of_instruments + of_terms
+        twice = next((name for name, n in Counter(parameter.name for parameter in parameters).items() if n > 1), None)
         if twice is not None:
             raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice: '{twice}'")
         fleet = self.description.fleet
-        return Parameters(every if fleet is None else fleet.expected(every, self.path))
+        return Parameters(parameters if fleet is None else fleet.expected(parameters, self.path))
 
     @property
     def is_free(self) -> BoolArray:

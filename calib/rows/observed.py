@@ -182,8 +182,8 @@ def _some(readings: Readings, chosen: IntArray) -> Readings:
 
 def _run(chosen: IntArray) -> IntArray | slice:
     """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
-    whole = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
-    return whole if np.array_equal(chosen, np.arange(whole.start, whole.stop)) else chosen
+    span = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
+    return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
 
 
 def _is_identity(matrices: FloatArray) -> bool:
@@ -266,10 +266,10 @@ def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
             else _every_look(instrument, 0)
         )
         return Readings(touches.visits, touches.pairs, np.zeros((len(touches), 0)), None, touches.details)
-    every = _every_look(instrument, len(poses))
+    looks = _every_look(instrument, len(poses))
     if poses.setups is None:
-        return every
-    return replace(every, pairs=every.pairs + in_setups(robot, instrument, poses.setups)[every.visits])
+        return looks
+    return replace(looks, pairs=looks.pairs + in_setups(robot, instrument, poses.setups)[looks.visits])
 
 
 def _every_look(instrument: Instrument, n: int) -> Readings:

@@ -80,9 +80,9 @@ class _Frames:
         self.setup = setup
         self.pairs: dict[str, RelativeFrame] = {}
         for instrument in robot.instruments:
-            every = robot.pairs(instrument)
-            if isinstance(instrument, FrameInstrument) and every[0].a == robot.mechanism.targets[0].a:
-                later = every[setup * len(every) // max(len(robot.description.setups), 1)]
+            pairs = robot.pairs(instrument)
+            if isinstance(instrument, FrameInstrument) and pairs[0].a == robot.mechanism.targets[0].a:
+                later = pairs[setup * len(pairs) // max(len(robot.description.setups), 1)]
                 self.pairs.setdefault(instrument.target, later)
 
     def base(self, robot: Robot) -> str:

@@ -270,10 +270,10 @@ def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray
     return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 
-def _noisy(instrument: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
+def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     """Readings with noise, without those of what cannot be seen."""
-    seen = np.flatnonzero(~np.isnan(every.values).all(axis=1))
-    visible = Readings(every.visits[seen], every.pairs[seen], every.values[seen], None, every.details[seen])
+    seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
+    visible = Readings(exact.visits[seen], exact.pairs[seen], exact.values[seen], None, exact.details[seen])
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)

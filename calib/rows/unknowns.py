@@ -79,8 +79,8 @@ class Unknowns(ReadOnlyArrays):
     @staticmethod
     def chosen_by_poses(robot: Robot) -> Unknowns:
         """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
-        every = Unknowns.of(robot)
-        return every.only(every.family < 0)
+        unknowns = Unknowns.of(robot)
+        return unknowns.only(unknowns.family < 0)
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_expected) / s from the values of all parameters, (n_parameters,)."""

@@ -141,9 +141,9 @@ class Whitening:
     @cached_property
     def offset_columns(self) -> FloatArray:
         """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
-        every = np.eye(self.n_offsets)
+        units = np.eye(self.n_offsets)
         by_instrument = dict(
-            zip(self._n_rows, np.split(every, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
+            zip(self._n_rows, np.split(units, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
         )
         readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
         return self.flatten({name: np.tile(by_instrument[name], (n, 1, 1)) for name, n in readings.items()})

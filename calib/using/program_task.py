@@ -116,9 +116,9 @@ def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
     Raises:
         DataError: A coordinate is not asked for.
     """
-    whole = np.isfinite(program.positions).all(axis=1)
-    if not np.all(whole):
-        raise DataError(f"{program.labels[int(np.argmin(whole))]}: a coordinate is empty; a program needs all three")
+    filled = np.isfinite(program.positions).all(axis=1)
+    if not np.all(filled):
+        raise DataError(f"{program.labels[int(np.argmin(filled))]}: a coordinate is empty; a program needs all three")
     solution = solve(nominal, program)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
     joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)

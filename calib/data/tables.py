@@ -415,6 +415,9 @@ def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], c
     Args:
         columns: (header, values) of each column, values of equal length; of an array, cells without a number are empty.
         comments: Lines to put first, behind #.
+
+    Raises:
+        ValueError: Columns of different lengths.
     """
     stream = io.StringIO()
     for comment in comments:

@@ -103,3 +103,11 @@ def test_a_moved_robot_uses_the_workspace_of_the_one_before(tmp_path):
     )
     assert np.array_equal(again, robot.positions(there.actuated))
     assert np.abs(moved.positions(there.actuated) - again).max() > 1e-4
+
+
+@pytest.mark.parametrize("n", [0, 1, 31, 95, 96, 97, 1000])
+def test_chunks_are_all_poses_in_parts_of_about_equal_size(n):
+    parts = [range(n)[part] for part in kinematics.chunks(n)]
+    assert [k for part in parts for k in part] == list(range(n))
+    assert all(len(part) <= 1.5 * kinematics.CHUNK for part in parts)
+    assert len(parts) == 0 or min(map(len, parts)) >= max(map(len, parts)) - 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.base.errors import DataError, InputError
-from calib.data.on_demand import cells_of
+from calib.data.on_demand import Packed, cells_of, picked
 from calib.data.tables import check_plausible, format_table, read_number, read_table
 
 
@@ -283,3 +283,28 @@ def test_only_candidates_may_be_larger_than_memory(tmp_path, monkeypatch):
     (tmp_path / "table.csv").write_text("q1\n" + "1\n" * 100)
     assert "is larger than" in complaint(read_table, tmp_path / "table.csv")
     assert len(read_table(tmp_path / "table.csv", any_size=True).rows) == 100
+
+
+def test_columns_are_the_cells_of_the_rows(tmp_path):
+    """Some parts have quotes or blanks, some have none, and the text has its own parts."""
+    lines = [
+        f'"p,{k}", {k}.5,{k}' if k % 300 == 7 else f"p{k},  {k}.5,{k}" if k % 2 else f"p{k},{k}.5,{k}"
+        for k in range(900)
+    ]
+    (tmp_path / "table.csv").write_text("pose,x,y\n" + "\n".join(lines) + "\n")
+    table = read_table(tmp_path / "table.csv")
+    assert table.text("pose") == [row[0] for row in table.rows]
+    assert table.text("pose")[307] == "p,307"
+    np.testing.assert_array_equal(table.column("x", None), np.arange(900) + 0.5)
+
+
+def test_some_of_many_names_are_those_of_a_tuple():
+    names, places = Packed(f"pose {k}" for k in range(20)), np.array([3, 17, 4, 4])
+    some = picked(names, places)
+    assert some == tuple(names[k] for k in places) == picked(tuple(names), places)
+    assert picked(some, np.array([1, 0])) == ("pose 17", "pose 3")
+    assert some.index("pose 4") == 2
+
+
+def test_cells_of_an_array_without_a_number_are_empty():
+    assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"

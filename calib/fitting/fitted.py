@@ -372,5 +372,4 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def root(self) -> FloatArray:
         """T of `calib.numerics.observability` at the solution, with the weights of a robust loss, (n_free, rank)."""
-        rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
-        return rows.known.root
+        return self.rows.weighted(self.weights).known.root

@@ -279,10 +279,13 @@ class Problem(ReadOnlyArrays):
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.numerics.least_squares`.
             weights: Of each reading, (n_readings,).
+
+        Returns:
+            The end, and what the solver says of it without the Jacobian, which `rows` gives of the end.
         """
         way = _Way(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
-        return way.current, solution
+        return way.current, replace(solution, jacobian=np.zeros((0, len(way.begin))))
 
 
 class _Way:
@@ -335,8 +338,9 @@ class _Way:
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        self.current = evaluation
-        return np.vstack([self._rows(evaluation).jacobian, self._unknowns.prior.rows])
+        rows = self._rows(evaluation)
+        self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
+        return np.vstack([rows.jacobian, self._unknowns.prior.rows])
 
 
 def _as_stated(

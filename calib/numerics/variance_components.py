@@ -175,10 +175,11 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    both = np.hstack([model.jacobian, model.residuals[:, None]])
-    counts = np.array([int(np.sum(model.group == g)) for g in range(len(start))])
-    factors = [reduced(both[model.group == g]) for g in range(len(start))]
-    scales, step = start.copy(), np.zeros(both.shape[1] - 1)
+    members = [model.group == g for g in range(len(start))]
+    counts = np.array([int(np.sum(rows)) for rows in members])
+    parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
+    factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
+    scales, step = start.copy(), np.zeros(model.jacobian.shape[1])
     for _ in range(_ROUNDS):
         stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
         known, step = _solved(model, stacked)

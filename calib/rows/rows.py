@@ -189,7 +189,9 @@ class Rows:
         )
 
     def weighted(self, weights: FloatArray) -> Rows:
-        """Return the rows with these weights of the readings, (n_readings,)."""
+        """Return the rows with these weights of the readings, (n_readings,); themselves where all are 1."""
+        if np.all(weights == 1.0):
+            return self
         root = np.sqrt(weights)[self.layout.reading]
         return Rows(root * self.residuals, root[:, None] * self.jacobian, self.prior, self.deviations, self.layout)
 

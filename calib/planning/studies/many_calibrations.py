@@ -67,7 +67,7 @@ class Estimate:
     @property
     def names_outliers(self) -> bool:
         """Whether some reading lies further off than noise explains."""
-        rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
+        rows = self.rows.weighted(self.weights)
         test = studentised(blocks(self.rows, self.weights), rows.known.root, self.statistics.freedom)
         return len(test.outliers) > 0
 

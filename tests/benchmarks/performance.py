@@ -209,9 +209,9 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     yield """
 ## Whole commands
 
-From the prompt to the next, simulated measurements, all modules compiled to byte code. The unit is a program that only
-imports the libraries that a fit with pages needs; times are those of the machine that made this page. Many rows ran
-once. Alone: `python tests/benchmarks/whole_commands.py`.
+From the prompt to the next, simulated measurements, all modules compiled to byte code, kinematics by numba. The unit is
+a program that only imports the libraries that a fit with pages needs; times are those of the machine that made this
+page. Many rows ran once. Alone: `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """

@@ -3,7 +3,7 @@
     python tests/benchmarks/whole_commands.py [--quick]
 
 The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated. The
-byte code of all modules is there, as it is after a first run.
+byte code of all modules is there, and so is what numba compiles, as they are after a first run.
 """
 
 import argparse
@@ -26,6 +26,8 @@ EXAMPLES = ROOT / "docs" / "examples"
 IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.figure"]
 MANY = 100_000
 MOST = 1_000_000
+COMPILED = 6000
+"""Rows from which kinematics are compiled."""
 PROGRAMS = {"calib": ["-m", "calib"], "medrue": ["-c", "from medrue.cli import main; main()"]}
 
 
@@ -95,6 +97,8 @@ def prepared(folder):
         (folder / f"{name}-many.csv").write_text(format_table(list(joint_columns(robot, poses))))
         simulate = ["simulate", str(robots[name]), f"{name}-many.csv", "--seed", "2", "--out", f"{name}-read.csv"]
         taken(["-m", "calib", *simulate], folder)
+        some_rows(folder / f"{name}-read.csv", folder / f"{name}-some.csv", COMPILED)
+        taken(["-m", "calib", "fit", str(robots[name]), f"{name}-some.csv", "--no-pages", "--out", "compiled"], folder)
         fit = ["fit", str(robots[name]), f"{name}-read.csv", "--no-pages", "--out", f"{name}-many"]
         commands[f"`calib fit`, {MANY} poses, {name}"] = fit
     for command in ("study", "experiment"):

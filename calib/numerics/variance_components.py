@@ -179,7 +179,8 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
     counts = np.array([int(np.sum(rows)) for rows in members])
     parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
     factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
-    scales, step = start.copy(), np.zeros(model.jacobian.shape[1])
+    scales = start.copy()
+    step: FloatArray = np.zeros(model.jacobian.shape[1])
     for _ in range(_ROUNDS):
         stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
         known, step = _solved(model, stacked)

@@ -63,8 +63,8 @@ class Commands(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands, group by group, their summaries one below the other."""
         names = self.list_commands(ctx)
-        told = {name for group in _GROUPS.values() for name in group}
-        groups = {**_GROUPS, "Looking at the result": tuple(name for name in names if name not in told)}
+        grouped = {name for group in _GROUPS.values() for name in group}
+        groups = {**_GROUPS, "Looking at the result": tuple(name for name in names if name not in grouped)}
         width = max(len(name) for name in names)
         for title, group in groups.items():
             if not group:

@@ -155,8 +155,8 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **options: P.kwargs) -> R:
         for name in options:
             if name not in known:
-                told = way(name, place) or way(name, "arguments") or nearest(name, known)
-                raise UnknownOptionError(f"{function.__name__}: takes no argument '{name}'{told}")
+                hint = way(name, place) or way(name, "arguments") or nearest(name, known)
+                raise UnknownOptionError(f"{function.__name__}: takes no argument '{name}'{hint}")
         if len(args) > len(in_order):
             names = ", ".join(name for name in in_order if name != "self")
             raise UnknownOptionError(

@@ -84,8 +84,8 @@ class Parameters(tuple[Parameter, ...]):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table of nominal values and sigmas, in the units of tables; see `calib.base.words.pandas`."""
-        told = ("name", "unit", "nominal", "sigma")
-        return data_frame([{key: getattr(parameter, key) for key in told} for parameter in self])
+        keys = ("name", "unit", "nominal", "sigma")
+        return data_frame([{key: getattr(parameter, key) for key in keys} for parameter in self])
 
 
 def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:

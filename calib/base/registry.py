@@ -137,11 +137,11 @@ class _Schema:
         self._key, self._registry = key, registry
 
     def __get_pydantic_json_schema__(self, _: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        every = []
+        schemas = []
         for name in self._registry:
             section = self._registry[name].section
             section.model_rebuild()
             schema = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
             schema["properties"] = schema["properties"] | {self._key: {"const": name}}
-            every.append(schema)
-        return {"anyOf": every}
+            schemas.append(schema)
+        return {"anyOf": schemas}

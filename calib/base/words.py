@@ -112,8 +112,8 @@ def table_html(rows: Sequence[dict[str, object]]) -> str:
 
 def titled_html(title: str, lines: Sequence[str], *tables: Sequence[dict[str, object]]) -> str:
     """Return a heading, lines and tables as HTML; nothing in them is markup."""
-    told = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
-    return f"<h3>{html.escape(title)}</h3>{told}{''.join(table_html(rows) for rows in tables)}"
+    paragraphs = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+    return f"<h3>{html.escape(title)}</h3>{paragraphs}{''.join(table_html(rows) for rows in tables)}"
 
 
 def data_frame(rows: Sequence[dict[str, object]]) -> Any:

@@ -173,9 +173,9 @@ class FitFiles(Mapping[Holds, FileRobot]):
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
         fit, nominal = self._fit, without_terms(self._fit.nominal, Holds.ZEROS).at_nominal()
-        told = fit.identification.data.joints
-        actual = actual_joints(fit.robot, told, fit.configurations.term_columns)[:, : told.shape[1]]
-        moved, errors = told - told.mean(axis=0), actual - told
+        commands = fit.identification.data.joints
+        actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
+        moved, errors = commands - commands.mean(axis=0), actual - commands
         turned_round = np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING
         signs = np.where(turned_round, -1.0, 1.0)
         fitted = self._again(with_zeros(nominal), signs)

@@ -218,15 +218,15 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
 
 def values_options(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command --parameters and --result: with which values ROBOT is taken (`with_values`)."""
-    told = "Parameter values (CSV parameter,value,unit); nominal if not given."
+    help_text = "Parameter values (CSV parameter,value,unit); nominal if not given."
     with_result = click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
-    return click.option("--parameters", metavar="FILE", help=told)(with_result(function))
+    return click.option("--parameters", metavar="FILE", help=help_text)(with_result(function))
 
 
 def loss_option(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command --loss."""
-    losses, told = click.Choice(LOSSES), "Robust loss: gives outliers less weight."
-    return click.option("--loss", type=losses, default="none", show_default=True, help=told)(function)
+    losses, help_text = click.Choice(LOSSES), "Robust loss: gives outliers less weight."
+    return click.option("--loss", type=losses, default="none", show_default=True, help=help_text)(function)
 
 
 def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
@@ -303,8 +303,8 @@ def different_poses(poses: Poses) -> Poses:
 
 def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
     """What is to be read at poses, of whose visits (n,) these are the numbers, once each; of visits that count."""
-    said = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
-    kept = np.sort(np.unique(said, axis=0, return_index=True)[1])
+    looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
+    kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
     kept = kept[counts[readings.visits[kept]]]
     return Readings(
         numbers[readings.visits[kept]], readings.pairs[kept], readings.values[kept], None, readings.details[kept]

@@ -46,12 +46,12 @@ def command(
     Each image is a pose, named after its file. From a bag, the joint values of that moment are written too, if the
     robot stood still. Images without a board are named and left out.
     """
-    described, every = given_board(board), shots(images, topic)
+    described, photographs = given_board(board), shots(images, topic)
     output.check(out, page_file)
-    detection, small = detected(described, every, output, pictures=page_file is not None)
+    detection, small = detected(described, photographs, output, pictures=page_file is not None)
     if not detection.usable:
-        raise DataError(f"no board in any of {counted(len(every), 'image')}: {detection.images[0].remark}")
-    output.write(out, pixel_table(detection, every, columns))
+        raise DataError(f"no board in any of {counted(len(photographs), 'image')}: {detection.images[0].remark}")
+    output.write(out, pixel_table(detection, photographs, columns))
     lines = summary(detection)
     if page_file:
         pictures = [
@@ -67,7 +67,9 @@ def command(
     output.json(content(detection))
 
 
-def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: bool) -> tuple[Detection, list[bytes]]:
+def detected(
+    board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
+) -> tuple[Detection, list[bytes]]:
     """Find a board in images, telling of each that has none; return small copies too, if they are wanted.
 
     Raises:
@@ -76,7 +78,7 @@ def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: b
     small: list[bytes] = []
 
     def read() -> Iterator[tuple[str, GreyImage | str]]:
-        for shot in every:
+        for shot in photographs:
             image = shot.read()
             small.append(small_copy(image) if pictures else b"")
             yield shot.name, image
@@ -87,7 +89,7 @@ def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: b
             if isinstance(step, Detection):
                 result = step
             else:
-                progress(k + 1, len(every))
+                progress(k + 1, len(photographs))
     if result is None:
         raise InputError("no images")
     for image in result.images:
@@ -96,9 +98,9 @@ def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: b
     return result, small
 
 
-def pixel_table(detection: Detection, every: Sequence[Shot], columns: str) -> str:
+def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
     """Return what was found as a table: one row for each point."""
-    by_name = {shot.name: shot for shot in every}
+    by_name = {shot.name: shot for shot in photographs}
     usable = detection.usable
     names, joints = joint_columns([by_name[image.name] for image in usable])
     counts = [len(image.points) for image in usable]
@@ -126,9 +128,9 @@ def summary(detection: Detection) -> list[str]:
     sizes = {image.size for image in usable}
     if len(sizes) > 1:
         lines.append(f"Images have {len(sizes)} sizes: one camera with one lens has one; sort them")
-    seen = coverage(usable)
-    lines.append(f"The board was seen in {100 * seen:.0f} % of the image")
-    if seen < LITTLE_COVERAGE:
+    covered = coverage(usable)
+    lines.append(f"The board was seen in {100 * covered:.0f} % of the image")
+    if covered < LITTLE_COVERAGE:
         lines.append(
             "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
         )

@@ -94,25 +94,25 @@ def command(
     small: dict[str, bytes] = {}
     if table:
         output.check(folders=(out,), names=FILES)
-        seen = _detected_before(images[0], described)
+        detected_images = _detected_before(images[0], described)
     else:
-        every = shots(images, topic)
+        photographs = shots(images, topic)
         output.check(folders=(out,), names=FILES)
-        detection, copies = detected(described, every, output, pictures=True)
-        small = {shot.name: copy for shot, copy in zip(every, copies, strict=True)}
-        seen, described = list(detection.usable), detection.board
+        detection, copies = detected(described, photographs, output, pictures=True)
+        small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
+        detected_images, described = list(detection.usable), detection.board
         for line in summary(detection):
             output.say(line)
-        if not seen:
-            raise DataError(f"no board in any of {counted(len(every), 'image')}: {detection.images[0].remark}")
+        if not detected_images:
+            raise DataError(f"no board in any of {counted(len(photographs), 'image')}: {detection.images[0].remark}")
         if any(is_bag(source) for source in images) and poses is None:
-            by_name = {shot.name: shot for shot in every}
-            bag_joints = joint_columns([by_name[image.name] for image in seen])
-    rows, tool = _tools(seen, poses, model, angles, bag_joints, output)
-    seen = [image for image in seen if image.name in rows]
-    seen.sort(key=lambda image: rows[image.name])
-    require_images(len(seen))
-    scene = scene_of(seen, described, np.array([tool[rows[image.name]] for image in seen]))
+            by_name = {shot.name: shot for shot in photographs}
+            bag_joints = joint_columns([by_name[image.name] for image in detected_images])
+    rows, tool = _tools(detected_images, poses, model, angles, bag_joints, output)
+    detected_images = [image for image in detected_images if image.name in rows]
+    detected_images.sort(key=lambda image: rows[image.name])
+    require_images(len(detected_images))
+    scene = scene_of(detected_images, described, np.array([tool[rows[image.name]] for image in detected_images]))
     if lens_file is not None and lens_file.image is not None and lens_file.image != scene.size:
         raise InputError(
             f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
@@ -125,7 +125,7 @@ def command(
         )
     judgement = judge(result)
     output.say(report(result, named))
-    pages = {"photographs.html": _page(result, named, seen, small).encode()}
+    pages = {"photographs.html": _page(result, named, detected_images, small).encode()}
     if judgement.grade != "FAIL" or output.force:
         write_folder(out, files(result, named) | pages, force=output.force)
         output.say(f"Written to {out}: {', '.join(FILES)}")
@@ -136,26 +136,26 @@ def command(
         raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
 
 
-def scene_of(seen: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
+def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
     """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from.
 
     Raises:
         DataError: Images of several sizes.
     """
-    sizes = {image.size for image in seen}
+    sizes = {image.size for image in detected_images}
     if len(sizes) > 1:
         words = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
         raise DataError(f"the images have several sizes ({words} px): one camera with one lens has one; sort them")
     points = board.points()
-    counts = [len(image.points) for image in seen]
+    counts = [len(image.points) for image in detected_images]
     return Scene(
-        tuple(image.name for image in seen),
+        tuple(image.name for image in detected_images),
         tool,
-        np.repeat(np.arange(len(seen)), counts),
-        np.array([points[name] for image in seen for name in image.points]),
-        np.concatenate([image.pixels for image in seen]),
+        np.repeat(np.arange(len(detected_images)), counts),
+        np.array([points[name] for image in detected_images for name in image.points]),
+        np.concatenate([image.pixels for image in detected_images]),
         "tool",
-        seen[0].size,
+        detected_images[0].size,
     )
 
 
@@ -169,7 +169,7 @@ def _frames(text: str | None) -> Frames:
 
 
 def _tools(
-    seen: Sequence[DetectedImage],
+    detected_images: Sequence[DetectedImage],
     poses: str | None,
     model: Robot | None,
     angles: str | None,
@@ -187,9 +187,9 @@ def _tools(
         if missing is not None:
             raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
         joints = values[:, np.array([names.index(name) for name in model.joint_names])]
-        return {image.name: k for k, image in enumerate(seen)}, model.forward(joints)
+        return {image.name: k for k, image in enumerate(detected_images)}, model.forward(joints)
     names, tool = read_tool_poses(poses, robot=model, angles=angles)
-    chosen, remarks = matched([image.name for image in seen], names, poses)
+    chosen, remarks = matched([image.name for image in detected_images], names, poses)
     output.remarks([f"left out: {text}" for text in remarks])
     return {names[k]: k for k in chosen}, tool
 
@@ -224,9 +224,9 @@ def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     return result
 
 
-def _page(result: HandEye, frames: Frames, seen: Sequence[DetectedImage], small: dict[str, bytes]) -> str:
+def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> str:
     """The photographs with arrows from where points were found to where the calibration puts them."""
-    scene, images = result.scene, {image.name: image for image in seen}
+    scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
     each, off = result.by_image(result.pixels), {image.name: image for image in result.off}
     on = 1e3 * result.by_image(result.board)

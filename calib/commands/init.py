@@ -124,7 +124,7 @@ def command(
         write_files({Path(out): schema_text().encode()}, force=output.force)
         output.say(f"{out} written; first line of a description: # yaml-language-server: $schema={Path(out).name}")
         return
-    if sum(given is not None for given in (urdf, dh, template, *printers.values())) != 1:
+    if sum(source is not None for source in (urdf, dh, template, *printers.values())) != 1:
         raise InputError(
             "give a URDF, or a Denavit-Hartenberg table with --dh, or a --template, or a printer with --klipper,"
             " --marlin or --duet; one of them"
@@ -282,8 +282,8 @@ def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArr
     distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-9)
     ahead = np.einsum("bka,ka->bk", apart, poses[:, :3, 2]) / distance
     facing = np.einsum("bka,ba->bk", apart, boards[:, :3, 2]) / distance
-    seen = (ahead > _AHEAD) & (facing > _FACING) & (distance > 0.7 * away) & (distance < 1.6 * away)
-    best = boards[int(np.argmax(np.sum(seen, axis=1)))]
+    visible = (ahead > _AHEAD) & (facing > _FACING) & (distance > 0.7 * away) & (distance < 1.6 * away)
+    best = boards[int(np.argmax(np.sum(visible, axis=1)))]
     corner = np.round(best[:3, 3] - best[:3, :3] @ middle, 2) + 0.0
     angles = scipy.spatial.transform.Rotation.from_matrix(best[:3, :3]).as_euler("xyz")
     return corner, np.deg2rad(np.round(np.rad2deg(angles))) + 0.0

@@ -72,7 +72,7 @@ def _with_uncertainty(
 ) -> tuple[str, dict[str, object], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
     known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
-    told = known.at(poses.joints, poses.conditions)
-    measured = told.measured or told  # what is written is where the instruments see it
+    predicted = known.at(poses.joints, poses.conditions)
+    measured = predicted.measured or predicted  # what is written is where the instruments see it
     text = format_positions(model, poses, measured.positions, comment, measured.std)
-    return text, told.table() | {"worst_pose": poses.names[told.worst]}, told.remark()
+    return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

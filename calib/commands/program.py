@@ -30,9 +30,9 @@ class OneLineError(click.ClickException):
 def _usage(error: click.UsageError) -> str:
     """What was wrong; with what to write in place of an option or a command of other packages."""
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
-    told = way(typed, "the command line") if typed else ""
-    if told:  # in place of names that are spelt alike
-        return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{told}"
+    hint = way(typed, "the command line") if typed else ""
+    if hint:  # in place of names that are spelt alike
+        return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
     return _one_line(error.format_message())
 
 

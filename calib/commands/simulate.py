@@ -133,10 +133,10 @@ def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random
 def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
     if sigma_mm is None:
         return "noise as the description states it"
-    said = f"normal noise, sigma {sigma_mm:g} mm per axis"
+    words = f"normal noise, sigma {sigma_mm:g} mm per axis"
     if sigma_mm == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
-        return said
-    return f"{said} of positions, else as the description states it"
+        return words
+    return f"{words} of positions, else as the description states it"
 
 
 def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:

@@ -71,12 +71,12 @@ def command(
     for miss in misses:
         output.note(f"{miss}; skipped")
     source = parameters or folder or "nominal values"
-    said = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
+    comment = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
     if solution.expected.nothing_to_correct:
-        said += f"; those of the nominal robot: {left_as_it_is(source)}"
+        comment += f"; those of the nominal robot: {left_as_it_is(source)}"
     if folder:
-        said += f"; errors are {solution.expected.frame}; {COUNTED}"
-    comments = (said, *said_of_failure(output, folder, out))
+        comment += f"; errors are {solution.expected.frame}; {COUNTED}"
+    comments = (comment, *said_of_failure(output, folder, out))
     output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = near_singularities(model, model.assemble(solution.q[reached], labels=labels), labels)
@@ -120,13 +120,15 @@ def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
     """CSV text of the targets that are reached, with the conditions under which they are."""
     reached = np.flatnonzero(solution.ok)
-    told = goals.subset(reached)
-    columns: dict[str, list[object]] = {"pose": list(told.names)}
+    reached_goals = goals.subset(reached)
+    columns: dict[str, list[object]] = {"pose": list(reached_goals.names)}
     for name, values in joint_columns(robot, solution.q[reached]).items():
         columns[name] = list(values)
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns[f"{goals.target}_{axis} [mm]"] = list(values)
-    columns |= condition_columns(robot, len(told), told.setups, told.context) | approach_columns(robot, told.approach)
+    columns |= condition_columns(
+        robot, len(reached_goals), reached_goals.setups, reached_goals.context
+    ) | approach_columns(robot, reached_goals.approach)
     for (name, unit), values in solution.expected.figures().items():
         columns[f"{name} [{unit}]"] = list(values[reached])
     return format_table(list(columns.items()), comments)

@@ -79,10 +79,10 @@ def command(
         model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
     )
     if once:
-        told = watch.update(read_measurements(file, model))
-        _tell(told, output)
-        if told.obstacle is not None:
-            raise told.obstacle
+        progress = watch.update(read_measurements(file, model))
+        _tell(progress, output)
+        if progress.obstacle is not None:
+            raise progress.obstacle
         return
     viewer = live(model) if view else None
     try:
@@ -100,11 +100,11 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
         output.note(viewer.url)
     data = _changed(file, output)
     while True:
-        told = watch.update(data)
-        _tell(told, output)
+        progress = watch.update(data)
+        _tell(progress, output)
         if viewer is not None:
-            viewer.show(told)
-        if told.stop and viewer is None:
+            viewer.show(progress)
+        if progress.stop and viewer is None:
             return
         data = None
         while data is None:
@@ -119,9 +119,9 @@ def _changed(file: GrowingFile, output: Output) -> Measurements | None:
     return data
 
 
-def _tell(told: Progress, output: Output) -> None:
-    output.say(f"{told.report()}\n")
+def _tell(progress: Progress, output: Output) -> None:
+    output.say(f"{progress.report()}\n")
     if output.json_target == "-":
-        click.echo(json.dumps(told.to_dict(), allow_nan=False, ensure_ascii=False))
+        click.echo(json.dumps(progress.to_dict(), allow_nan=False, ensure_ascii=False))
     elif output.json_target is not None:
-        output.json(told.to_dict())
+        output.json(progress.to_dict())

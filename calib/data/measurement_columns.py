@@ -93,9 +93,9 @@ def reading_columns(
         }
         if instrument.label_column is not None:
             cells[instrument.label_column] = [instrument.name] * len(readings)
-        for name, told in (cells | instrument.texts(readings.pairs, readings.details)).items():
+        for name, texts in (cells | instrument.texts(readings.pairs, readings.details)).items():
             column = columns.setdefault(name, [""] * len(visits))
-            for line, cell in zip(line_of[instrument.name], told, strict=True):
+            for line, cell in zip(line_of[instrument.name], texts, strict=True):
                 column[line] = cell
         if not dimensions and np.any(readings.values):
             raise DataError(

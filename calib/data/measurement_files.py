@@ -201,12 +201,12 @@ def _joints_of_table(
     down = stated[np.zeros(len(joints), dtype=np.intp) if setups is None else setups]
     for name in reading:
         known = {column: dimension for column, dimension in columns_of(name).items() if column in table.names}
-        read = {column.removeprefix(f"{name}_"): table.column(column, known[column], gaps=True) for column in known}
-        check_read(read, table.path, table.lines, f"{name}_")
-        seen = read_down(read)
-        assert seen is not None  # or it is an error by now
+        cells = {column.removeprefix(f"{name}_"): table.column(column, known[column], gaps=True) for column in known}
+        check_read(cells, table.path, table.lines, f"{name}_")
+        sensed_down = read_down(cells)
+        assert sensed_down is not None  # or it is an error by now
         turned = [robot.joint_names.index(joint) for joint in sensors[name].joints]
-        joints[:, turned] = turned_joints(robot.nominal, sensors[name], joints, seen, down)
+        joints[:, turned] = turned_joints(robot.nominal, sensors[name], joints, sensed_down, down)
         _check_tilts(robot, name, joints[:, turned], table)
     return joints, {column for name in reading for column in columns_of(name)}
 

@@ -113,9 +113,11 @@ class Poses(ReadOnlyArrays):
             robot: Names joints and instruments; that of the visits if not given.
         """
         robot = self._robot(robot)
-        told = pose_columns(robot, self.names, self.joints)
-        told |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(robot, self.approach)
-        return told
+        columns = pose_columns(robot, self.names, self.joints)
+        columns |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(
+            robot, self.approach
+        )
+        return columns
 
     def to_dataframe(self, robot: Robot | None = None) -> Any:
         """Return `columns` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
@@ -228,10 +230,10 @@ class Measurements(Poses):
 
     def read_visits(self) -> Self:
         """Return the visits at which something was read, of which a camera that saw nothing has none."""
-        read = np.unique(
+        visits = np.unique(
             np.concatenate([np.zeros(0, dtype=np.intp), *(readings.visits for readings in self.readings.values())])
         )
-        return self if len(read) in (0, len(self)) else self.subset(read)
+        return self if len(visits) in (0, len(self)) else self.subset(visits)
 
     @worded
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:

@@ -53,10 +53,10 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
         instrument.name: _looks(robot, instrument, table, reading[instrument.name], poses.setups)
         for instrument in robot.instruments
     }
-    said = {name: looks for name, looks in plan.items() if looks is not None}
-    if len(said) == len(robot.instruments) and not any(len(looks) for looks in said.values()):
+    stated = {name: looks for name, looks in plan.items() if looks is not None}
+    if len(stated) == len(robot.instruments) and not any(len(looks) for looks in stated.values()):
         raise DataError(f"{table.path}: no row names anything to read; fill in its columns of instruments")
-    return replace(poses, wanted=said)
+    return replace(poses, wanted=stated)
 
 
 def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
@@ -110,15 +110,15 @@ def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
     n, names = len(table.rows), [instrument.name for instrument in robot.instruments]
     result = {name: np.ones(n, dtype=bool) for name in names}
     for k, cell in enumerate(_instrument_cells(robot, table)):
-        read = [name.strip() for name in cell.split(TOGETHER)] if cell else names
-        unknown = next((name for name in read if name not in names), None)
+        named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
+        unknown = next((name for name in named if name not in names), None)
         if unknown is not None:
             raise DataError(
                 f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument '{unknown:.60}'"
                 f"{nearest(unknown, names)}"
             )
         for name in names:
-            result[name][k] = name in read
+            result[name][k] = name in named
     return result
 
 

@@ -261,10 +261,10 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
         if match is None:
             continue
         try:
-            said = {key: tuple(map(float, text.split(":"))) for key, text in _WORD.findall(match[2])}
+            numbers = {key: tuple(map(float, text.split(":"))) for key, text in _WORD.findall(match[2])}
         except ValueError:
             raise DataError(f"{path}, line {number}: '{code.strip():.60}' has no numbers; correct it") from None
-        words.setdefault(match[1], {}).update(said)
+        words.setdefault(match[1], {}).update(numbers)
     settings, ends = words.get("M665", {}), words.get("M666", {})
     for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
         if key not in settings:

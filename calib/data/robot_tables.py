@@ -48,15 +48,15 @@ def read_robot_table(
             f"{table.path}, column '{bare}': looks like '{guessed[bare]}', but has no unit; write it into the header,"
             f" such as '{bare} [deg]' or '{bare} [mm]', or call the column '{guessed[bare]}'"
         )
-    told = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
-    _tell(table.path, told)
+    text = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
+    _tell(table.path, text)
     return replace(table, names=tuple(guessed.get(name, name) for name in table.names))
 
 
 @functools.lru_cache(maxsize=64)
-def _tell(path: str, told: str) -> None:
+def _tell(path: str, text: str) -> None:
     """Warn of a guess, once for each file."""
-    _LOG.warning("%s: took columns %s; `columns` in the robot description says what they really are", path, told)
+    _LOG.warning("%s: took columns %s; `columns` in the robot description says what they really are", path, text)
 
 
 def _plain(name: str) -> str:

@@ -88,22 +88,22 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
             f"{path}: has no measurements (geometry_msgs/PointStamped, PoseStamped or TransformStamped); record their"
             " topic too"
         )
-    every = [*joints.values(), *places.values()]
-    stamped = all(stamp > 0 for series in every for stamp in series.stamps)
+    all_series = [*joints.values(), *places.values()]
+    stamped = all(stamp > 0 for series in all_series for stamp in series.stamps)
     measured = {topic: series.over_time(stamped) for topic, series in places.items()}
     times = np.unique(np.concatenate([at for at, _ in measured.values()]))
     q, spread = _joints_at(times, [series.over_time(stamped) for series in joints.values()])
     still = spread <= _STILL
     if not still.any():
-        seen = spread[np.isfinite(spread)]
-        moved = f"; the least that a joint moved is {np.min(seen):.2g} rad or m" if len(seen) else ""
+        finite = spread[np.isfinite(spread)]
+        moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
         raise DataError(
             f"{path}: at none of {counted(len(times), 'measurement')} the robot stood still: joint states within"
             f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
         )
     stops = _stops(q[still])
     means = np.array([q[still][stops == stop].mean(axis=0) for stop in range(stops[-1] + 1)])
-    first = min(min(series.stamps if stamped else series.recorded) for series in every)
+    first = min(min(series.stamps if stamped else series.recorded) for series in all_series)
     columns: list[tuple[str, list[object]]] = [
         ("pose", [f"stop {number + 1}" for number in stops]),
         ("time [s]", list(times[still] - first)),

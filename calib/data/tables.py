@@ -307,9 +307,9 @@ def read_table(
 
 
 @functools.lru_cache(maxsize=64)
-def _tell(path: str, told: str) -> None:
+def _tell(path: str, text: str) -> None:
     """Warn of what a file was taken for, once."""
-    _LOG.warning("%s: %s", path, told)
+    _LOG.warning("%s: %s", path, text)
 
 
 def _without_comments(

@@ -242,8 +242,8 @@ def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
     hangs = tree.frames[len(bodies)]
     turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
     nowhere, neutral = np.zeros((1, nominal.n_joints)), Context.neutral(1, len(robot.joint_names))
-    told = robot.description
-    acceleration, _ = accelerations(told.gravity, tuple(told.setups), nominal, nowhere, neutral, turns)
+    description = robot.description
+    acceleration, _ = accelerations(description.gravity, tuple(description.setups), nominal, nowhere, neutral, turns)
     return Gravity(tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), acceleration[0])
 
 

@@ -234,9 +234,9 @@ def opencv_board(board: Board, legacy: bool) -> object:
     counts = (board.columns, board.rows)
     if board.kind != "charuco":
         return cv2.aruco.GridBoard(counts, board.marker, board.gap, markers, numbers)
-    made = cv2.aruco.CharucoBoard(counts, board.square, board.marker, markers, numbers)
-    made.setLegacyPattern(legacy)
-    return made
+    charuco = cv2.aruco.CharucoBoard(counts, board.square, board.marker, markers, numbers)
+    charuco.setLegacyPattern(legacy)
+    return charuco
 
 
 def marker_numbers(board: Board) -> range:

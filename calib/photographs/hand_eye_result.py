@@ -66,11 +66,11 @@ def judge(result: HandEye) -> Judgement:
             " others: lengths along the first are known badly"
         )
         advice.append("tilt the tool by 20 to 40 deg about two axes more")
-    seen = image_coverage(scene.pixels, scene.size)
-    if seen < LITTLE_COVERAGE:
-        advice.append(f"bring the board into more of the image (it was seen in {100 * seen:.0f} %)")
+    covered = image_coverage(scene.pixels, scene.size)
+    if covered < LITTLE_COVERAGE:
+        advice.append(f"bring the board into more of the image (it was seen in {100 * covered:.0f} %)")
         if result.lens_found:
-            reasons.append(f"the lens was found from {100 * seen:.0f} % of the image")
+            reasons.append(f"the lens was found from {100 * covered:.0f} % of the image")
     used, left = rms(result.board), rms(result.left.board)
     if not left * _CLAIM_ABOVE < used:
         reasons.append(

@@ -101,8 +101,8 @@ def _smooth_rays(u: FloatArray, v: FloatArray, intrinsics: FloatArray) -> FloatA
     """Rays of all pixels of a grid, (n_v, n_u, 2), by splines through some of them: a lens is smooth."""
     nodes = [np.linspace(ends[0], ends[-1], _NODES) for ends in (v, u)]
     grid = np.stack(np.meshgrid(nodes[1], nodes[0]), axis=-1).reshape(-1, 2)
-    seen = rays(grid, intrinsics).reshape(_NODES, _NODES, 2)
-    parts = [scipy.interpolate.RectBivariateSpline(*nodes, seen[:, :, k])(v, u) for k in (0, 1)]
+    node_rays = rays(grid, intrinsics).reshape(_NODES, _NODES, 2)
+    parts = [scipy.interpolate.RectBivariateSpline(*nodes, node_rays[:, :, k])(v, u) for k in (0, 1)]
     return np.stack(parts, axis=-1)
 
 

@@ -96,31 +96,31 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
-    read = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
-    for result in read[1:]:
-        if geometry(result.robot) != geometry(read[0].robot):
-            raise DataError(f"{result.name}: is the result of another robot than {read[0].name}; their URDFs differ")
-    pairs = list(combinations(read, 2))
+    loaded = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
+    for result in loaded[1:]:
+        if geometry(result.robot) != geometry(loaded[0].robot):
+            raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
+    pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_tested(first, other) for first, other in pairs]
-    names = list(dict.fromkeys(name for result in read for name in (p.name for p in result.robot.parameters)))
+    names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.robot.parameters)))
     raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
-    places = {p.name for result in read for p in result.robot.parameters if p.placement}
+    places = {p.name for result in loaded for p in result.robot.parameters if p.placement}
     real = [{name for name, p in zip(names, p_values, strict=True) if p < REAL_BELOW} for p_values in corrected]
-    rows = [{row["name"]: row for row in result.content["parameters"]} for result in read]
-    errors, unit, where, sizes = _errors(read)
+    rows = [{row["name"]: row for row in result.content["parameters"]} for result in loaded]
+    errors, unit, where, sizes = _errors(loaded)
     return ResultComparison(
-        tuple(result.name for result in read),
-        tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in read),
-        tuple(result.content["n_poses"] for result in read),
+        tuple(result.name for result in loaded),
+        tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in loaded),
+        tuple(result.content["n_poses"] for result in loaded),
         errors,
         unit,
         where,
         sizes,
         tuple(
             Difference(
-                name, tuple(by_name.get(name) for by_name in rows), tuple(map(float, corrected[: len(read) - 1, k]))
+                name, tuple(by_name.get(name) for by_name in rows), tuple(map(float, corrected[: len(loaded) - 1, k]))
             )
             for k, name in enumerate(names)
         ),
@@ -183,14 +183,14 @@ def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
         raise DataError(f"{path}: has no columns error_after_...; run the fit again")
     errors = [k for k in errors if table.units[k] == table.units[errors[0]]]
     computed = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
-    said = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(computed)]
+    key_columns = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(computed)]
     readings: dict[str, dict[tuple[str, ...], float]] = {}
     for row, used in zip(table.rows, table.texts("set"), strict=True):
         try:
             square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
         except ValueError:
             raise DataError(f"{path}: holds text where an error is expected; run the fit again") from None
-        readings.setdefault(used, {})[tuple(row[k] for k in said)] = square
+        readings.setdefault(used, {})[tuple(row[k] for k in key_columns)] = square
     return readings
 
 

@@ -24,7 +24,12 @@ def notes(fit: Fit, *, brief: bool = False) -> list[str]:
     """
     elsewhere = (_noise, _left, _determined, _held, _positions)
     order = (_size, _noise, _scatter, _terms, _left, _curves, _determined, _observability, _held, _positions)
-    lines = [line for told in (*order, _repeats, _options) if not (brief and told in elsewhere) for line in told(fit)]
+    lines = [
+        line
+        for notes_of in (*order, _repeats, _options)
+        if not (brief and notes_of in elsewhere)
+        for line in notes_of(fit)
+    ]
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is the nominal robot, with only its base and targets placed")
     if fit.identification.data.ignored:
@@ -109,10 +114,10 @@ def _terms(fit: Fit) -> list[str]:
             (added if trial.added else left).append(
                 f"{name} ({trial.why}{': ' if trial.why else ''}{numbers}{which}{alike})"
             )
-    every = len(fit.terms.tried)
-    lines = [f"Joint terms added: {listed(added, '; ', every) or 'none, because none improves the prediction'}"]
-    lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
-    return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
+    count = len(fit.terms.tried)
+    lines = [f"Joint terms added: {listed(added, '; ', count) or 'none, because none improves the prediction'}"]
+    lines += [f"Joint terms left out: {listed(left, '; ', count)}"] if left else []
+    return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', count)}"] if refused else [])
 
 
 def _left(fit: Fit) -> list[str]:

@@ -90,8 +90,8 @@ class Fleet(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         odd = [member.name for member in self.members if member.odd]
-        said = f"; unlike the others: {listed(odd)}" if odd else ""
-        return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{said}>"
+        ending = f"; unlike the others: {listed(odd)}" if odd else ""
+        return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{ending}>"
 
     def __str__(self) -> str:
         return self.report()

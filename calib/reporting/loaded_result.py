@@ -108,8 +108,8 @@ class LoadedResult(ReadOnlyArrays):
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.fitting.fitted.Fit.predict`."""
-        told = as_poses(self.robot, poses)
-        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
+        pose_set = as_poses(self.robot, poses)
+        return self.uncertainty.at(self.robot, pose_set.joints, pose_set.conditions if context is None else context)
 
 
 def load_result(folder: Path | str) -> LoadedResult:
@@ -150,6 +150,6 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> Positio
     """
     if not isinstance(calibrated, Robot):
         return calibrated.predict(poses)
-    told = as_poses(calibrated, poses)
-    positions = calibrated.positions(told.joints, told.conditions)
+    pose_set = as_poses(calibrated, poses)
+    positions = calibrated.positions(pose_set.joints, pose_set.conditions)
     return PositionUncertainty(positions, np.full((*positions.shape, 3), np.nan), np.nan)

@@ -148,10 +148,9 @@ class ResultComparison:
 
     def conclusion(self) -> str:
         """Return in a sentence for each two results which differences are real."""
-        told = " ".join(pair.sentence() for pair in self.pairs)
-        return (
-            f"{told} (Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {REAL_BELOW:g}.)"
-        )
+        sentences = " ".join(pair.sentence() for pair in self.pairs)
+        key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {REAL_BELOW:g}."
+        return f"{sentences} ({key})"
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""

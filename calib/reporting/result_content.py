@@ -133,14 +133,14 @@ def budget_table(fit: Fit) -> dict[str, object] | None:
     scale = error_scale(budget.part.dimension)
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
-        made = mean_square >= 0.0
+        positive = mean_square >= 0.0
         return {
             "cause": cause,
             "mean_square": scale**2 * mean_square,
             "std": scale**2 * std,
-            "rms": scale * math.sqrt(mean_square) if made else math.nan,
-            "share": mean_square / budget.before if made and budget.before > 0 else math.nan,
-            "remark": "" if made else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
+            "rms": scale * math.sqrt(mean_square) if positive else math.nan,
+            "share": mean_square / budget.before if positive and budget.before > 0 else math.nan,
+            "remark": "" if positive else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
         }
 
     return {

@@ -114,10 +114,13 @@ def _plan(
     """Columns of a plan: a row for each pose and what reads there, cells of other instruments empty."""
     rows: list[list[object]] = []
     for k, together in zip(selection.chosen, selection.instruments, strict=True):
-        read = [robot.instrument(name) for name in together.split(TOGETHER)]
-        columns_read = {column for instrument in read for column in columns_in(instrument, table)}
+        instruments = [robot.instrument(name) for name in together.split(TOGETHER)]
+        columns_read = {column for instrument in instruments for column in columns_in(instrument, table)}
         touched = [
-            table.names.index(name) for instrument in read if instrument.touches for name in instrument.text_columns()
+            table.names.index(name)
+            for instrument in instruments
+            if instrument.touches
+            for name in instrument.text_columns()
         ]
         line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
         others = {column for instrument in robot.instruments for column in columns_in(instrument, table)} - columns_read

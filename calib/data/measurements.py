@@ -291,8 +291,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
     """Put poses and readings together."""
     return Measurements(
         poses.joints,
-        poses.labels,
-        poses.names,
+        tuple(poses.labels),
+        tuple(poses.names),
         poses.path,
         poses.ignored,
         readings,

@@ -26,7 +26,7 @@ _PART = 256  # rows that are kept together
 
 
 class OnDemand(Sequence[Item]):
-    """A sequence that equals a tuple of its items; slices of it are tuples."""
+    """A sequence that equals a tuple of its items; slices of it, and sums with others, are tuples."""
 
     @abstractmethod
     def _made(self, k: int) -> Item:
@@ -42,6 +42,9 @@ class OnDemand(Sequence[Item]):
 
     def __iter__(self) -> Iterator[Item]:
         return (self._made(k) for k in range(len(self)))
+
+    def __add__(self, other: Sequence[Item]) -> tuple[Item, ...]:
+        return (*self, *other)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence) or len(self) != len(other):

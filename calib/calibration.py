@@ -210,7 +210,8 @@ def fit(
             text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is
             found from the residuals.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
-        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits. A reading goes by itself where
+            the others of its visit agree; where more than half of them are off, the visit goes as a whole.
         starts: Number of starting points, the nominal one and perturbed ones.
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts, of folds, and of what is held out.

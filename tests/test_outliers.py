@@ -1,11 +1,18 @@
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import test_kind_pixel as pixel
 from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_arm, write_six_axis
 from small_robots import write_arm
 
 import calib
+from calib.instruments.kind import Readings
 from calib.judging import findings
 from calib.numerics.losses import Blocks, studentised
+from viz.reading_errors import of_fit, of_saved
+from viz.saved_readings import read_saved
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)
@@ -140,8 +147,83 @@ parametrisation:
     q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (30, 3))
     positions = robot.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((30, 2, 3))
     positions[9, 1, 0] += 1e-3
-    fit = calib.fit(robot, measurements(robot, q, positions))
-    assert [(outlier.pose, outlier.target) for outlier in fit.outliers] == [(9, "side")]
+    fit = calib.fit(robot, measurements(robot, q, positions), exclude_outliers=True)
+    assert [(outlier.pose, outlier.target) for outlier in fit.with_all.outliers] == [(9, "side")]
+    assert [(outlier.pose, outlier.target, outlier.together) for outlier in fit.excluded] == [(9, "side", 0)]
+    seen = {name: readings.visits.tolist() for name, readings in fit.identification.data.readings.items()}
+    assert seen == {"tip": list(range(30)), "side": [k for k in range(30) if k != 9]}
+    positions[9, 0, 0] += 1e-3  # now both are off by the same: the pose is wrong
+    fit = calib.fit(robot, measurements(robot, q, positions), exclude_outliers=True)
+    assert {(outlier.pose, outlier.together) for outlier in fit.excluded} == {(9, 2)}
+    assert len(fit.identification.data) == 29
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory):
+    """An arm and photographs of it, 0.3 px of noise: three corners off by 6 px, and one photograph of another pose."""
+    arm = calib.load(write_six_axis(tmp_path_factory.mktemp("photographs"), pixel.YAML))
+    q, (camera, body) = joints(30, 5), pixel.places(4)
+    data = pixel.data_of(
+        arm, q, pixel.photographs(arm.with_parameters(pixel.TRUTH), q, camera, body), sigma=0.3, seed=1
+    )
+    readings = data.readings["eye"]
+    values, whole = readings.values.copy(), np.flatnonzero(readings.visits == 7)
+    values[[20, 80, 120]] += [[6.0, 0.0], [0.0, -6.0], [-4.0, 4.0]]
+    values[whole] += [5.0, 3.0]
+    order = np.random.default_rng(3).permutation(len(values))  # as a file may have them
+    readings = Readings(readings.visits[order], readings.pairs[order], values[order], None, readings.details[order])
+    names = {"corners": np.flatnonzero(np.isin(order, [20, 80, 120])), "image": np.flatnonzero(np.isin(order, whole))}
+    return arm, replace(data, readings={"eye": readings}), names
+
+
+def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographed):
+    arm, data, off = photographed
+    fit = calib.fit(arm, data, exclude_outliers=True)
+    alone = {outlier.reading for outlier in fit.excluded if not outlier.together}
+    assert alone >= set(off["corners"])
+    assert len(alone) <= 5  # chance may name others
+    assert {(outlier.pose, outlier.together) for outlier in fit.excluded if outlier.together} == {
+        (7, len(off["image"]))
+    }
+    kept = np.setdiff1d(np.arange(data.n_readings), [*alone, *off["image"]])
+    again = calib.fit(arm, data.of_readings({"eye": kept}))
+    np.testing.assert_array_equal(fit.robot.values, again.robot.values)
+    words = " ".join(fit.report().split())
+    assert f"Outliers left out ({data.n_readings - len(kept)} of {data.n_readings} readings)" in words
+    assert f"pose {data.names[7]}, all {len(off['image'])} readings together, such as eye p" in words
+    assert not any(reason.grade == "CHECK" for reason in fit.verdict.reasons)
+
+
+def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_path):
+    arm, data, off = photographed
+    fit = calib.fit(arm, data)
+    fit.save(str(tmp_path / "out"))
+    rows = json.loads((tmp_path / "out" / "result.json").read_text())["outliers"]
+    lines = (tmp_path / "out" / "residuals.csv").read_text().splitlines()
+    for row, outlier in zip(rows, fit.outliers, strict=True):
+        point = int(data.readings["eye"].details[outlier.reading, 0])
+        assert row["looked_at"] == f"p{point}"
+        assert lines[row["row"]].split(",")[:4] == ["identification", row["pose"], "eye", f"p{point}"]
+    saved = read_saved(tmp_path / "out", arm)
+    (own,), (told,) = of_fit(fit), of_saved(saved, fit.placed, fit.robot)
+    assert own.outlier.sum() == len(fit.outliers) >= 3 + len(off["image"])
+
+    def marked(table):
+        return sorted((table.labels[k], table.targets[k]) for k in np.flatnonzero(table.outlier))
+
+    assert marked(told) == marked(own)
+
+
+def test_so_many_single_readings_cannot_be_outliers(photographed):
+    arm, data, _ = photographed
+    readings, rng = data.readings["eye"], np.random.default_rng(1)
+    chosen = rng.choice(len(readings), len(readings) // 6, replace=False)
+    values = readings.values.copy()
+    values[chosen] += rng.choice([-8.0, 8.0], (len(chosen), 2))
+    fit = calib.fit(arm, replace(data, readings={"eye": replace(readings, values=values)}), exclude_outliers=True)
+    texts = [reason.text for reason in fit.verdict.reasons if reason.code == "many_excluded"]
+    assert len(texts) == 1
+    assert f"of {data.n_readings} readings were excluded: so many cannot be outliers" in texts[0]
 
 
 def test_an_instrument_whose_noise_is_stated_too_small_does_not_make_outliers_of_its_readings(tmp_path):

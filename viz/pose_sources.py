@@ -7,7 +7,7 @@ for each target of the robot, with its predicted positions and nothing measured.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from calib import Fit, Measurements, Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
-from calib.fitting.outliers import Outlier
+from calib.fitting.outliers import Outlier, left_out_with, numbers_by_instrument
 from calib.instruments.kind import FrameInstrument, Instrument
 from calib.judging import findings
 from calib.rows.observed import predicted_readings
@@ -38,7 +38,7 @@ class _Set:
         before, after: Predicted minus measured points of each instrument, by its name, (n, 3) [m].
         predictions: Positions that the calibrated robot predicts at each visit; None without one.
         sigmas: Noise.
-        outliers: Visit and instrument of every reading that is an outlier.
+        outliers: Numbers of the readings that are outliers, by instrument.
     """
 
     group: str
@@ -48,7 +48,7 @@ class _Set:
     after: Mapping[str, FloatArray]
     predictions: PositionUncertainty | None
     sigmas: Sigmas
-    outliers: frozenset[tuple[int, str]] = frozenset()
+    outliers: Mapping[str, IntArray] = field(default_factory=dict)
 
 
 def from_fit(fit: Fit) -> PoseTable:
@@ -58,9 +58,8 @@ def from_fit(fit: Fit) -> PoseTable:
         sets.append(
             of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit))
         )
-    if fit.with_all is not None and fit.excluded:
-        visits = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
-        data = fit.with_all.identification.data.subset(visits)
+    data = _left_out(fit)
+    if data is not None:
         left_out = _judged(EXCLUDED, data, fit.placed, Calibrated(fit.robot, fit.told_positions.at), noise(fit))
         sets.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
     if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
@@ -70,6 +69,20 @@ def from_fit(fit: Fit) -> PoseTable:
             for table, name in zip(sets, names, strict=False)
         ]
     return averaged(concatenate(sets))
+
+
+def _left_out(fit: Fit) -> Measurements | None:
+    """The points that were left out of a fit; where none are measured, the visits left out as a whole; None without."""
+    if fit.with_all is None or not fit.excluded:
+        return None
+    data = fit.with_all.identification.data
+    numbers = left_out_with(fit.excluded, fit.with_all.rows.layout)
+    points = {name: own for name, own in numbers.items() if _measures_points(fit.nominal.instrument(name))}
+    if any(map(len, points.values())):
+        return data.of_readings(points)
+    stay = np.unique(np.concatenate([np.delete(data.readings[name].visits, own) for name, own in numbers.items()]))
+    gone = np.setdiff1d(np.arange(len(data)), stay)
+    return data.subset(gone) if len(gone) and not points else None
 
 
 def of_errors(
@@ -89,7 +102,8 @@ def of_errors(
         outliers: Readings of the set that are outliers.
     """
     before, after = (_position_errors(errors, state) for state in ("before", "after"))
-    marked = frozenset((outlier.pose, outlier.target) for outlier in outliers)
+    rows = fit.validation_rows if group == VALIDATION else fit.rows
+    marked = {} if rows is None else numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
     return _rows(_Set(group, errors.data, fit.placed, before, after, predictions, noise(fit), marked))
 
 
@@ -236,7 +250,7 @@ def _rows_of(source: _Set, instrument: Instrument) -> tuple[PoseTable, IntArray]
         after=measured + after,
         sigma=np.full(len(complete), source.sigmas.get(instrument.name, np.nan)),
         spread=spread,
-        outlier=np.array([(visit, instrument.name) in source.outliers for visit in map(int, visits)], dtype=bool),
+        outlier=np.isin(complete, source.outliers.get(instrument.name, ())),
         targets=tuple(names),
         **_whence(source, visits),
     )
@@ -256,7 +270,7 @@ def _predictions(source: _Set) -> PoseTable:
     data, targets = source.data, source.placed.target_names
     visits = np.repeat(np.arange(len(data)), len(targets))
     unknown = np.full((len(visits), 3), np.nan)
-    marked = {visit for visit, _ in source.outliers}
+    marked = {int(visit) for name, own in source.outliers.items() for visit in source.data.readings[name].visits[own]}
     return PoseTable(
         joints=data.joints[visits],
         measured=unknown,

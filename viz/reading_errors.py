@@ -25,8 +25,8 @@ from calib import Fit, Measurements, Robot
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.fitting.error_sets import STATES, ErrorSet
 from calib.fitting.fit import errors_on
-from calib.fitting.outliers import Outlier
-from calib.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, Readings, View
+from calib.fitting.outliers import left_out_with, numbers_by_instrument
+from calib.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
 from calib.judging import findings
 from calib.robots import kinematics
 from calib.robots.mechanism import RelativeFrame
@@ -123,14 +123,11 @@ def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     if fit.validation is not None and fit.validation_rows is not None:
         sets.append((VALIDATION, fit.validation, fit.validation_rows, findings.validation_outliers(fit)))
     for group, errors, rows, outliers in sets:
-        first = {name: rows.layout.readings_of(name).start for name in rows.layout.instruments}
-        tables += _of_set(group, errors, fit.placed, fit.robot, _numbers(outliers, first))
+        marked = numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
+        tables += _of_set(group, errors, fit.placed, fit.robot, marked)
     if fit.with_all is not None and fit.excluded:
-        layout = fit.with_all.rows.layout
-        left_out = _numbers(fit.excluded, {name: layout.readings_of(name).start for name in layout.instruments})
-        data = fit.with_all.identification.data
-        data = replace(data, readings={name: _some(data.readings[name], np.array(k)) for name, k in left_out.items()})
-        marked = {name: list(range(len(k))) for name, k in left_out.items()}
+        data = fit.with_all.identification.data.of_readings(left_out_with(fit.excluded, fit.with_all.rows.layout))
+        marked = {name: np.arange(len(readings)) for name, readings in data.readings.items()}
         tables += _of_set(EXCLUDED, errors_on(fit.placed, fit.robot, data), fit.placed, fit.robot, marked)
     return _together(tables)
 
@@ -145,12 +142,7 @@ def of_saved(saved: Saved, placed: Robot, calibrated: Robot) -> tuple[ReadingErr
     """
     tables = []
     for group, errors in saved.sets.items():
-        marked: dict[str, list[int]] = {}
-        for visit, name in saved.outliers[group]:
-            numbers = np.flatnonzero(errors.data.readings[name].visits == visit)
-            if len(numbers) == 1:  # else the folder does not say which of them
-                marked.setdefault(name, []).append(int(numbers[0]))
-        tables += _of_set(group, errors, placed, calibrated, marked)
+        tables += _of_set(group, errors, placed, calibrated, saved.outliers[group])
     return _together(tables)
 
 
@@ -182,20 +174,6 @@ def _others(robot: Robot, name: str) -> list[Part]:
     return [part for part in robot.instrument(name).parts if not part.is_position]
 
 
-def _numbers(outliers: tuple[Outlier, ...], first: Mapping[str, int]) -> dict[str, list[int]]:
-    """Which readings of each instrument are outliers, by its name."""
-    numbers: dict[str, list[int]] = {}
-    for outlier in outliers:
-        numbers.setdefault(outlier.target, []).append(outlier.reading - first[outlier.target])
-    return numbers
-
-
-def _some(readings: Readings, chosen: IntArray) -> Readings:
-    covariance = None if readings.covariance is None else readings.covariance[chosen]
-    parts = (readings.visits[chosen], readings.pairs[chosen], readings.values[chosen])
-    return Readings(*parts, covariance, readings.details[chosen])
-
-
 def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     """One table for each part; rows in the order of the sets."""
     result = []
@@ -213,7 +191,7 @@ def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
 
 
 def _of_set(
-    group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, list[int]]
+    group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, IntArray]
 ) -> list[ReadingErrors]:
     """The errors of one set of readings, by instrument and part, pose by pose."""
     data = errors.data

@@ -28,12 +28,12 @@ class Saved:
     Attributes:
         sets: Readings and errors of each set, by its name; the path of the measurements is that name.
         sigmas: Noise of one reading of each instrument that measures points, per axis, by its name [m].
-        outliers: Visit and instrument of every reading of each set that is an outlier.
+        outliers: Numbers of the readings of each set that are outliers, by instrument.
     """
 
     sets: Mapping[str, ErrorSet]
     sigmas: Mapping[str, float]
-    outliers: Mapping[str, frozenset[tuple[int, str]]]
+    outliers: Mapping[str, Mapping[str, IntArray]]
 
 
 def read_saved(folder: Path | str, robot: Robot) -> Saved:
@@ -59,13 +59,11 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
     if IDENTIFICATION not in groups:
         raise DataError(f"{path}: has no rows of the set '{IDENTIFICATION}'; run the fit again")
     sets = {str(group): _error_set(robot, table, np.flatnonzero(groups == group)) for group in dict.fromkeys(groups)}
-    marked: dict[tuple[str, str], list[str]] = {}
-    for row in content["outliers"]:
-        marked.setdefault((row["set"], row["pose"]), []).append(row["target"])
+    marked = np.zeros(len(groups), dtype=bool)
+    marked[[row["row"] - 1 for row in content["outliers"] if row.get("row", len(groups) + 1) <= len(groups)]] = True
+    targets = np.array(table.text("target"))
     outliers = {
-        group: frozenset(
-            (visit, target) for visit, pose in enumerate(errors.data.names) for target in marked.get((group, pose), ())
-        )
+        group: {name: np.flatnonzero(marked[(groups == group) & (targets == name)]) for name in errors.data.readings}
         for group, errors in sets.items()
     }
     return Saved(sets, _sigmas(robot, content), outliers)

@@ -5,9 +5,10 @@ fleet says is left out where the readings contradict it (`calib.calibrating.flee
 (`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turns for
 cross-validation, if asked for; also where noise is so far above its statement that nothing else can prove the result.
 
-Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A pose goes
-as a whole, even where only one of its targets is off. After each fit the rest is judged again, up to five times: what a
-gross error hid may show then. Both results stay: that of all poses, and that without outliers.
+Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading
+goes by itself where the others of its visit agree, and its visit as a whole where they are off together
+(`calib.fitting.outliers`). After each fit the rest is judged again, up to five times: what a gross error hid may show
+then. Both results stay: that of all readings, and that without outliers.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 from calib.data.measurements import Measurements
 from calib.fitting.fit import Nearby, fit_data, of_a_part
 from calib.fitting.fitted import Fit
-from calib.fitting.outliers import Outlier
+from calib.fitting.outliers import Outlier, left_out_with
 from calib.fitting.pose_checks import likely_mistake
 from calib.fitting.settings import Settings
 from calib.fitting.terms.candidate_terms import TermChoice, missing_terms
@@ -154,22 +155,29 @@ def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Me
     """Return the fit without outliers; `first` itself if there are none.
 
     Args:
-        first: The fit of all poses.
-        robust: Fits all poses with a robust loss.
-        again: Fits some of the poses as asked.
+        first: The fit of all readings.
+        robust: Fits all readings with a robust loss.
+        again: Fits some of the readings as asked.
     """
     data = first.identification.data
-    kept = np.arange(len(data))
+    layout = first.rows.layout
+    kept = {name: np.arange(len(readings)) for name, readings in data.readings.items()}
     excluded: list[Outlier] = []
-    current = first
-    outliers = findings.outliers(first if first.loss == "tukey" else robust())
+    current = first if first.loss == "tukey" else robust()
     for _ in range(_EXCLUSION_ROUNDS):
+        outliers = findings.outliers(current)
         if not outliers:
             break
-        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in outliers]
-        kept = np.delete(kept, sorted({outlier.pose for outlier in outliers}))
-        current = again(data.subset(kept))
-        outliers = findings.outliers(current)
-    if current is first:
+        now = current.rows.layout
+        for outlier in outliers:
+            number = kept[outlier.target][outlier.reading - now.readings_of(outlier.target).start]
+            own = data.readings[outlier.target].visits
+            reading = layout.readings_of(outlier.target).start + int(number)
+            excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
+        for name, gone in left_out_with(outliers, now).items():
+            left = np.delete(kept[name], gone)
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # as a subset has them
+        current = again(data.of_readings(kept))
+    if not excluded:
         return first
     return replace(current, excluded=tuple(excluded), with_all=first)

@@ -235,6 +235,21 @@ class Measurements(Poses):
         )
         return self if len(visits) in (0, len(self)) else self.subset(visits)
 
+    def of_readings(self, numbers: Mapping[str, IntArray]) -> Self:
+        """Return some of the readings, visit by visit, and the visits at which they were made.
+
+        Args:
+            numbers: Which readings of each instrument, by its name: indices (n,); none of others.
+        """
+        chosen = {}
+        for name, own in numbers.items():
+            readings = self.readings[name]
+            covariance = None if readings.covariance is None else readings.covariance[own]
+            parts = (readings.visits[own], readings.pairs[own], readings.values[own])
+            chosen[name] = Readings(*parts, covariance, readings.details[own])
+        visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
+        return replace(self, readings=chosen).subset(visits)
+
     @worded
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
         """Hold out a random part of the poses for validation; repeats of one pose stay together.

@@ -13,7 +13,7 @@ from calib.base.words import counted, listed
 from calib.data.measurements import Measurements
 from calib.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.fitting.fitted import Fit
-from calib.fitting.outliers import Outlier, blocks
+from calib.fitting.outliers import Outlier, blocks, outliers_in_words
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.judging import findings
 from calib.judging.reasons import Code, Reason
@@ -32,7 +32,7 @@ RIGID = 1e-6
 COSTLY = 0.36
 """Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
 EXCLUDED = 0.1
-"""Part of the poses that may be outliers."""
+"""Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
 """Found noise over the scatter of repeats from which something systematic is left."""
 ROUNDED = 0.2
@@ -125,7 +125,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         (" among the poses that were not used", findings.validation_outliers(fit)),
     ):
         if outlying:
-            words = listed([str(outlier) for outlier in outlying], "; ")
+            words = listed(outliers_in_words(outlying), "; ")
             yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
@@ -135,10 +135,12 @@ def outliers(fit: Fit) -> Iterator[Reason]:
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)
         poses = total - len(fit.identification.data)
-        if poses > EXCLUDED * total:
+        readings = fit.with_all.rows.layout.n_readings
+        gone = readings - fit.rows.layout.n_readings
+        if poses > EXCLUDED * total or gone > EXCLUDED * readings:
+            of_all = f"{poses} of {total} poses" if poses > EXCLUDED * total else f"{gone} of {readings} readings"
             yield Code.MANY_EXCLUDED.says(
-                f"{poses} of {total} poses were excluded: so many cannot be outliers; the model or the measurements"
-                " are wrong"
+                f"{of_all} were excluded: so many cannot be outliers; the model or the measurements are wrong"
             )
 
 

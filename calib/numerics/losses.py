@@ -227,15 +227,20 @@ class Studentised(ReadOnlyArrays):
         ratio: T over its scale, (n_readings,).
         leverage: Mean over the rows, (n_readings,).
         largest_leverage: That of the worst direction, (n_readings,).
-        p_value: Chance of such a reading among good measurements of this number, (n_readings,).
+        chance: Chance of such a reading where it is the only one, (n_readings,).
         scale: Scale of T.
     """
 
     ratio: FloatArray
     leverage: FloatArray
     largest_leverage: FloatArray
-    p_value: FloatArray
+    chance: FloatArray
     scale: float
+
+    @property
+    def p_value(self) -> FloatArray:
+        """Chance of such a reading among good measurements of this number, (n_readings,)."""
+        return np.minimum(1.0, len(self.chance) * self.chance)
 
     @property
     def outliers(self) -> IntArray:
@@ -286,5 +291,5 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
-    p_value = np.minimum(1.0, len(ratio) * scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
-    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, scale)
+    chance = scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths)
+    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)

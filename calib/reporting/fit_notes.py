@@ -7,6 +7,7 @@ import numpy as np
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
 from calib.base.words import counted, listed, sentence
 from calib.fitting.fitted import Fit
+from calib.fitting.outliers import outliers_in_words
 from calib.fitting.terms.joint_curves import joint_curves
 from calib.fitting.terms.term_choice import TELLS
 from calib.judging import findings
@@ -232,8 +233,11 @@ def outliers_left_out(fit: Fit) -> list[str]:
         return []
     before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
     scale, unit = _unit(fit)
+    layout, left = fit.with_all.rows.layout, fit.rows.layout.n_readings
+    several = layout.n_readings > len(np.unique(layout.visit))
+    count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""
     return [
-        f"Outliers left out: {listed([str(outlier) for outlier in fit.excluded], '; ')}. With them: RMS"
+        f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ')}. With them: RMS"
         f" {before:.4f} {unit}, noise {scale * fit.with_all.sigma:.4g} {unit}; without: RMS {after:.4f} {unit}"
     ]
 

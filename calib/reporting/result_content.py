@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from calib.base.arrays import IntArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.base.version import PROGRAM
 from calib.base.words import as_data
@@ -170,10 +171,27 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
     }
 
 
+def residual_places(fit: Fit) -> dict[str, IntArray]:
+    """Return the row of `residuals.csv` of each reading of each set, counted from 0: visit by visit, set after set."""
+    places: dict[str, IntArray] = {}
+    count = 0
+    for label, rows in (("identification", fit.rows), ("validation", fit.validation_rows)):
+        if rows is not None:
+            place = np.empty(rows.layout.n_readings, dtype=np.intp)
+            place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+            places[label], count = place, count + len(place)
+    return places
+
+
 def outlier_rows(fit: Fit) -> list[dict[str, object]]:
-    """Return the outliers of both sets, worst first in each."""
-    rows = [_outlier(fit, "identification", outlier) for outlier in findings.outliers(fit)]
-    return rows + [_outlier(fit, "validation", outlier) for outlier in findings.validation_outliers(fit)]
+    """Return the outliers of both sets, worst first in each, with their rows of `residuals.csv`, counted from 1."""
+    both = {"identification": findings.outliers(fit), "validation": findings.validation_outliers(fit)}
+    places = residual_places(fit)
+    return [
+        _outlier(fit, label, outlier) | {"row": int(places[label][outlier.reading]) + 1}
+        for label, outliers in both.items()
+        for outlier in outliers
+    ]
 
 
 def excluded_rows(fit: Fit) -> list[dict[str, object]]:
@@ -188,6 +206,8 @@ def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]
         "pose": None if errors is None else errors.data.names[outlier.pose],
         "where": outlier.label,
         "target": outlier.target,
+        "looked_at": outlier.looked_at,
+        "together": outlier.together,
         "distance": outlier.distance * _error_scale(errors, outlier),
         "size": outlier.size,
         "over_noise": outlier.studentised,

@@ -67,6 +67,7 @@ class _Outlier(_Part):
     set: str
     pose: str | None
     target: str
+    row: _Count | None = None
 
 
 class _Curve(_Part):

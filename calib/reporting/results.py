@@ -39,7 +39,7 @@ from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
 from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import VALUES, files_of, name_of_values
-from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, to_dict
+from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, residual_places, to_dict
 from calib.robots.description import description_yaml
 from calib.robots.held import Holds
 from calib.robots.urdf.text import UrdfText, apply_edits
@@ -141,14 +141,13 @@ def _residual_table(fit: Fit) -> str:
     A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
     """
     blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
-    count = 0
+    count, of_sets = 0, residual_places(fit)
     for label, error_set in error_sets(fit):
         if label == "cross_validation":
             continue
         rows = fit.rows if label == "identification" else fit.validation_rows
         assert rows is not None
-        place = np.empty(rows.layout.n_readings, dtype=np.intp)
-        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+        place = of_sets[label]
         count += len(place)
         by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
         blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]

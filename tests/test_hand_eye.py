@@ -193,3 +193,31 @@ def test_exported_files_hold_the_same_transform():
     assert "calibration_type: eye_on_base" in made["easy_handeye2.calib"].decode()
     compile(made["camera_pose.launch.py"], "camera_pose.launch.py", "exec")
     assert content(result, Frames())["camera_on"] == "base"
+
+
+def test_corners_that_are_off_go_by_themselves_and_are_no_doubt():
+    clean = scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4)
+    assert not np.any(starts.points_off(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
+    off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
+    pixels = clean.pixels.copy()
+    pixels[list(off)] += list(off.values())
+    result, without = (calibrate(one, INTRINSICS, mounts=("tool",)) for one in (replace(clean, pixels=pixels), clean))
+    told = {(point.image, point.pixel) for point in result.points_off}
+    assert told == {(clean.names[clean.image[k]], tuple(pixels[k].tolist())) for k in off}
+    distances = sorted((point.distance for point in result.points_off), reverse=True)
+    assert np.allclose(distances, sorted((np.hypot(*step) for step in off.values()), reverse=True), atol=1.2)  # 4 sigma
+    assert judge(result).grade == judge(without).grade == "PASS"
+    assert rms(result.left.board) < 1.02 * rms(without.left.board)
+    assert f"4 of {len(pixels)}: " in report(result, Frames())
+    assert len(content(result, Frames())["points_left_out"]) == 4
+
+
+def test_so_many_corners_off_are_a_reason_to_look():
+    one = scene(12, "tool", seed=4, noise=0.1)
+    generator, pixels = np.random.default_rng(1), one.pixels.copy()
+    chosen = np.concatenate([np.flatnonzero(one.image == i)[[1, 8, 17]] for i in range(12)])
+    pixels[chosen] += generator.choice([-6.0, 6.0], (len(chosen), 2))
+    result = calibrate(replace(one, pixels=pixels), INTRINSICS, mounts=("tool",))
+    assert len(result.points_off) >= len(chosen) - 2
+    assert judge(result).grade == "CHECK"
+    assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)

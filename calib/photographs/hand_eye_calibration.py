@@ -1,11 +1,11 @@
 """Hand-eye calibration from photographs, with a robot that is taken as it is: found, and judged by images left out.
 
-Order of work: (1) where to begin (`calib.photographs.starts`); (2) images that lie far off where the others put them
-are set aside and named; (3) the lens: intrinsics as given, or found from the same images, whichever predicts images
-that are left out in turn better; (4) every point alike or images weighed by what their points share
-(`calib.photographs.estimation`), by the same rule; (5) what the camera alone leaves, the board placed freely in each
-image: the rest comes with the robot's poses; (6) mistakes that would explain what is left
-(`calib.photographs.mistakes`).
+Order of work: (1) where to begin (`calib.photographs.starts`); (2) points that lie far off where the others of their
+image put them are left out, and images that lie far off where the other images put them are set aside, all by name;
+(3) the lens: intrinsics as given, or found from the same images, whichever predicts images that are left out in turn
+better; (4) every point alike or images weighed by what their points share (`calib.photographs.estimation`), by the same
+rule; (5) what the camera alone leaves, the board placed freely in each image: the rest comes with the robot's poses;
+(6) mistakes that would explain what is left (`calib.photographs.mistakes`).
 
 "Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.
 """
@@ -25,7 +25,15 @@ from calib.instruments.camera import NAMES
 from calib.photographs.estimation import Estimate, Noise, Prior, estimate, left_out, plain
 from calib.photographs.mistakes import Mistake, find_mistakes
 from calib.photographs.scene import Mount, Placed, Scene, linearised, on_board, residuals
-from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
+from calib.photographs.starts import (
+    LEAST_IMAGES,
+    Start,
+    camera_alone,
+    image_rms,
+    intrinsics_at_first,
+    points_off,
+    start,
+)
 
 LENSES = ("auto", "given", "found")
 _GAIN = 1.0
@@ -48,6 +56,21 @@ class LeftOut(ReadOnlyArrays):
 
     pixels: FloatArray
     board: FloatArray
+
+
+@dataclass(frozen=True)
+class OffPoint:
+    """A point that does not fit the others of its image.
+
+    Attributes:
+        image: Name of the image.
+        pixel: Where it was found [px].
+        distance: How far from where the others put it [px].
+    """
+
+    image: str
+    pixel: tuple[float, float]
+    distance: float
 
 
 @dataclass(frozen=True)
@@ -76,6 +99,7 @@ class HandEye(ReadOnlyArrays):
         left: The images left out in turn.
         alone: What the camera alone leaves, (m, 2) [px]; NaN where too few points were seen.
         off: Images that were set aside.
+        points_off: Points of other images that were left out, furthest first.
         mistakes: What would explain what is left, largest first.
         intrinsics_given: As given, (9,); None where none were.
         rms_given: At images left out with intrinsics as given [px]; NaN where none were or not tried.
@@ -87,6 +111,7 @@ class HandEye(ReadOnlyArrays):
     left: LeftOut
     alone: FloatArray
     off: tuple[OffImage, ...]
+    points_off: tuple[OffPoint, ...]
     mistakes: tuple[Mistake, ...]
     intrinsics_given: FloatArray | None
     rms_given: float
@@ -174,9 +199,9 @@ def calibrate(
         raise DataError("intrinsics are to stay as given, and none are; give --camera FILE")
     scene = _in_order_of_content(scene)
     first = intrinsics_at_first(scene) if intrinsics is None else intrinsics
-    begin = start(scene, first, mounts=mounts)
+    begin, points = _without_points_off(start(scene, first, mounts=mounts), first)
     tell(1, 5)
-    sure = replace(begin.scene)
+    sure = begin.scene
     kept, begin = _without_off(sure, begin, intrinsics, lens)
     off = _named_off(sure, kept, begin)
     kept_scene = sure.only(kept)
@@ -206,7 +231,8 @@ def calibrate(
     of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
     mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens)
     tell(5, 5)
-    return HandEye(kept_scene, fitted, left, alone, off, mistakes, intrinsics, rms_given, weighed)
+    points = tuple(point for point in points if point.image in kept_scene.names)
+    return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)
 
 
 def _in_order_of_content(scene: Scene) -> Scene:
@@ -265,6 +291,18 @@ def _lenses(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArray | 
         plain(scene, begin, ())  # says what the images do not determine
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
+
+
+def _without_points_off(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
+    """Where to begin without points that do not fit their image, and these, furthest first."""
+    scene = begin.scene
+    far = points_off(scene, intrinsics, tuple(NAMES.index(name) for name in _LENS))
+    off = [
+        OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
+        for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
+    ]
+    kept = scene.of_points(far == 0) if off else scene
+    return Start(kept, begin.placed, image_rms(kept, begin.placed) if off else begin.rms), tuple(off)
 
 
 def _without_off(scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str) -> tuple[BoolArray, Start]:

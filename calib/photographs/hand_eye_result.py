@@ -16,6 +16,7 @@ from calib.photographs.hand_eye_calibration import HandEye, rms
 from calib.photographs.scene import SIDES
 
 _FEW = 10  # images below which a result is one to look at
+_MANY = 0.1  # part of the points left out, above which something is wrong with the photographs
 _LITTLE_TURN = np.deg2rad(15)
 _ROBOT_SHARE = 0.5
 _MM = 1e3
@@ -54,6 +55,12 @@ def judge(result: HandEye) -> Judgement:
         reasons.append(
             f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
             f" {np.rad2deg(image.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
+        )
+    gone, points = len(result.points_off), len(result.points_off) + len(scene.pixels)
+    if gone > _MANY * points:
+        reasons.append(
+            f"{gone} of {points} points do not fit the others of their image: so many cannot be chance; look at the"
+            " photographs (blur, reflections, a board that is not flat)"
         )
     axes = turning(scene)
     if len(scene) < _FEW:
@@ -107,6 +114,14 @@ def report(result: HandEye, frames: Frames) -> str:
         f"Images used: {rms(result.pixels):.3f} px RMS; on the board {_MM * rms(result.board):.3f} mm RMS, mean"
         f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
     )
+    if result.points_off:
+        named = [
+            f"{p.image} at {p.pixel[0]:.0f}, {p.pixel[1]:.0f} px ({p.distance:.1f} px off)" for p in result.points_off
+        ]
+        lines.append(
+            f"Points left out, which do not fit the others of their image: {len(named)} of"
+            f" {len(named) + len(scene.pixels)}: {listed(named, '; ')}"
+        )
     lines.append(_shares(result))
     worst = np.argsort(-by_image)[:3]
     lines.append("Largest: " + listed([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
@@ -194,6 +209,10 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         "set_aside": [
             {"name": image.name, "rms_px": image.rms, "shift_m": image.shift, "turn_rad": image.turn}
             for image in result.off
+        ],
+        "points_left_out": [
+            {"image": point.image, "u": point.pixel[0], "v": point.pixel[1], "distance_px": point.distance}
+            for point in result.points_off
         ],
         "mistakes": [{"code": mistake.code, "text": mistake.text} for mistake in result.mistakes],
     }  # fmt: skip

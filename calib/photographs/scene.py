@@ -75,6 +75,10 @@ class Scene(ReadOnlyArrays):
             pixels=self.pixels[kept],
         )
 
+    def of_points(self, chosen: BoolArray) -> Scene:
+        """Return the scene with some of the points, (m,), and all images."""
+        return replace(self, image=self.image[chosen], body=self.body[chosen], pixels=self.pixels[chosen])
+
     def sums(self, values: FloatArray) -> FloatArray:
         """Return sums over the points of each image of values (m, ...), (n, ...)."""
         result = np.zeros((len(self), *values.shape[1:]))

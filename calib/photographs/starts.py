@@ -17,13 +17,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, NotIdentifiableError
 from calib.instruments.camera import LEAST_POINTS, rays, view_poses
 from calib.instruments.hand_eye import fixed_poses
+from calib.numerics.chances import FALSE_ALARM
+from calib.numerics.losses import median_length
 from calib.photographs.estimation import Noise, normal_equations
-from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals
+from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
 
 _TRIALS = 25
 _GOOD = 5.0  # px, of most images: then there is no need to ask subsets
@@ -33,6 +36,10 @@ _ROUNDS = 25
 _SEED = 0
 _LOST = 1e14  # condition of the pose of a board
 _FAR = 2.5  # medians from which an image counts less
+_NO_NOISE = 1e-9  # px: rounding of pixels that were computed
+_SMALLEST = 1e-6  # part of the noise of a point that its image leaves, below which none is left
+LEAST_ALONE = 6
+"""Points of an image that its own pose cannot explain."""
 LEAST_IMAGES = 3
 
 
@@ -206,23 +213,41 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
         intrinsics: To begin with.
         free: Which of them are sought.
     """
-    use = scene.counts >= 6
+    alone = _board_free(scene, intrinsics, free)
+    result = np.full_like(scene.pixels, np.nan)
+    if alone is None:
+        return result, intrinsics
+    result[np.isin(scene.image, alone.images)] = residuals(alone.scene, alone.placed)
+    return result, alone.placed.intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class _Alone(ReadOnlyArrays):
+    """The board placed freely in each image: `tool` of the scene is the board in the camera."""
+
+    scene: Scene
+    placed: Placed
+    images: IntArray
+
+
+def _board_free(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> _Alone | None:
+    """Place the board in each image with enough points; None where no pose explains one. See `camera_alone`."""
+    use = scene.counts >= LEAST_ALONE
     if free and np.sum(use) < LEAST_IMAGES:
         free = ()
     used = scene.only(use)
-    result = np.full_like(scene.pixels, np.nan)
     if len(used) == 0:
-        return result, intrinsics
+        return None
     views, _ = single_views(used, intrinsics)
     # each image a robot pose of its own: the camera in the base, the board on the tool at the origin
     placed = Placed(np.eye(4), np.eye(4), intrinsics)
     alone = replace(used, tool=views, mount="base")
     for _ in range(_ROUNDS):
         linear = linearised(alone, placed, free)
-        if np.max(np.linalg.cond(linear.gg)) > _LOST or not np.all(np.isfinite(linear.gg)):
-            return result, intrinsics  # no pose of the board explains an image
+        if not np.all(np.isfinite(linear.gg)) or np.max(np.linalg.cond(linear.gg)) > _LOST:
+            return None
         inverse = np.linalg.inv(linear.gg)
-        change = np.zeros(0)
+        pull = linear.gr
         if free:
             jg, jj, jr = linear.jg[:, 12:], linear.jj[:, 12:, 12:], linear.jr[:, 12:]
             a = np.sum(jj - jg @ inverse @ jg.transpose(0, 2, 1), axis=0)
@@ -230,8 +255,6 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
             change = -np.linalg.lstsq(a, b, rcond=1e-12)[0]
             pull = linear.gr + np.einsum("nba,b->na", jg, change)
             placed = placed.moved(np.concatenate([np.zeros(12), change]), free)
-        else:
-            pull = linear.gr
         steps = -np.einsum("nab,nb->na", inverse, pull)
         moved = np.array(
             [
@@ -242,5 +265,62 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
         alone = replace(alone, tool=moved)
         if np.max(np.abs(steps)) < 1e-10:
             break
-    result[use[scene.image]] = residuals(alone, placed)
-    return result, placed.intrinsics
+    return _Alone(alone, placed, np.flatnonzero(use))
+
+
+def points_off(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...]) -> FloatArray:
+    """Return how far points lie from where the others of their image put them, (m,) [px]; 0 of those that agree.
+
+    The board is placed freely in each image, so that neither the robot nor another image counts. The point that is
+    furthest off, over what its image lets it be, is left out, and its image placed again, until none of all points is
+    further off than one in a hundred sets of good points has (`calib.numerics.losses`). An image of which more than
+    half would go, or too few points would stay, keeps all: something is wrong with the image, or with its board.
+
+    Args:
+        scene: The images.
+        intrinsics: To begin with.
+        free: Which of them are sought.
+    """
+    far: FloatArray = np.zeros(len(scene.pixels))
+    alone = _board_free(scene, intrinsics, free)
+    if alone is None or 2 * len(alone.scene.pixels) <= 6 * len(alone.scene) + len(free):
+        return far
+    lens, images = alone.placed.intrinsics, alone.images
+    number = np.flatnonzero(np.isin(scene.image, images))  # in the scene, of each point that is judged
+    sizes, lengths = _over_leverage(alone)
+    freedom = 2 * len(number) - 6 * len(images) - len(free)
+    scale = max(float(np.median(sizes)) / float(median_length(np.array([2]))[0]), _NO_NOISE)
+    for i in images:
+        own = np.flatnonzero(scene.image == i)
+        at, gone = np.isin(number, own), np.zeros(len(own), dtype=bool)
+        size, length = sizes[at], lengths[at]
+        while True:
+            chance = len(number) * scipy.special.fdtrc(2, freedom / 2, (size / scale) ** 2 / 2)
+            k = int(np.argmax(np.where(gone, -np.inf, size)))
+            if chance[k] >= FALSE_ALARM:
+                far[own[gone]] = length[gone]
+                break
+            gone[k] = True
+            if 2 * np.sum(gone) > len(own) or np.sum(~gone) < LEAST_ALONE:
+                break
+            others = scene.of_points(np.isin(np.arange(len(far)), own[~gone])).only(np.arange(len(scene)) == i)
+            again = _board_free(others, lens)
+            if again is None:
+                break
+            whole = scene.only(np.arange(len(scene)) == i)
+            shown = _Alone(replace(whole, tool=again.scene.tool, mount="base"), again.placed, again.images)
+            length = np.linalg.norm(residuals(shown.scene, shown.placed), axis=1)
+            size = np.where(gone, length, 0.0)
+            size[~gone] = _over_leverage(again)[0]
+    return far
+
+
+def _over_leverage(alone: _Alone) -> tuple[FloatArray, FloatArray]:
+    """Residuals over what the pose of their image leaves of noise, and their lengths, (m,) [px]."""
+    r, _, g = rows(alone.scene, alone.placed, ())
+    inverse = np.linalg.inv(linearised(alone.scene, alone.placed, ()).gg)[alone.scene.image]
+    left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(left)
+    turned = np.einsum("mba,mb->ma", vectors, r)
+    squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+    return np.sqrt(np.sum(squares, axis=1)), np.linalg.norm(r, axis=1)

@@ -146,7 +146,8 @@ def report(result: HandEye, frames: Frames) -> str:
     lines += [
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
-        f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis"
+        f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
+        " if the robot's errors differ from image to image"
         for title, key, pose in (
             (f"Camera in {parents(result, frames)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {parents(result, frames)[1]}", "board", transform(fitted.placed.board)),

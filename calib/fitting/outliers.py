@@ -125,7 +125,7 @@ def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
 
 
 def left_out_with(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
-    """Return the numbers of the readings that go with outliers, by instrument: each alone, or all of its visit.
+    """Return the numbers of the readings that go with outliers, by instrument (n,): each alone, or all of its visit.
 
     Args:
         outliers: The outliers.
@@ -138,7 +138,7 @@ def left_out_with(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntA
 
 
 def numbers_by_instrument(readings: Sequence[int] | IntArray, layout: Layout) -> dict[str, IntArray]:
-    """Return numbers of readings, counted through all, as numbers among those of each instrument."""
+    """Return numbers of readings (n,), counted through all, as numbers among those of each instrument, (n_own,)."""
     chosen = np.isin(np.arange(layout.n_readings), readings)
     return {name: np.flatnonzero(chosen[layout.readings_of(name)]) for name in layout.instruments}
 

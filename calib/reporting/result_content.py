@@ -172,7 +172,7 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
 
 
 def residual_places(fit: Fit) -> dict[str, IntArray]:
-    """Return the row of `residuals.csv` of each reading of each set, counted from 0: visit by visit, set after set."""
+    """Return the row of `residuals.csv` of each reading of each set, counted from 0, (n,): visit by visit."""
     places: dict[str, IntArray] = {}
     count = 0
     for label, rows in (("identification", fit.rows), ("validation", fit.validation_rows)):

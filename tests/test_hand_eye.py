@@ -201,7 +201,9 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt():
     off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
     pixels = clean.pixels.copy()
     pixels[list(off)] += list(off.values())
-    result, without = (calibrate(one, INTRINSICS, mounts=("tool",)) for one in (replace(clean, pixels=pixels), clean))
+    result, without = (
+        calibrate(images, INTRINSICS, mounts=("tool",)) for images in (replace(clean, pixels=pixels), clean)
+    )
     told = {(point.image, point.pixel) for point in result.points_off}
     assert told == {(clean.names[clean.image[k]], tuple(pixels[k].tolist())) for k in off}
     distances = sorted((point.distance for point in result.points_off), reverse=True)
@@ -213,11 +215,11 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt():
 
 
 def test_so_many_corners_off_are_a_reason_to_look():
-    one = scene(12, "tool", seed=4, noise=0.1)
-    generator, pixels = np.random.default_rng(1), one.pixels.copy()
-    chosen = np.concatenate([np.flatnonzero(one.image == i)[[1, 8, 17]] for i in range(12)])
+    images = scene(12, "tool", seed=4, noise=0.1)
+    generator, pixels = np.random.default_rng(1), images.pixels.copy()
+    chosen = np.concatenate([np.flatnonzero(images.image == i)[[1, 8, 17]] for i in range(12)])
     pixels[chosen] += generator.choice([-6.0, 6.0], (len(chosen), 2))
-    result = calibrate(replace(one, pixels=pixels), INTRINSICS, mounts=("tool",))
+    result = calibrate(replace(images, pixels=pixels), INTRINSICS, mounts=("tool",))
     assert len(result.points_off) >= len(chosen) - 2
     assert judge(result).grade == "CHECK"
     assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)

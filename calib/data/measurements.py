@@ -130,8 +130,8 @@ class Poses(ReadOnlyArrays):
         return replace(
             self,
             joints=self.joints[index],
-            labels=picked(self.labels, index),
-            names=picked(self.names, index),
+            labels=tuple(picked(self.labels, index)),
+            names=tuple(picked(self.names, index)),
             context={key: values[index] for key, values in self.context.items()},
             approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],

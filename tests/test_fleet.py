@@ -111,7 +111,7 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
     truth = fleet_figures.one_more(robot, mean, rng)
     data = calib.simulate(truth, robot.sample(5, rng), seed=rng)
     fit = calib.fit(known, data)
-    far, _, held = fleet_figures.judged(fit, truth, robot.sample(50, rng))
+    far, _, held = fleet_figures.measures(fit, truth, robot.sample(50, rng))
     assert far < 0.5  # mm; nominal robots are off by several, and without the fleet there is no answer
     assert held > 0.8
     assert fit.nominal.description.fleet.unlike == ()

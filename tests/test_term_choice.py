@@ -224,8 +224,8 @@ def test_what_would_make_an_added_term_superfluous_is_not_added():
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
     groups = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
     assert groups == (("gain",), ("harmonics",))
-    assert [search.told(one, groups).evidence for one in search.tried[:2]] == [30, 20]  # each beside the other
-    left_out = search.told(search.tried[2], groups)
+    assert [search.outcome(one, groups).evidence for one in search.tried[:2]] == [30, 20]  # each beside the other
+    left_out = search.outcome(search.tried[2], groups)
     assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
     assert search.chosen() == (("gain",), ("harmonics",), ("curve",))
@@ -248,7 +248,7 @@ def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_o
     groups = search.chosen()
     assert groups == chosen
     if not chosen:
-        why = search.told(search.tried[0], groups).why
+        why = search.outcome(search.tried[0], groups).why
         assert why.startswith("the data cannot tell it from harmonics, and it costs more than it brings: ")
         assert why.endswith("are known to 9.49 mm, to 1 mm without it")
 
@@ -269,7 +269,7 @@ def test_a_kind_is_claimed_where_evidence_and_blocks_left_out_both_say_so(harmon
     search = search_in(table)
     found = search.chosen()
     assert found == groups
-    told = search.told(search.tried[0], found)
+    told = search.outcome(search.tried[0], found)
     assert told.proven == proven
     assert told.alike == ({} if proven else {"harmonics": pytest.approx(20 - harmonics[0])})
     assert told.together == groups[0][1:]

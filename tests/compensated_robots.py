@@ -188,7 +188,9 @@ def angles(rotations, others):
 def of_program(trial, known, goals=None):
     """Errors of a compensated program of joints, or of poses: after, promised, limit, before, not laid; and turns."""
     compensated = calib.compensate(known, trial.program if goals is None else goals)
-    q, commands = trial.program[compensated.ok], compensated.q[compensated.ok]
+    ok = compensated.ok.copy()
+    ok[ok] = trial.truth.close(compensated.q[ok]).ok  # the true robot stops at the end of a passive joint
+    q, commands = trial.program[ok], compensated.q[ok]
     t = trial.nominal.target_names.index(compensated.target)
     (meant, turned), (did, real), (plain, _) = (
         (x[:, t], R[:, t]) for x, R in (trial.frame.meant(q), poses_of(trial.truth, commands), poses_of(trial.truth, q))
@@ -198,8 +200,8 @@ def of_program(trial, known, goals=None):
     rows = {
         "": (
             lengths(did - meant),
-            compensated.expected[compensated.ok],
-            compensated.high95[compensated.ok],
+            compensated.expected[ok],
+            compensated.high95[ok],
             lengths(plain - meant),
             lengths(trial.truth.positions(commands)[:, t] - fixed),
         )
@@ -208,8 +210,8 @@ def of_program(trial, known, goals=None):
         nothing = np.full(len(q), np.nan)
         rows[" (angle)"] = (
             angles(real, turned),
-            compensated.expected_angle[compensated.ok],
-            compensated.high95_angle[compensated.ok],
+            compensated.expected_angle[ok],
+            compensated.high95_angle[ok],
             nothing,
             nothing,
         )

@@ -7,16 +7,19 @@ poses each, with base and reflector elsewhere each time, and calibrated one by o
 Cases: `plain`; `wrong`: one result of the fleet is of a robot ten times as far from the mean in everything; `unlike`:
 the new robot has been repaired, and its elbow is off by 20 spreads. The new robot's poses are random, or with
 `--chosen` those that `calib.select` takes out of 300 for the least error: 5 and 10 knowing the fleet, 20 not knowing
-it. With `--known`, base and reflector are where the description says, for every robot.
+it. With `--known`, base and reflector are where the description says, for every robot. With `--true-model`, the true
+mean and spread stand for the fleet: nothing that could be learned from any fleet is better.
 """
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import calib
+from calib.robots.fleet_prior import FleetParameter, FleetSection
 
 ROBOT = Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml"
 MEAN, SPREAD = 0.7, 0.05  # over what the description expects: of the mean from nominal, of robots from the mean
@@ -89,15 +92,29 @@ def described(folder, known):
     return calib.load(Path(folder) / "arm.yaml")
 
 
-def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False):
+def knowing(robot, mean, spread):
+    """The robot of a model of which mean and spread are known."""
+    sizes = {
+        name: FleetParameter(offset=mean[k] - robot.values[k], spread=spread * robot.parameters[k].sigma_si, unsure=())
+        for k, name in zip(own(robot)[0], names(robot, own(robot)[0]), strict=True)
+    }
+    fleet = FleetSection(robots=1000, noise_freedom=1000.0, parameters=sizes)
+    return replace(robot, description=robot.description.model_copy(update={"fleet": fleet}))
+
+
+def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False, true_model=False):
     """Errors and parts held by what was measured, and what was said of robots that are unlike."""
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
         robot = described(folder, known_place)
         mean = made_up(robot, rng)
-        fleet = calib.fleet(*results_of(robot, folder, n, rng, mean, case == "wrong", spread))
-        fleet.save(Path(folder) / "fleet.yaml")
-        known = calib.load(Path(folder) / "fleet.yaml")
+        if true_model:
+            known, odd = knowing(robot, mean, spread), []
+        else:
+            fleet = calib.fleet(*results_of(robot, folder, n, rng, mean, case == "wrong", spread))
+            odd = [member.name for member in fleet.members if member.odd]
+            fleet.save(Path(folder) / "fleet.yaml")
+            known = calib.load(Path(folder) / "fleet.yaml")
     truth = one_more(robot, mean, rng, spread)
     if case == "unlike":
         place = names(robot, range(len(robot.parameters))).index(REPAIRED)
@@ -129,7 +146,7 @@ def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False):
         figures[name] = measures(fit, truth, q)
         said = fit.nominal.description.fleet
         unlike = said.unlike if said is not None else unlike
-    return figures, [member.name for member in fleet.members if member.odd], unlike
+    return figures, odd, unlike
 
 
 def main():
@@ -140,10 +157,13 @@ def main():
     parser.add_argument("--spread", type=float, default=SPREAD)
     parser.add_argument("--chosen", action="store_true")
     parser.add_argument("--known", action="store_true")
+    parser.add_argument("--true-model", action="store_true")
     told = parser.parse_args()
-    drawn = [draw(seed, told.robots, told.case, told.spread, told.chosen, told.known) for seed in range(told.draws)]
+    chosen = (told.robots, told.case, told.spread, told.chosen, told.known, told.true_model)
+    drawn = [draw(seed, *chosen) for seed in range(told.draws)]
     poses = " ".join(("chosen" if told.chosen else "random", "poses,", "known" if told.known else "new", "places"))
-    print(f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, '{told.case}', {poses}")
+    fleets = "true models" if told.true_model else f"simulated fleets of {told.robots} robots"
+    print(f"{told.draws} {fleets}, spread {told.spread:g}, '{told.case}', {poses}")
     for name in drawn[0][0]:
         error, held, inside = np.array([figures[name] for figures, _, _ in drawn]).T
         if np.any(np.isnan(error)):

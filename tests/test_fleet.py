@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import calib
 from calib.cli import group
-from calib.numerics.hierarchy import Told, learn, learn_without_odd, told_by
+from calib.numerics.hierarchy import Told, learn, learn_without_odd, likeness, told_by
 from calib.numerics.prior import Prior
 
 N, R = 6, 7
@@ -62,6 +62,30 @@ def test_one_wrong_result_is_left_out_and_changes_nothing():
     assert odd == (R,)
     np.testing.assert_allclose(whole.mean, learn([told_exactly(o, 1e6) for o in u], np.zeros(12, dtype=int)).mean)
     assert learn_without_odd([told_exactly(one, 1e6) for one in u], np.zeros(12, dtype=int))[1] == ()
+
+
+def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody_else():
+    rng = np.random.default_rng(4)
+    named, alarms = 0, 0
+    for _ in range(20):
+        u = 0.05 * rng.standard_normal((5, 12)) + rng.standard_normal(12)
+        scatter = 0.05 * np.exp(0.5 * rng.standard_normal(12)) / np.sqrt(1000.0)  # noise, of other sizes
+        told = [Told(np.diag(scatter**-2), (one + scatter * rng.standard_normal(12)) / scatter**2) for one in u]
+        alarms += bool(learn_without_odd(told, np.zeros(12, dtype=int))[1])
+        far = u[0] + 10 * (u[0] - u.mean(axis=0))
+        told[0] = Told(told[0].precision, far / scatter**2)
+        named += learn_without_odd(told, np.zeros(12, dtype=int))[1] == (0,)
+    assert (named, alarms) == (20, 0)
+
+
+def test_the_mean_of_squares_of_students_t_is_judged_by_its_own_quantiles():
+    count, freedom = 12, 7.0
+    squares = np.random.default_rng(5).standard_t(freedom, (200_000, count)) ** 2 * (freedom - 2) / freedom
+    for part in (0.5, 0.05, 0.01, 0.001):
+        together = np.quantile(np.mean(squares, axis=1), 1 - part)
+        told = Told(1e12 * np.eye(count), 1e12 * np.sqrt(together) * np.ones(count))
+        compared = likeness(told, np.zeros(count), np.eye(count), np.full(count, freedom))
+        assert 0.5 * part < compared.p_together < 1.5 * part
 
 
 def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():

@@ -22,16 +22,19 @@ The last line is repeated until it stands. It is restricted marginal likelihood,
 tails; a normal with their variance stands for them, t_k^2 f_k / (f_k - 2), which holds 95 % as it should.
 
 Who is unlike the others is asked of the others: learned without result i, they expect u_i ~ N(m, D + V), D the diagonal
-of these variances. In the combinations in which that is wider than the noise of result i, scaled to variance 1, the
-mean square is tested by F with the typical f_k. That one parameter alone has another value is tested by Student's t,
-as an added variable is: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of
-B - B S B its variance, so that a parameter of which only sums are known is tested by these. The least likely is left
-out, and all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together. So one
-wrong result changes nothing, and does not hide behind the spread that it makes.
+of these variances. In the K combinations in which that is wider than the noise of result i, scaled to variance 1, the
+mean square is tested. It is a mean of K squares, each Student's t with the typical f_k = f, scaled likewise: its mean
+is 1 and its variance 2 (f - 1) / (f - 4) / K. The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom
+has the same two, and stands for it: many spreads, each roughly known, are together known well. That one parameter alone
+has another value is tested by Student's t, scaled too, as an added variable is: with B = (D + V)^-1 and
+S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of B - B S B its variance, so that a parameter of
+which only sums are known is tested by these. Both ways of being unlike have half of the chance. The least likely result
+is left out, and all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together.
+So one wrong result changes nothing, and does not hide behind the spread that it makes.
 
 When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
 together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
-are.
+are; spreads of a kind that differ tenfold, told by three results: in one fleet of ten an honest one is called unlike.
 
 Reference: patterson1971; gelman2006 for the weight of spreads that few things tell.
 """
@@ -110,9 +113,11 @@ class Likeness(ReadOnlyArrays):
     p_together: float
 
     def p_value(self) -> float:
-        """Return the chance of the least likely of all that, corrected for their number; NaN without a test."""
-        p = np.append(self.p_values[np.isfinite(self.p_values)], [self.p_together] * bool(np.isfinite(self.p_together)))
-        return float(min(1.0, len(p) * np.min(p))) if len(p) else np.nan
+        """Return the chance of the less likely of the two, corrected for the number of tests; NaN without a test."""
+        single = self.p_values[np.isfinite(self.p_values)]
+        chances = [len(single) * float(np.min(single))] if len(single) else []
+        chances += [self.p_together] if np.isfinite(self.p_together) else []
+        return float(min(1.0, len(chances) * min(chances))) if chances else np.nan
 
 
 def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float) -> Told:
@@ -213,7 +218,7 @@ def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: Floa
     known = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
     shown = known > _SHOWN * np.diag(before)
     distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
-    p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances))
+    p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances) * np.sqrt(freedom / (freedom - 2.0)))
     sizes, axes = np.linalg.eigh(result.precision)
     kept = sizes > _NOTHING
     root = axes[:, kept] * np.sqrt(sizes[kept])
@@ -223,7 +228,9 @@ def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: Floa
         return Likeness(distances, p_values, np.nan, np.nan)
     noise = turned.T @ (axes[:, kept].T @ pull / np.sqrt(sizes[kept]))
     together = float(np.mean(noise[wide] ** 2 / (1.0 + ratios[wide])))
-    chance = float(scipy.special.fdtrc(np.sum(wide), np.median(freedom[shown]), together))
+    count = int(np.sum(wide))
+    of_mean = 4.0 + (count + 2.0) * (float(np.median(freedom[shown])) - 4.0) / 3.0
+    chance = float(scipy.special.fdtrc(count, of_mean, together * of_mean / (of_mean - 2.0)))
     return Likeness(distances, p_values, float(np.sqrt(together)), chance)
 
 

@@ -50,18 +50,19 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
 
 
 _KEY = """\
-**How to read it.**
-
-- *Better, tie, worse*: on how many splits a code predicts unseen rows better than this project (the line without
-  numbers there), equally well, or worse. Differences are tested row by row (paired t of squared errors, at least 1 % of
-  the RMS; chance 1 in 1000 for arms, whose rows follow each other in a file, 1 in 100 for images and printers). In the
-  tables of errors ▲ marks a code that is better, = a tie, bold the smallest of a line.
-- *Claimed / true*: the error that a code states for the calibrated robot over that of unseen rows: 1 is true, below 1
-  promises too much. \\*: the code claims nothing about new poses; this is the RMS of its own residuals.
-- *Verdict right*: PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot,
-  otherwise another grade.
-- Times are processor time of the fit and of the whole process; memory is its maximum. All are medians over the
-  splits. Lines are those that a user writes for one problem."""
+| column | meaning |
+|---|---|
+| better, tie, worse | on how many splits a code predicts unseen rows better than this project (the line without \
+numbers), equally well, or worse. Differences are tested row by row: paired t of squared errors, at least 1 % of the \
+RMS; chance 1 in 1000 for arms, whose rows follow each other in a file, 1 in 100 for images and printers |
+| claimed / true | the error that a code states for the calibrated robot, over that of unseen rows: 1 is true, below 1 \
+promises too much. \\*: the code claims nothing about new poses; this is the RMS of its own residuals |
+| verdict right | PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot, \
+otherwise another grade |
+| fit, command, memory | processor time of the fit and of the whole process, and its largest memory: medians over the \
+splits |
+| lines | those that a user writes for one problem |
+| errors | ▲ marks a code that is better, = a tie, bold the smallest of a line |"""
 
 
 def _problem(row: Row) -> str:

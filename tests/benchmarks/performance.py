@@ -160,8 +160,8 @@ def page(robots, rounds, draws):
     """Lines of docs/performance.md."""
     yield """# Performance
 
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Compared
-things ran in turns in the same run, with one thread of linear algebra; the shortest of 15 turns is the figure.
+For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. What
+is compared ran in turns in one run, with one thread of linear algebra; figures are the shortest of 15 turns.
 `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
 [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 
@@ -170,9 +170,9 @@ things ran in turns in the same run, with one thread of linear algebra; the shor
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
 `computeJointJacobians` of the same model for each pose, called from Python, nothing read out.
 
-With the extra `fast`, numba compiles the same formulas (to 1e-12 the same numbers). Studies of many calibrations,
-sampling and compensating many poses, and work on thousands of poses at once use it;
-`with calib.robots.acceleration.compiled():` asks for it. Compiling takes tens of seconds, once for each version.
+With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes tens of seconds once
+for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
+once use it, and so does code under `with calib.robots.acceleration.compiled():`.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
@@ -186,9 +186,9 @@ move none of them, or all of them alike, are not in the model.
     yield """\
 ## A fit against a hand-written one
 
-`tests/benchmarks/hand_written.py` is what somebody writes for one serial arm: batched numpy, Gauss-Newton steps, no
-checks, no statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a
-millionth. `calib.fit` judges data, rank and convergence, and computes covariances, intervals and errors as well.
+`tests/benchmarks/hand_written.py` is a fit for one serial arm: batched numpy, Gauss-Newton steps, no checks, no
+statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a millionth.
+`calib.fit` also judges data, rank and convergence, and computes covariances, intervals and errors.
 
 | arm | poses | unknowns | `calib.fit` over hand-written | with `fast` | evaluations | hand-written |
 |---|---:|---:|---:|---:|---:|---:|"""
@@ -198,7 +198,7 @@ millionth. `calib.fit` judges data, rank and convergence, and computes covarianc
     yield f"""
 ## Many calibrations
 
-A draw of [`calib.study`](howto/many_calibrations.md) gives the numbers of a fit by itself, but shares what it can.
+A draw of [`calib.study`](howto/many_calibrations.md) gives the numbers of a single fit in less time.
 MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
 
 | | a fit by itself takes as long as | processor time of a draw | of 10 000 draws, shared by two free cores |
@@ -209,9 +209,9 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     yield """
 ## Whole commands
 
-From the prompt to the next, simulated measurements, all modules compiled to byte code, kinematics by numba. The unit is
-a program that only imports the libraries that a fit with pages needs; times are those of the machine that made this
-page. Many rows ran once. Alone: `python tests/benchmarks/whole_commands.py`.
+From one prompt to the next, with simulated measurements, modules compiled to byte code, and kinematics by numba. The
+unit is a program that only imports the libraries that a fit with pages needs; times are those of the machine that made
+this page. Many rows ran once. Alone: `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """

@@ -160,8 +160,8 @@ def page(robots, rounds, draws):
     """Lines of docs/performance.md."""
     yield """# Performance
 
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. What
-is compared ran in turns in one run, with one thread of linear algebra; figures are the shortest of 15 turns.
+For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. All
+that is compared ran in turns in one run, with one thread of linear algebra; figures are the shortest of 15 turns.
 `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
 [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 
@@ -180,8 +180,8 @@ once use it, and so does code under `with calib.robots.acceleration.compiled():`
     for row in rows:
         yield f"| {' | '.join(row)} |"
     yield f"""
-Page faults of one more such step, without numba: {faults}. One kinematic regressor serves all frames, and joints that
-move none of them, or all of them alike, are not in the model.
+Page faults of one more step of a fit, without numba: {faults}. One kinematic regressor serves all frames, and joints
+that move none of them, or all of them alike, are not in the model.
 """
     yield """\
 ## A fit against a hand-written one

@@ -431,18 +431,19 @@ def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], c
         raise ValueError(f"columns of different lengths: {sorted(lengths)}")
     for start in range(0, max(lengths, default=0), _PART):
         written = [_written_cells(values[start : start + _PART]) for _, values in columns]
-        if any(cell.lstrip().startswith("#") for cell in written[0]):
+        if any(map(_like_comment, written[0])):
             for cells in zip(*written, strict=True):
-                (quoting if cells[0].lstrip().startswith("#") else writer).writerow(cells)  # it looks like a comment
+                (quoting if _like_comment(cells[0]) else writer).writerow(cells)
         else:
             writer.writerows(zip(*written, strict=True))
     return stream.getvalue()
 
 
-def _written_cells(values: Sequence[object] | FloatArray) -> list[str]:
-    """Cells of a column as they are written."""
+def _written_cells(values: Sequence[object] | FloatArray) -> Sequence[str | float]:
+    """Cells of a column as they are written; of finite floats, the writer itself writes all digits."""
     if isinstance(values, np.ndarray) and values.dtype == np.float64:
-        return [repr(value) if math.isfinite(value) else "" for value in values.tolist()]
+        numbers: list[float] = values.tolist()
+        return numbers if np.all(np.isfinite(values)) else [x if math.isfinite(x) else "" for x in numbers]
     known: dict[str, str] = {}
     return [
         repr(float(value))
@@ -452,6 +453,10 @@ def _written_cells(values: Sequence[object] | FloatArray) -> list[str]:
         else known.setdefault(text, _written_text(text))
         for value in values
     ]
+
+
+def _like_comment(cell: str | float) -> bool:
+    return isinstance(cell, str) and cell.lstrip().startswith("#")
 
 
 def _like_formula(text: str) -> bool:

@@ -89,7 +89,7 @@ def scatter(
     core, leverage, moved, mean, squares = np.zeros((k, k)), np.zeros((k, k)), 0.0, 0.0, 0.0
     decided_parts, fourth = 0.0, 0.0
     for rows in _of_equal_length(block):
-        span = jacobian[rows] @ root
+        span = _span(jacobian, root, rows)
         values, errors, directions = _directions(span, residuals[rows])
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
@@ -125,6 +125,11 @@ def _of_equal_length(block: IntArray) -> Iterator[IntArray]:
         at_once = max(_ROWS_AT_ONCE // count, 1)
         for k in range(0, len(starts), at_once):
             yield order[starts[k : k + at_once, None] + np.arange(count)]
+
+
+def _span(jacobian: FloatArray, root: FloatArray, rows: IntArray) -> FloatArray:
+    """U of the rows of n blocks (n, m), (n, m, k): one product, so that T is read once and not for every block."""
+    return (jacobian[rows.ravel()] @ root).reshape(*rows.shape, -1)
 
 
 def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -164,7 +169,7 @@ def pulls_without(
     """
     pulls, largest = np.zeros((n_blocks, root.shape[1])), np.zeros(n_blocks)
     for rows in _of_equal_length(block):
-        values, errors, directions = _directions(jacobian[rows] @ root, residuals[rows])
+        values, errors, directions = _directions(_span(jacobian, root, rows), residuals[rows])
         numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
         left = np.maximum(1.0 - values, _NONE)
@@ -185,7 +190,7 @@ def foretold(jacobian: FloatArray, root: FloatArray, residuals: FloatArray, bloc
     """
     result = residuals.copy()
     for rows in _of_equal_length(block):
-        span, errors = jacobian[rows] @ root, residuals[rows][:, :, None]
+        span, errors = _span(jacobian, root, rows), residuals[rows][:, :, None]
         across = span.transpose(0, 2, 1)
         if span.shape[1] <= span.shape[2]:
             values, vectors = np.linalg.eigh(np.matmul(span, across))

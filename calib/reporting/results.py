@@ -222,9 +222,9 @@ def _covariance_table(fit: Fit) -> str:
     free = [fit.parameters[name] for name in fit.free_names]
     scale = np.array([estimate.per_si for estimate in free])
     shown = np.asarray(fit.covariance) * scale[:, None] * scale
-    columns: list[tuple[str, list[object]]] = [
+    columns: list[tuple[str, list[str] | FloatArray]] = [
         ("parameter", [estimate.name for estimate in free]),
         ("unit", [estimate.unit for estimate in free]),
+        *((estimate.name, column) for estimate, column in zip(free, shown.T, strict=True)),
     ]
-    columns += [(estimate.name, list(column)) for estimate, column in zip(free, shown.T, strict=True)]
     return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))

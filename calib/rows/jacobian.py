@@ -60,13 +60,9 @@ def linearise(robot: Robot, configurations: Configurations, *, turns: bool = Fal
         return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
     twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
     positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
-    jacobian, by_joint = both[..., : len(robot.parameters)], both[..., len(robot.parameters) :]
-    n = len(positions)
-    flat = by_joint.reshape(n, -1, by_joint.shape[-1])
-    jacobian[..., robot.coefficients] = by_coefficient(robot, flat, configurations.term_columns).reshape(
-        *jacobian.shape[:3], -1
-    )
-    return Linearisation(positions, jacobian)
+    n, n_targets, n_rows, width = both.shape
+    jacobian = with_coefficients(robot, both.reshape(n, -1, width), configurations.term_columns)
+    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1))
 
 
 @one_blas_thread
@@ -220,9 +216,9 @@ def _compiled_motion(
 
 
 def parameter_twists(robot: Robot) -> FloatArray:
-    """Return twists of all origins per parameter, (6 n_joints, n_parameters)."""
+    """Return twists of all origins per parameter that is no coefficient of a joint term, (6 n_joints, k)."""
     mechanism = robot.mechanism
-    matrix = np.zeros((6 * mechanism.n_joints, len(robot.parameters)))
+    matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
     values = robot.values[: robot.n_origin_parameters]
     for name, twist in robot.parametrisation.twists(values).items():
         row = 6 * mechanism.origin_names.index(name)
@@ -230,19 +226,20 @@ def parameter_twists(robot: Robot) -> FloatArray:
     return matrix
 
 
-def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the derivative by the coefficients of the joint terms, (n, n_rows, n_coefficients).
+def with_coefficients(robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+    """Return the derivative by all parameters, (n, n_rows, n_parameters).
 
     Args:
         robot: Knows the joints of the terms.
-        by_joint: Derivative by the driven joints, (n, n_rows, n_driven).
+        derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each term, (n, n_moved, n_coefficients) each.
     """
+    before, by_joint = np.split(derivative, [robot.coefficients.start], axis=2)
     parts = [
         np.matmul(by_joint[:, :, driven_by(term, robot.mechanism)], phi)
         for term, phi in zip(robot.terms, columns, strict=True)
     ]
-    return np.concatenate(parts, axis=2)
+    return np.concatenate([before, *parts], axis=2)
 
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:

@@ -25,12 +25,12 @@ from calib.robots.configurations import Configurations
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 from calib.rows.jacobian import (
-    by_coefficient,
     joint_twists,
     parameter_twists,
     passive_motion,
     relative_motion,
     sweeps,
+    with_coefficients,
 )
 
 
@@ -77,13 +77,13 @@ def observe(
 class _Work:
     """Fills the arrays of one instrument, chunk by chunk of visits."""
 
-    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, n_actuated: int) -> None:
+    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, n_driven: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
         self.all_pairs = robot.pairs(instrument)
         self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if self.all_pairs else ()
-        self._n_parameters, n = len(robot.parameters), len(readings)
+        self._by_joint, n = robot.coefficients.start, len(readings)  # where columns by joints begin
         self._residuals = np.empty((n, instrument.n_rows))
-        self._columns = np.empty((n, instrument.n_rows, self._n_parameters + n_actuated))  # each is filled once
+        self._columns = np.empty((n, instrument.n_rows, self._by_joint + n_driven))  # each is filled once
         self._order = np.argsort(readings.visits, kind="stable")
         self._sorted = readings.visits[self._order]
 
@@ -140,8 +140,8 @@ class _Work:
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
         self._columns[_run(chosen)] = comparison.by_joint[:, :, None] * motion[at]
         self._add_unknowns(chosen, comparison)
-        if self._columns.shape[2] > self._n_parameters:
-            self._columns[chosen, :, self._n_parameters :] += (
+        if self._columns.shape[2] > self._by_joint:
+            self._columns[chosen, :, self._by_joint :] += (
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
@@ -160,11 +160,10 @@ class _Work:
 
     def result(self, configurations: Configurations) -> Observed:
         """Return what was filled in."""
-        k = self._n_parameters
-        jacobian, by_joint = self._columns[:, :, :k], self._columns[:, :, k:]
+        jacobian, by_joint = np.split(self._columns, [self._by_joint], axis=2)
         if self.robot.terms:
             phi = tuple(columns[self.readings.visits] for columns in configurations.term_columns)
-            jacobian[:, :, self.robot.coefficients] = by_coefficient(self.robot, by_joint, phi)
+            jacobian = with_coefficients(self.robot, self._columns, phi)
         return Observed(self._residuals, jacobian, by_joint[:, :, : len(self.robot.joint_names)])
 
 

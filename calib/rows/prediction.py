@@ -204,7 +204,8 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
-    return (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
+    spread = jacobian.reshape(-1, jacobian.shape[-1]) @ covariance  # at once: C is read once, not for every position
+    return spread.reshape(jacobian.shape) @ jacobian.swapaxes(2, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -129,7 +129,7 @@ class _Search:
             earning = [term for term, step in steps.items() if step]
             if not earning:
                 return groups
-            best = min((alone[term] for term in earning), key=lambda trial: float(np.sum(trial.squares[0])))
+            best = min((alone[term] for term in earning), key=lambda trial: float(np.sum(trial.prediction.squares[0])))
             near = [term for term in earning if not _surely_better(best, alone[term])]
             groups = steps[max(near, key=lambda term: self.beyond_chance(without, alone[term]))]
 
@@ -201,17 +201,18 @@ class _Search:
 
     def guessed(self, group: Group, without: Trial, trial: Trial) -> str:
         """Return why a group of a trial is a guess that costs more than it brings; empty if it is not."""
-        if trial.unsure - without.unsure <= without.rms[0] ** 2 - trial.rms[0] ** 2:
+        now, before = trial.prediction, without.prediction
+        if now.unsure - before.unsure <= before.rms**2 - now.rms**2:
             return ""
         alike = list(group[1:]) or [
             name for name, other in self.instead(group[0], trial).items() if trial.evidence - other.evidence < TELLS
         ]
         if not alike:
             return ""
-        known, before = (millimetres(float(np.sqrt(model.unsure))) for model in (trial, without))
+        known, otherwise = (millimetres(float(np.sqrt(prediction.unsure))) for prediction in (now, before))
         return (
             f"the data cannot tell it from {listed(alike)}, and it costs more than it brings: positions at other"
-            f" combinations of the joint values measured are known to {known:.3g} mm, to {before:.3g} mm without it"
+            f" combinations of the joint values measured are known to {known:.3g} mm, to {otherwise:.3g} mm without it"
         )
 
     def instead(self, term: str, trial: Trial) -> dict[str, Trial]:
@@ -242,7 +243,8 @@ class _Search:
         alike = self.rivals(candidate.term, groups) if group else {}
         gain = with_it.evidence - without.evidence
         size = self.of(groups).sizes[candidate.term] if group else float("nan")
-        return TriedTerm(candidate.term, bool(group), gain, without.rms[0], with_it.rms[0], why, size, together, alike)
+        before, after = without.prediction.rms, with_it.prediction.rms
+        return TriedTerm(candidate.term, bool(group), gain, before, after, why, size, together, alike)
 
     def rivals(self, term: str, groups: Groups) -> dict[str, float]:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
@@ -261,12 +263,13 @@ class _Search:
 
 def _predicts_better(trial: Trial, other: Trial) -> bool:
     """Whether a trial predicts blocks left out better than another one in every partition."""
-    return all(np.sum(less) < np.sum(more) for less, more in zip(trial.squares, other.squares, strict=True))
+    pairs = zip(trial.prediction.squares, other.prediction.squares, strict=True)
+    return all(np.sum(less) < np.sum(more) for less, more in pairs)
 
 
 def _surely_better(best: Trial, trial: Trial) -> bool:
     """Whether a trial predicts blocks left out better than another one in every partition, by two standard errors."""
-    for less, more in zip(best.squares, trial.squares, strict=True):
+    for less, more in zip(best.prediction.squares, trial.prediction.squares, strict=True):
         gain = more - less
         if np.sum(gain) <= SURE * np.std(gain, ddof=1) * np.sqrt(len(gain)):
             return False

@@ -8,14 +8,17 @@ handful of numbers, and they stay the same in all blocks.
 When it fails. All of it is linear: joint errors of many milliradians look curved.
 
 Products of the rows are made once for each block, and a trial takes those of its columns: its work grows with columns
-alone, however many poses there are.
+alone, however many poses there are. Blocks are left out of a trial when that is first asked for: about half of all
+trials are told by their evidence alone.
 
 Reference: mackay1992; roberts2017.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -43,7 +46,23 @@ _LOST = 1e-9  # part of a place's information below which only the poses that ar
 
 
 @dataclass(frozen=True, eq=False)
-class Trial(ReadOnlyArrays):
+class Prediction(ReadOnlyArrays):
+    """What the linear model with some terms says of what it has not seen.
+
+    Attributes:
+        squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
+        rms: Root mean square of the main part, blocks of the first partition left out in turns [SI].
+        unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
+            part of the readings is no length, which nothing can be weighed against.
+    """
+
+    squares: tuple[FloatArray, ...]
+    rms: float
+    unsure: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
     """The linear model with some terms.
 
     Attributes:
@@ -51,19 +70,19 @@ class Trial(ReadOnlyArrays):
         evidence: Log marginal likelihood; minus infinity where so many columns explain all rows, and no noise is left.
         n_sizes: How many sizes were found.
         sizes: Largest size found of each term, over what is expected.
-        squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
-        rms: Of each partition, root mean square of the main part, left out in turns [SI].
-        unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
-            part of the readings is no length, which nothing can be weighed against.
+        predict: Computes `prediction`.
     """
 
     terms: tuple[str, ...]
     evidence: float
     n_sizes: int
     sizes: dict[str, float]
-    squares: tuple[FloatArray, ...]
-    rms: tuple[float, ...]
-    unsure: float = 0.0
+    predict: Callable[[], Prediction]
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """What it says of what it has not seen."""
+        return self.predict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,10 +232,11 @@ class Trials:
         key = tuple(sorted(terms))
         if key not in self._known:
             self._known[key] = self._computed(key)
-        return replace(self._known[key], terms=terms)
+        return self._known[key]
 
-    def _computed(self, terms: tuple[str, ...]) -> Trial:
-        design, layout = self._design, self.fit.whitening.layout
+    def _model(self, terms: tuple[str, ...]) -> tuple[IntArray, FamilyModel]:
+        """The columns with some terms, (n_used,), and their model."""
+        design = self._design
         use = np.array([k for k, term in enumerate(design.owner) if term == "" or term in terms])
         names = list(dict.fromkeys(design.label[k] for k in use if design.label[k]))
         family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
@@ -224,36 +244,40 @@ class Trials:
             self._all.products(use),
             design.prior.only(use),
             design.deviations[use],
-            np.ones(len(layout.groups), dtype=bool),  # stated noise knows nothing of what the robot itself does
+            np.ones(len(self.fit.whitening.groups), dtype=bool),  # stated noise knows nothing of what the robot does
             family,
             len(names),
         )
+        return use, model
+
+    def _computed(self, terms: tuple[str, ...]) -> Trial:
+        use, model = self._model(terms)
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
         solved = model.solved(scales, sizes)
         if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
-            return self._explaining_all(terms, len(names))
+            return Trial(terms, -np.inf, model.n_families, dict.fromkeys(terms, np.inf), self._nothing_foretold)
+        of_term = {
+            term: max(float(solved.factor[k]) for k, column in enumerate(use) if self._design.owner[column] == term)
+            for term in terms
+        }
+        evidence = log_evidence(model, solved, scales)
+        return Trial(terms, evidence, model.n_families, of_term, partial(self._foretold, terms, scales, sizes))
+
+    def _nothing_foretold(self) -> Prediction:
+        """Of a trial that leaves no noise to any group that has some."""
+        return Prediction(tuple(np.full(len(parts), np.inf) for parts in self._partitions), np.inf, np.inf)
+
+    def _foretold(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> Prediction:
+        use, model = self._model(terms)
+        solved = model.solved(scales, sizes)  # again: the matrices of all trials together would be too large to keep
         left_out = [self._left_out(solved, model.prior, scales, use, parts) for parts in self._partitions]
         elsewhere = self._elsewhere[:, use] * solved.factor
         variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)
-        of_term = {
-            term: max(float(sizes[number]) for k, number in zip(use, family, strict=True) if design.owner[k] == term)
-            for term in terms
-        }
-        return Trial(
-            terms,
-            log_evidence(model, solved, scales),
-            len(names),
-            of_term,
+        return Prediction(
             tuple(squares for squares, _ in left_out),
-            tuple(rms for _, rms in left_out),
+            left_out[0][1],
             3.0 * float(np.mean(variances)) if len(variances) else 0.0,
         )
-
-    def _explaining_all(self, terms: tuple[str, ...], n_sizes: int) -> Trial:
-        """A trial that leaves no noise to any group that has some: it foretells nothing."""
-        nothing = tuple(np.full(len(parts), np.inf) for parts in self._partitions)
-        off = tuple(float("inf") for _ in self._partitions)
-        return Trial(terms, float("-inf"), n_sizes, dict.fromkeys(terms, float("inf")), nothing, off, float("inf"))
 
     def _left_out(
         self, solved: SizedModel, prior: Prior, scales: FloatArray, use: IntArray, parts: list[_Part]
@@ -283,12 +307,15 @@ class Trials:
     ) -> FloatArray:
         """Step to the minimum without some rows, in units of `solved.factor`, (n_use,)."""
         factor = solved.factor
-        gram, pull = part.weighed(use, scales)
-        kept, known = solved.matrix - factor[:, None] * gram * factor, solved.right - factor * pull
-        size = np.diag(solved.matrix)
+        kept, pull = part.weighed(use, scales)
+        kept *= factor[:, None]  # in place: such matrices are large, and there are many
+        kept *= factor
+        np.subtract(solved.matrix, kept, out=kept)
+        known, size = solved.right - factor * pull, np.diag(solved.matrix)
         lost = ~prior.has & (np.diag(kept) <= _LOST * size)
+        kept[np.diag_indices_from(kept)] += _RIDGE * size
         step = np.zeros(len(use))
-        step[~lost] = -_solution(kept[np.ix_(~lost, ~lost)] + np.diag(_RIDGE * size[~lost]), known[~lost])
+        step[~lost] = -_solution(kept[np.ix_(~lost, ~lost)] if np.any(lost) else kept, known[~lost])
         if np.any(lost):  # places that only these rows see are placed by them
             group = self.fit.whitening.layout.group[part.which]
             divisor = np.where(group >= 0, scales[group], 1.0)

@@ -12,6 +12,8 @@ from unittest import mock
 
 import pytest
 
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
+
 import calib
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -74,18 +74,14 @@ def _passes(kernels: str, without: tuple[str, ...], files: list[str], jobs: str)
     """Whether the tests pass with these kernels of OpenBLAS, and numpy without these abilities."""
     off = sorted(name for name in _output(_DISPATCHED, dict(os.environ)).split() if name.startswith(without))
     print(f"kernels of {kernels}, numpy without {', '.join(off) or 'nothing'}:", flush=True)
-    environment = os.environ | _with_kernels(kernels) | {"NPY_DISABLE_CPU_FEATURES": " ".join(off)}
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernels, "NPY_DISABLE_CPU_FEATURES": " ".join(off)}
     command = [sys.executable, "-m", "pytest", "-n", jobs, "--dist", "loadfile", "-p", "no:cacheprovider", *files]
     return subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode == 0
 
 
-def _with_kernels(name: str) -> dict[str, str]:
-    return {"OPENBLAS_CORETYPE": name, "OPENBLAS_NUM_THREADS": "1"}
-
-
 def _kernels(name: str | None) -> str:
     """What OpenBLAS says that it uses when it is told to use these; None: by itself."""
-    return _output(_ARCHITECTURES, os.environ | ({} if name is None else _with_kernels(name)))
+    return _output(_ARCHITECTURES, os.environ | ({} if name is None else {"OPENBLAS_CORETYPE": name}))
 
 
 def _output(program: str, environment: dict[str, str]) -> str:

@@ -1,5 +1,10 @@
 """Robots as functions in jax, torch and CasADi, where these are installed: poses, and derivatives through the loops."""
 
+import os
+
+# of functions that run a few times, compiling takes nearly all of the time
+os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+
 import numpy as np
 import pytest
 from function_robots import ROBOTS, by_name, exported, poses_of_engine, some_conditions

@@ -1,6 +1,7 @@
 """Examples that the tests of the viewer and the report share: MedRUE measured with Table I's actual parameters."""
 
 import dataclasses
+import functools
 from datetime import UTC, datetime
 from unittest import mock
 
@@ -32,6 +33,7 @@ def measurements(rows, seed=1, sigma=4e-5, path="memory"):
     return put_together(calib.Poses(q, names, names, path, ()), {"tool": plain_readings(positions)})
 
 
+@functools.cache
 def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
     held_out = None if validation is None else measurements(validation, seed=2)
     return calib.fit(medrue_robot(), measurements(identification), validation=held_out)

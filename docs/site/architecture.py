@@ -7,6 +7,7 @@ and no modules import each other in a circle.
 from __future__ import annotations
 
 import ast
+import functools
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,6 +72,7 @@ ROOMS = (
 )
 
 
+@functools.cache
 def modules() -> dict[str, Path]:
     """Every module of `calib` but its front door, with its file."""
     found = {}
@@ -96,6 +98,7 @@ def room_of(module: str) -> Room:
     raise KeyError(f"calib.{module} has no room: name its folder in docs/site/architecture.py")
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Modules of `calib` that a file imports anywhere in it, or names in a string to import them when needed."""
     names: set[str] = set()

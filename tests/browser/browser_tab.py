@@ -5,6 +5,9 @@ import io
 import numpy as np
 from PIL import Image
 
+SIZE = (960, 640)
+"""Of a window [px]: where no graphics card draws the picture, its time goes with the number of points."""
+
 SEEN = """() => { const v = calibrationViewer; const { stage } = v;
   const controls = [...document.querySelectorAll('input, select, button, details')];
   return JSON.stringify([document.body.innerText, document.documentElement.dataset.theme, innerWidth, innerHeight,
@@ -17,6 +20,7 @@ SEEN = """() => { const v = calibrationViewer; const { stage } = v;
 FIRST = """() => { const controls = [...document.querySelectorAll('input, select, details')];
   const marked = (e) => e.matches('[type=checkbox], [type=radio]');
   window.firstControls = controls.map((e) => [e, e.tagName === 'DETAILS' ? e.open : marked(e) ? e.checked : e.value]);
+  window.firstPlaying = calibrationViewer.player.playing;
   document.getElementById('dark').addEventListener('change', () => { window.themeDecided = true; }); }"""
 
 BACK = """() => { const v = calibrationViewer;
@@ -41,7 +45,7 @@ BACK = """() => { const v = calibrationViewer;
 class Tab:
     """A page in the browser and what it complained about or asked for."""
 
-    def __init__(self, browser, size=(1200, 800), **options):
+    def __init__(self, browser, size=SIZE, **options):
         still = {"reduced_motion": "reduce", **options}  # pictures are compared: only tests of motion want any
         self.context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True, **still)
         self.page = self.context.new_page()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_tab import Tab
+from browser_tab import SIZE, Tab
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for viz_examples
 
@@ -57,6 +57,28 @@ def kept_tab(chromium):
     opened = Tab(chromium)
     yield opened
     opened.context.close()
+
+
+@pytest.fixture(scope="session")
+def kept_for_others(chromium):
+    opened = Tab(chromium)
+    yield opened
+    opened.context.close()
+
+
+@pytest.fixture
+def show(kept_for_others):
+    """Show any page, `show(address, ready, size)`: the tests share one tab, as a new one takes a second."""
+    tab = kept_for_others
+
+    def shown(address, ready="body[data-ready]", size=SIZE):
+        tab.problems.clear()
+        tab.requests.clear()
+        tab.page.set_viewport_size({"width": size[0], "height": size[1]})
+        return tab.open(address, ready)
+
+    yield shown
+    assert tab.problems == []
 
 
 @pytest.fixture

@@ -34,14 +34,11 @@ def report(kept_report):
 
 
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
-def test_it_opens_without_errors_and_fits_the_window(chromium, report_file, size):
-    tab = Tab(chromium, size=size)
-    tab.open(report_file.as_uri(), "main")
-    assert tab.problems == []
-    assert len(tab.requests) == 1
+def test_it_opens_without_errors_and_fits_the_window(show, report_file, size):
+    tab = show(report_file.as_uri(), "main", size)
+    assert tab.requests == [report_file.as_uri()]
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
     assert tab.page.locator("section").first.get_attribute("class").startswith("verdict")
-    tab.context.close()
 
 
 def test_text_of_plots_can_be_found_and_selected(report):
@@ -99,7 +96,7 @@ def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
     assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
 
 
-def test_compared_results_fit_the_window_and_print(chromium, tmp_path):
+def test_compared_results_fit_the_window_and_print(show, tmp_path):
     from viz_examples import medrue_fit
 
     import calib
@@ -108,9 +105,7 @@ def test_compared_results_fit_the_window_and_print(chromium, tmp_path):
     fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]
     page = comparison_page(calib.compare(*fits)).save(tmp_path / "compared.html")
     for size in ((1000, 900), (390, 844)):
-        tab = Tab(chromium, size=size).open(page.as_uri(), "main")
-        assert tab.problems == []
+        tab = show(page.as_uri(), "main", size)
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals svg").count() == 1
         assert tab.page.locator("#same-rows svg").count() == 1
-        tab.context.close()

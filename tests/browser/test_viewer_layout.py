@@ -23,13 +23,19 @@ def long_named(tmp_path_factory):
     return fit, scene_page(scene_of_fit(fit)).save(folder / "viewer.html")
 
 
-@pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
-def long_named_tab(chromium, long_named, request):
-    tab = Tab(chromium, size=request.param)
-    tab.open(long_named[1].as_uri())
+@pytest.fixture(scope="module")
+def kept_long_named(chromium):
+    tab = Tab(chromium)
     yield tab
     assert tab.problems == []
     tab.context.close()
+
+
+@pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
+def long_named_tab(kept_long_named, long_named, request):
+    width, height = request.param
+    kept_long_named.page.set_viewport_size({"width": width, "height": height})
+    return kept_long_named.open(long_named[1].as_uri())
 
 
 def test_the_panel_never_scrolls_sideways_and_no_number_covers_another(long_named_tab):
@@ -79,9 +85,9 @@ def test_the_legend_leaves_the_scene_most_of_its_place(long_named_tab):
     assert pane["height"] > 200
 
 
-def test_noise_of_a_reading_and_of_a_mean_stand_side_by_side(chromium, long_named):
+def test_noise_of_a_reading_and_of_a_mean_stand_side_by_side(show, long_named):
     fit, path = long_named
-    tab = Tab(chromium).open(path.as_uri())
+    tab = show(path.as_uri())
     sigma = 1e3 * fit.sigma
     noise = tab.page.locator("#noise").inner_text()
     assert f"one reading: {sigma:.4f} mm" in noise
@@ -91,7 +97,6 @@ def test_noise_of_a_reading_and_of_a_mean_stand_side_by_side(chromium, long_name
     mean = fit.identification.after["flange"][:5, 0].mean()
     ratio = tab.page.locator("#position tr", has_text="residual").locator("td").first.inner_text().replace("−", "-")
     assert float(ratio) == pytest.approx(mean * 1e3 / (sigma / np.sqrt(5)), abs=6e-3)
-    tab.context.close()
 
 
 def test_the_legend_says_how_many_times_the_ghost_is_displaced(tab):
@@ -162,27 +167,24 @@ def test_nothing_is_drawn_while_nothing_changes(tab):
     assert tab.state(frames) > before
 
 
-def test_each_reason_has_its_grade_and_remarks_of_the_file_are_shown(chromium, scene, tmp_path):
+def test_each_reason_has_its_grade_and_remarks_of_the_file_are_shown(show, scene, tmp_path):
     verdict = Judgement("FAIL", (("FAIL", "first"), ("CHECK", "second"), ("", "third")))
     said = remarks(("Simulated <i>measurements</i>", "second line"))
-    tab = Tab(chromium)
     changed = dataclasses.replace(scene, verdict=verdict, remarks=said)
-    tab.open(scene_page(changed).save(tmp_path / "viewer.html").as_uri())
+    tab = show(scene_page(changed).save(tmp_path / "viewer.html").as_uri())
     tab.page.locator("#summary summary").click()
     assert tab.page.locator("#summary li").all_inner_texts() == ["CHECK: second", "third"]
     assert "From the file: Simulated <i>measurements</i>" in tab.page.locator("#remarks").inner_text()
     assert tab.page.locator("#remarks.simulated").is_visible()
     tab.page.locator("#remarks summary").click()
     assert tab.page.get_by_text("second line").is_visible()
-    tab.context.close()
 
 
-def test_a_turned_phone_shows_the_whole_scene_again(chromium, viewer_file):
-    tab = Tab(chromium, size=(844, 390)).open(viewer_file.as_uri())
+def test_a_turned_phone_shows_the_whole_scene_again(show, viewer_file):
+    tab = show(viewer_file.as_uri(), size=(844, 390))
     tab.page.set_viewport_size({"width": 390, "height": 844})
     tab.drawn()
     tab.drawn()
     outside = tab.state("""v.scene.view.outline.filter(([x, y, z]) => { const p = new v.stage.THREE.Vector3(x, z, -y)
       .project(v.stage.viewer.camera); return Math.abs(p.x) > 1 || Math.abs(p.y) > 1; }).length""")
     assert outside == 0
-    tab.context.close()

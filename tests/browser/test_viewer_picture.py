@@ -67,15 +67,13 @@ def test_the_key_saves_too_and_names_of_files_are_harmless(tab):
     assert not set("/<> ") & set(download.value.suggested_filename)
 
 
-def test_report_and_viewer_of_a_result_lead_to_each_other(chromium, result_pages):
-    tab = Tab(chromium).open((result_pages / "viewer.html").as_uri())
+def test_report_and_viewer_of_a_result_lead_to_each_other(show, result_pages):
+    tab = show((result_pages / "viewer.html").as_uri())
     tab.page.get_by_role("link", name="Report").click()
     tab.page.wait_for_url("**/report.html")
     assert "Calibration report" in tab.page.locator("h1").inner_text()
     tab.page.get_by_role("link", name="Viewer").click()
     tab.page.wait_for_selector("body[data-ready]", state="attached")
-    assert tab.problems == []
-    tab.context.close()
 
 
 def test_a_page_that_stands_alone_has_no_link(tab):

@@ -228,12 +228,13 @@ def pose_goals(trial, program):
 
 def of_solve(trial, known):
     """Errors of joint values that are to reach places in the measurement frame."""
-    positions, rotations = poses_of(trial.fit.robot, trial.program[:30])
+    program = trial.program[trial.fit.robot.close(trial.program).ok][:30]
+    positions, rotations = poses_of(trial.fit.robot, program)
     goals = positions[:, 0].copy()
     if len(trial.nominal.joint_names) == 2:
         goals[:, 2] = np.nan  # it moves in a plane
     whole = len(trial.nominal.joint_names) == 6
-    solution = calib.solve(known, calib.Goals(goals, rotations[:, 0] if whole else None), near=trial.program[:30])
+    solution = calib.solve(known, calib.Goals(goals, rotations[:, 0] if whole else None), near=program)
     ok, expected = solution.ok, solution.expected
     off = np.nan_to_num(trial.truth.positions(solution.q[ok])[:, 0] - goals[ok])
     nothing = np.full(int(np.sum(ok)), np.nan)

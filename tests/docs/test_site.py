@@ -37,12 +37,14 @@ def test_columns_of_a_formula_are_refused_where_they_would_be_printed_as_they_ar
             assert "<mtable" in formulas.to_mathml(html, "page.md")
 
 
-def test_every_table_of_a_page_has_a_header():
-    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+def test_every_table_of_a_page_has_a_header_and_stands_apart():
+    """Text right above a table would swallow it."""
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         lines = page.read_text().splitlines()
         for before, line, after in zip(["", *lines], lines, [*lines[1:], ""], strict=False):
             if line.startswith("|") and not before.startswith("|"):
                 assert re.fullmatch(r"[|:\- ]+", after), f"{page.name}: {line[:60]}"
+                assert not before or before.startswith("<!--"), f"{page.name}: {line[:60]}"
 
 
 def test_grouped_arguments_become_one_entry_each():

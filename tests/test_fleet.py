@@ -128,7 +128,10 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
     assert done.exit_code == 0, done.output
     told = json.loads(files[2].read_text())
     assert [one["odd"] for one in told["robots"]] == [True, False, False, False]
-    page = files[1].read_text()
+    assert [robot["name"] for robot in told["robots"]] == ["robot_1", "robot_2", "robot_3", "robot_4"]
+    assert [robot["folder"] for robot in told["robots"]] == [str(one) for one in folders]
+    page = files[1].read_text().partition('<h2 id="provenance"')[0]
+    assert str(folder) not in page
     assert "UNLIKE the others" in page
     assert all(p.name in page for p in robot.parameters if not p.placement)
     known, rng = calib.load(files[0]), np.random.default_rng(6)

@@ -1,6 +1,7 @@
+import pytest
 from rich.table import Table
 
-from calib.base.words import counted, listed, plain_text
+from calib.base.words import counted, distinct_names, listed, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():
@@ -26,7 +27,23 @@ def test_numbers_have_the_right_noun():
 
 def test_long_lists_are_cut():
     assert listed(["a", "b"], "; ") == "a; b"
-    assert listed(list("abcdefg")) == "a, b, c, d, e, ..."
+    assert listed(list("abcdefg")) == "a, b, c, d, e, and 2 more"
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/a/one", "/a/two/"], ("one", "two")),
+        (["/a/one/out", "/a/two/out"], ("one", "two")),
+        (["/a/x/one/out", "/b/x/two/out"], ("a/x/one", "b/x/two")),
+        (["/a/out", "/a/out/again"], ("out", "out/again")),
+        (["here/../one", "two"], ("one", "two")),
+        (["/a/one"], ("one",)),
+        ([], ()),
+    ],
+)
+def test_folders_are_named_by_what_differs(paths, names):
+    assert distinct_names(paths) == names
 
 
 def test_a_line_that_is_broken_goes_on_two_places_further_in():

@@ -30,6 +30,7 @@ def row(value, half, status="identified"):
 def found():
     return ResultComparison(
         ("out/<b>first</b>", "out/second"),
+        ("/data/out/<b>first</b>", None),
         ("PASS", "CHECK"),
         (40, 50),
         (0.05123, 0.2),
@@ -84,7 +85,10 @@ def test_it_asks_nobody_and_escapes_names(found):
 
 def test_three_results_have_three_columns(found):
     three = ResultComparison(
-        *((*getattr(found, name), getattr(found, name)[-1]) for name in ("names", "verdicts", "n_poses", "errors")),
+        *(
+            (*getattr(found, name), getattr(found, name)[-1])
+            for name in ("names", "folders", "verdicts", "n_poses", "errors")
+        ),
         "mm",
         (*found.errors_on, found.errors_on[0]),
         (*found.sizes, found.sizes[0]),

@@ -7,11 +7,12 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from viz.part_plots import histogram, of_positions, residual_by_joint
+from calib.instruments.position import POSITION
+from viz.part_plots import PartErrors, draw_histogram, histogram, of_positions, residual_by_joint
 from viz.plots import all_plots, error_by_pose, normal_plot
 from viz.poses import PoseTable
 from viz.scene import Joint
-from viz.svg import finished, new_figure, shortened
+from viz.svg import LONGEST_ENTRY, finished, new_figure, plain_ticks, shortened, styled
 
 JOINTS = (Joint("q1", "mm", 1e3), Joint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
@@ -167,6 +168,37 @@ def test_the_legend_of_the_histogram_stands_above_all_bars():
     assert len(legend) > 2
     assert len(bars) > 40
     assert max(legend) < min(bars)  # y downwards
+
+
+@pytest.mark.parametrize(("low", "high"), [(1e-6, 30.0), (0.02, 0.09), (3e3, 4e6)])
+def test_ticks_are_plain_numbers(low, high):
+    figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
+    axes.set(xscale="log", xlim=(low, high))
+    plain_ticks(axes.xaxis)
+    figure.draw_without_rendering()
+    ticks = [(tick.get_loc(), tick.label1.get_text()) for tick in axes.xaxis.get_major_ticks()]
+    assert len(ticks) > 1
+    assert [float(text) for _, text in ticks] == pytest.approx([place for place, _ in ticks])
+    assert not any("e" in text for _, text in ticks)
+
+
+@pytest.mark.parametrize("n", [2, 5, 12])
+def test_numbers_of_readings_are_whole(n):
+    errors = np.full((n, 3), 1e-4)
+    _, (axes,) = new_figure(1, 1, (8.9, 2.6))
+    draw_histogram(axes, PartErrors(POSITION, np.zeros((n, 2)), errors, errors))
+    ticks = axes.get_yticks()
+    assert list(ticks) == list(np.round(ticks))
+
+
+@styled
+def test_long_names_of_many_results_stay_inside_the_figure():
+    figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
+    for k in range(7):
+        axes.plot([0, 1], label=shortened(f"{'wide' * 20} {k}", LONGEST_ENTRY) + " (unlike)")
+    box = figure.legend(loc="upper center", ncols=3).get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.x1
 
 
 def test_no_name_leaves_its_place_in_a_picture():

@@ -11,7 +11,7 @@ import numpy as np
 from calib.base.version import PROGRAM
 from calib.reporting.result_comparison import Difference, ResultComparison, p_text
 from viz.report_page import page_environment
-from viz.svg import AXES, GREY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
+from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
 from viz.viewer_page import Page
 
 _SHOWN = 24  # parameters in the figure
@@ -85,7 +85,9 @@ def errors_on_same_rows(comparison: ResultComparison) -> Plot:
     for k, (name, sizes) in enumerate(zip(comparison.names, comparison.sizes, strict=True)):
         part = 100 * (np.arange(len(sizes)) + 1) / len(sizes)
         line, colour = _LINES[k % len(_LINES)], looks[k % len(looks)][0]
-        axes.plot(np.sort(sizes), part, line, color=colour, label=shortened(name, 40), drawstyle="steps-post")
+        axes.plot(
+            np.sort(sizes), part, line, color=colour, label=shortened(name, LONGEST_ENTRY), drawstyle="steps-post"
+        )
     axes.set(xscale="log", xlabel=f"error after calibration [{comparison.unit}]", ylabel="smaller in [% of readings]")
     plain_ticks(axes.xaxis)
     figure.legend(loc="upper center", ncols=3)
@@ -121,7 +123,7 @@ def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Plot | 
     axes.set_xscale("symlog", linthresh=2.0)
     plain_ticks(axes.xaxis)
     axes.set_yticks(range(len(shown)), [shortened(difference.name, 30) for difference in shown])
-    axes.invert_yaxis()
+    axes.set_ylim(len(shown) - 0.4, -0.6)
     axes.set_xlabel("difference to the first result, in half widths of its 95 % interval")
     return finished(
         "intervals",

@@ -9,7 +9,7 @@ import numpy as np
 from calib.base.version import PROGRAM
 from calib.reporting.fleet import Fleet
 from viz.report_page import page_environment
-from viz.svg import AXES, GREY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
+from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
 from viz.viewer_page import Page
 
 _SHOWN = 60  # parameters in the figure
@@ -64,7 +64,7 @@ def side_by_side(fleet: Fleet) -> Plot:
             color=ORANGE if member.odd else blue,
             markersize=4,
             linewidth=0.7,
-            label=shortened(member.name, 40) + (" (unlike)" if member.odd else ""),
+            label=shortened(member.name, LONGEST_ENTRY) + (" (unlike)" if member.odd else ""),
         )
     axes.axvspan(-2.0, 2.0, color=GREY, alpha=0.15, linewidth=0)
     axes.axvline(0.0, color="black", linewidth=0.8)

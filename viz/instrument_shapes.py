@@ -24,6 +24,7 @@ _BRASS: Colour = (0.80, 0.58, 0.20, 1.0)
 _CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # what touches and is touched: errors are drawn inside
 _GLASS: Colour = (0.35, 0.60, 0.85, 0.45)
 _PAPER: Colour = (0.97, 0.97, 0.95, 1.0)
+_WIRE: Colour = (*_GLASS[:3], 0.8)
 _WIRES = 12  # that are drawn of each instrument
 _POINTS = 400  # of a board that are drawn
 
@@ -45,7 +46,7 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
             end = bodies.names.index(_body(instrument.target))
             for pose, T in zip(poses, placed, strict=True):
                 name = f"{instrument.name}/wire{pose}"
-                shapes += _rod(name, None, T[start, :3, 3], T[end, :3, 3], 0.001 * robot.mechanism.length, _GLASS)
+                shapes += _rod(name, None, T[start, :3, 3], T[end, :3, 3], 0.001 * robot.mechanism.length, _WIRE)
     return tuple(shapes)
 
 

@@ -106,6 +106,8 @@ def histogram(errors: PartErrors) -> Plot:
 
 def draw_histogram(axes: Any, errors: PartErrors) -> None:
     """Draw how many errors have which size, before and after."""
+    from matplotlib.ticker import MaxNLocator
+
     lengths = {state: errors.lengths(state) for state in STATES}
     everything = np.concatenate(list(lengths.values()))
     positive = everything[everything > 0]
@@ -128,6 +130,7 @@ def draw_histogram(axes: Any, errors: PartErrors) -> None:
         xscale="log", xlabel=f"{off} [{errors.unit}]", ylabel=f"number of {'poses' if is_position else 'readings'}"
     )
     plain_ticks(axes.xaxis)
+    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
 
 @styled

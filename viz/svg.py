@@ -27,6 +27,8 @@ AXES = {"x": (ORANGE, "o"), "y": (GREEN, "^"), "z": (BLUE, "s")}
 STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
 """Colour and line of what was before calibration, and after."""
 
+LONGEST_ENTRY = 24
+"""Letters of a name in a legend of three columns."""
 _WIDEST_LABEL = 34  # letters under one of three panels
 _POINTS, _GAP = 72, 4.0  # to an inch, as in SVG files; between neighbours [points]
 _MOST_MARKS = 600  # drawn one by one; more would make the file large and the figure black
@@ -161,7 +163,9 @@ def plain_ticks(*axes: Any) -> None:
         low, high = getattr(axis.axes, f"get_{axis.axis_name}lim")()
         if axis.get_scale() == "log" and np.floor(np.log10(high)) - np.ceil(np.log10(low)) < 1:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: np.format_float_positional(value, 12, trim="-", fractional=False))
+        )
         axis.set_minor_formatter(NullFormatter())
 
 

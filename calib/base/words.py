@@ -8,6 +8,7 @@ import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -35,8 +36,22 @@ def counted(number: int, singular: str, plural: str | None = None) -> str:
 
 
 def listed(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
-    """Return the first few of many."""
-    return separator.join(names[:shown]) + (f"{separator}..." if len(names) > shown else "")
+    """Return the first few of many, and how many more there are."""
+    return separator.join(names[:shown]) + (f"{separator}and {len(names) - shown} more" if len(names) > shown else "")
+
+
+def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
+    """Return what differs in paths: the folders that all begin with, and those that all end with, are left out.
+
+    Examples:
+        >>> distinct_names(["/data/left/out", "/data/right/out"])
+        ('left', 'right')
+    """
+    parts = [Path(path).resolve().parts for path in paths]
+    most = min(map(len, parts), default=1) - 1  # something is left of each
+    first = next((k for k in range(most) if len({path[k] for path in parts}) > 1), most)
+    last = next((k for k in range(most - first) if len({path[-1 - k] for path in parts}) > 1), most - first)
+    return tuple("/".join(path[first : len(path) - last]) for path in parts)
 
 
 def sentence(clause: str) -> str:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ import scipy
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, InputError
 from calib.base.parameter import Parameter, index_of
-from calib.base.words import counted
+from calib.base.words import counted, distinct_names
 from calib.data.tables import read_table
 from calib.fitting.fitted import Fit
 from calib.reporting.result_comparison import REAL_BELOW, Difference, Pair, ResultComparison
@@ -100,6 +100,11 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     for result in loaded[1:]:
         if geometry(result.robot) != geometry(loaded[0].robot):
             raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
+    names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
+    loaded = [
+        result if isinstance(given, Fit) else replace(result, name=next(names_of_folders))
+        for given, result in zip(results, loaded, strict=True)
+    ]
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_tested(first, other) for first, other in pairs]
@@ -112,6 +117,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     errors, unit, where, sizes = _errors(loaded)
     return ResultComparison(
         tuple(result.name for result in loaded),
+        tuple(None if isinstance(result, Fit) else str(result) for result in results),
         tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in loaded),
         tuple(result.content["n_poses"] for result in loaded),
         errors,

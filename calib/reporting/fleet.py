@@ -12,7 +12,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.files import write_files
 from calib.base.parameter import Parameter
-from calib.base.words import as_data, counted, listed, plain_text, text_table
+from calib.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.hierarchy import Hierarchy, Likeness, learn_without_odd
 from calib.reporting.comparing_results import geometry, readings_of
@@ -33,7 +33,8 @@ class Member:
     """One robot of a fleet.
 
     Attributes:
-        name: Of its result.
+        name: What its folder has that the others' have not.
+        folder: Its result, as it was given.
         verdict, n_poses: Of its result.
         odd: Whether it is unlike the others, which then learned nothing from it.
         together: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
@@ -43,6 +44,7 @@ class Member:
     """
 
     name: str
+    folder: str
     verdict: str
     n_poses: int
     odd: bool
@@ -202,7 +204,10 @@ def fleet(*results: Path | str) -> Fleet:
     values, stds = _of_each(folders, robots, learned, odd, shared)
     return Fleet(
         _with_fleet(robots[0], section),
-        tuple(_member(folder, k in odd, compared[k], shared) for k, folder in enumerate(folders)),
+        tuple(
+            _member(name, folder, k in odd, compared[k], shared)
+            for k, (name, folder) in enumerate(zip(distinct_names(folders), folders, strict=True))
+        ),
         shared,
         nominal,
         nominal + learned.mean * scales,
@@ -296,15 +301,16 @@ def _of_each(
     return np.array(values), np.array(stds)
 
 
-def _member(folder: Path, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]) -> Member:
+def _member(name: str, folder: Path, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]) -> Member:
     content = read_result(folder)
     grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
     if compared is None:
-        return Member(str(folder), grade, n_poses, odd, np.nan, np.nan, ())
+        return Member(name, str(folder), grade, n_poses, odd, np.nan, np.nan, ())
     n = int(np.sum(np.isfinite(compared.p_values)))
     order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
     unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
-    return Member(str(folder), grade, n_poses, odd, compared.together, compared.p_value(), tuple(unlike) if odd else ())
+    named = tuple(unlike) if odd else ()
+    return Member(name, str(folder), grade, n_poses, odd, compared.together, compared.p_value(), named)
 
 
 def _confirmed(folders: Sequence[Path]) -> float:
@@ -320,7 +326,8 @@ def _confirmed(folders: Sequence[Path]) -> float:
 
 def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
     notes = []
-    check = [str(folder) for folder in folders if read_result(folder)["verdict"]["grade"] == "CHECK"]
+    named = zip(distinct_names(folders), folders, strict=True)
+    check = [name for name, folder in named if read_result(folder)["verdict"]["grade"] == "CHECK"]
     if check:
         notes.append(f"Verdict CHECK: {listed(check)}; systematic errors there count as properties of the robot.")
     if len(folders) - len(odd) < 5:

@@ -77,7 +77,8 @@ class ResultComparison:
     """Results side by side, each two of them against each other.
 
     Attributes:
-        names: Of the results.
+        names: What the folders of the results differ in; `fit 1` of a fit.
+        folders: Of the results, as they were given; None of a fit.
         verdicts, n_poses: Of each.
         errors: Root mean square error after calibration of each, on readings not used where there are any.
         unit: Unit of these errors.
@@ -90,6 +91,7 @@ class ResultComparison:
     """
 
     names: tuple[str, ...]
+    folders: tuple[str | None, ...]
     verdicts: tuple[str, ...]
     n_poses: tuple[int, ...]
     errors: tuple[float, ...]
@@ -147,26 +149,26 @@ class ResultComparison:
         return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
 
     def conclusion(self) -> str:
-        """Return in a sentence for each two results which differences are real."""
-        sentences = " ".join(pair.sentence() for pair in self.pairs)
+        """Return which differences are real: a line for each two results, and one that says what is marked."""
         key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {REAL_BELOW:g}."
-        return f"{sentences} ({key})"
+        return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""
-        results = zip(self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True)
+        results = zip(self.names, self.folders, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True)
         return as_data(
             {
                 "results": [
                     {
                         "name": name,
+                        "folder": folder,
                         "verdict": verdict,
                         "n_poses": poses,
                         "rms": rms,
                         "unit": self.unit,
                         "on": where,
                     }
-                    for name, verdict, poses, rms, where in results
+                    for name, folder, verdict, poses, rms, where in results
                 ],
                 "parameters": [
                     {

@@ -1,6 +1,7 @@
 """The live viewer in a real Chromium: it follows the program, and survives its end."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -170,6 +171,12 @@ def test_the_cockpit_stands_above_the_picture_another_fit_replaces_it_and_both_o
     assert tab.page.locator("#count").inner_text() == "40 poses measured; about 60 more"
     assert tab.page.locator("#next-pose tr").count() == 6
     assert "goal 0.1 mm: not yet" in tab.page.locator("#judged").inner_text()
+    viewer.show(replace(progress(fit, 45), next_pose=None))
+    tab.page.wait_for_function("() => document.getElementById('signal').textContent === 'STOP'", timeout=5000)
+    assert tab.page.locator("#signal-why").inner_text() == "every candidate is measured"
+    viewer.show(progress(fit, 46))
+    tab.page.wait_for_function("() => document.getElementById('signal').textContent === 'GO'", timeout=5000)
+    wait(tab, "v.live !== null")
     tab.page.evaluate("calibrationViewer.stage.direction = null")  # as if turned by hand
     camera = tab.state("v.stage.viewer.camera.position.toArray()")
     viewer.show(progress(fit, 50, high=9e-5))

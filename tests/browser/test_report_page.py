@@ -1,7 +1,9 @@
 """The report in a real Chromium: opens offline, asks nobody, text can be found and selected, prints."""
 
+import numpy as np
 import pytest
 from browser_tab import Tab
+from fleet_figures import ROBOT, made_up, results_of
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +111,21 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals svg").count() == 1
         assert tab.page.locator("#same-rows svg").count() == 1
+
+
+def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
+    """Nothing has to be scrolled to, and folders are named by what differs."""
+    import calib
+    from viz.fleet_page import fleet_page
+
+    robot, rng = calib.load(ROBOT), np.random.default_rng(5)
+    folder = tmp_path / "calibrations" / "of hall three" / "in november"
+    folder.mkdir(parents=True)
+    folders = results_of(robot, folder, 4, rng, made_up(robot, rng), wrong=True)
+    page = fleet_page(calib.fleet(*folders)).save(tmp_path / "fleet.html")
+    tab = show(page.as_uri(), "main", (1000, 900))
+    assert tab.page.locator("thead th", has_text="robot_1").count() == 1
+    assert tab.page.locator("td.words", has_text="UNLIKE").count() == 1
+    for box in tab.page.locator(".wide, .drawing").all():
+        assert box.evaluate("(e) => e.scrollWidth - e.clientWidth") == 0
+    assert str(tmp_path) not in tab.page.locator("main").inner_text()

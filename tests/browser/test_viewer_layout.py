@@ -42,6 +42,7 @@ def test_the_panel_never_scrolls_sideways_and_no_number_covers_another(long_name
     page = long_named_tab.page
     assert page.evaluate("(e => e.scrollWidth - e.clientWidth)(document.getElementById('panel'))") == 0
     assert page.evaluate("document.documentElement.scrollWidth - innerWidth") == 0
+    assert page.evaluate("document.documentElement.scrollHeight - innerHeight") == 0  # the panel scrolls, not the page
     crossings = page.evaluate("""() => {
       const text = (cell) => { const range = document.createRange(); range.selectNodeContents(cell);
         return [...range.getClientRects()]; };
@@ -75,6 +76,22 @@ def test_no_point_lies_under_the_legend_or_outside_the_first_picture(long_named_
         if (legend && x > legend[0] && x < legend[2] && y > legend[1] && y < legend[3]) hidden.push([row, x, y]);
       } return hidden; })()""")
     assert badly_placed == []
+
+
+def test_the_ring_around_any_point_is_seen_whole(long_named_tab):
+    cut = long_named_tab.state("""(() => { const { stage, table } = v; const cut = [];
+      const { camera } = stage.viewer; const place = new stage.THREE.Vector3();
+      const { size, smallest, radius } = stage.marks.uniforms; const height = stage.pane.clientHeight;
+      stage.root.updateMatrixWorld(true);
+      for (let row = 0; row < table.n; row += 1) {
+        place.fromArray(table.place, 3 * row);
+        const away = -stage.marks.points.localToWorld(place).applyMatrix4(camera.matrixWorldInverse).z;
+        const wide = Math.max(smallest.value, height * camera.projectionMatrix.elements[5] * radius.value / away);
+        const reach = (2.1 * size.value * wide + 10) / 2; // as the shader has it
+        const [x, y] = stage.onScreen(place.applyMatrix4(camera.matrixWorld));
+        if (Math.min(x, y, stage.pane.clientWidth - x, height - y) < reach) cut.push([row, x, y, reach]);
+      } return cut; })()""")
+    assert cut == []
 
 
 def test_the_legend_leaves_the_scene_most_of_its_place(long_named_tab):

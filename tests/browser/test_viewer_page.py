@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -302,6 +303,31 @@ def test_text_stands_out_from_its_background(tab, theme):
     assert len(ratios) > 30
     assert [contrast for contrast in ratios if contrast[0] < 4.5] == []  # WCAG AA
     assert tab.state("document.documentElement.dataset.theme") == theme
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_ghost_stands_out_from_the_ground_in_the_colour_of_the_legend(tab, theme):
+    tab.page.emulate_media(color_scheme=theme)
+    tab.drawn()
+    ghost, *grounds = tab.page.evaluate("""() => {
+      const style = getComputedStyle(document.documentElement);
+      return ['--ghost', '--sky', '--ground'].map((name) => style.getPropertyValue(name).trim()); }""")
+    assert tab.state("v.stage.ghostMaterial.color.getHexString()") == ghost.lstrip("#")
+    assert min(contrast(ghost, ground) for ground in grounds) > 3  # WCAG AA, of what is no text
+    drawn = tab.page.evaluate("getComputedStyle(document.querySelector('#legend-ghost i')).borderTopColor")
+    assert [int(part) for part in re.findall(r"\d+", drawn)] == [int(ghost[k : k + 2], 16) for k in (1, 3, 5)]
+
+
+def contrast(first, second):
+    """Ratio of the luminances of two colours such as #3a6ea5, as WCAG defines it."""
+
+    def luminance(colour):
+        parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05
+
+    small, large = sorted((luminance(first), luminance(second)))
+    return large / small
 
 
 def test_names_from_files_are_shown_as_text(show, scene, tmp_path):

@@ -1,6 +1,7 @@
 """The viewer in the dark, the picture it saves, and the way to the report and back."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -84,11 +85,22 @@ def test_the_report_is_dark_where_the_system_is_but_not_on_paper(chromium, resul
     tab = Tab(chromium, color_scheme="dark").open((result_pages / "report.html").as_uri(), "main")
     ground = "getComputedStyle(document.body).backgroundColor"
     assert tab.page.evaluate(ground) == "rgb(22, 28, 35)"
+    red, green, blue = grade_colour(tab)
+    assert green > 1.2 * max(red, blue)  # PASS is green
     assert (
         tab.page.evaluate("getComputedStyle(document.querySelector('.drawing svg')).backgroundColor")
         == "rgb(255, 255, 255)"
     )
     tab.page.emulate_media(media="print", color_scheme="dark")
     assert tab.page.evaluate(ground) == "rgb(255, 255, 255)"
+    red, green, blue = grade_colour(tab)
+    assert green > 1.2 * max(red, blue)
     assert not tab.page.get_by_text("Viewer: the robot").is_visible()
     tab.context.close()
+
+
+def grade_colour(tab):
+    """Red, green and blue of the verdict's word, 0 to 255, where it says PASS."""
+    tab.page.evaluate("document.querySelector('.verdict').className = 'verdict PASS'")
+    shown = tab.page.evaluate("getComputedStyle(document.querySelector('.verdict .grade')).color")
+    return [int(part) for part in re.findall(r"\d+", shown)[:3]]

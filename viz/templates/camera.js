@@ -2,7 +2,7 @@
 "use strict";
 
 const FIELD_OF_VIEW = 36; // [deg], vertical
-const MARGIN = 18; // free edge [px], for what has a width
+const MARGIN = 30; // free edge [px], for the ring around an outermost point
 
 /**
  * Nearest camera that sees all points inside a part of the pane.

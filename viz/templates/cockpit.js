@@ -13,11 +13,11 @@ class Cockpit {
     const set = (id, text) => { document.getElementById(id).textContent = text; };
     this.root.hidden = false;
     document.body.classList.add("measuring");
-    const state = told.stop ? "met" : told.out_of_reach ? "beyond" : "go";
+    const state = told.stop ? "met" : told.out_of_reach || !told.next ? "beyond" : "go";
     this.root.dataset.state = state;
     set("signal", state === "go" ? "GO" : "STOP");
-    set("signal-why", { met: `goal ${told.goal_mm} mm reached`, beyond: "more poses will not help",
-      go: told.next ? "measure the next pose" : "every candidate is measured" }[state]);
+    set("signal-why", { met: `goal ${told.goal_mm} mm reached`, go: "measure the next pose",
+      beyond: told.out_of_reach ? "more poses will not help" : "every candidate is measured" }[state]);
     const left = state !== "go" || told.poses_left === null ? "" : `about ${told.poses_left} more${this.time(told.seconds_left)}`;
     set("count", `${told.poses} ${told.poses === 1 ? "pose" : "poses"} measured${left ? `; ${left}` : ""}`);
     set("judged", told.words);

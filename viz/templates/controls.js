@@ -23,9 +23,7 @@ class Controls {
     });
     this.player = new Player(() => this.showNext());
     this.theme = new Theme((theme) => {
-      if (!this.stage || !this.stage.marks) return;
-      this.stage.marks.uniforms.edge.value = EDGES[theme];
-      this.stage.redraw();
+      if (this.stage) this.stage.paint(theme);
     });
     this.drive = this.makeDrive();
     this.wire();

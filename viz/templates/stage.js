@@ -1,7 +1,6 @@
 // The 3D side of the page: meshcat's viewer with the replayed robot, its ghost, frames, points and camera.
 "use strict";
 
-const GHOST_COLOUR = 0x3a6ea5;
 const AXIS_COLOURS = ["#D55E00", "#009E73", "#0072B2"]; // x, y, z: told apart also by colour-blind readers
 
 class Stage {
@@ -72,8 +71,9 @@ class Stage {
 
   makeGhost() {
     const { THREE } = this;
-    const material = new THREE.MeshLambertMaterial({ color: GHOST_COLOUR, transparent: true, opacity: 0.4, depthWrite: false,
+    const material = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.4, depthWrite: false,
       polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }); // behind the solid robot where both coincide
+    this.ghostMaterial = material;
     this.ghostRoot = new THREE.Group();
     this.root.add(this.ghostRoot);
     return this.groups.map((group) => {
@@ -172,6 +172,16 @@ class Stage {
     this.viewer.renderer.setSize(width, height);
     if (this.marks) this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
     if (this.direction) this.look(this.direction);
+    this.redraw();
+  }
+
+  /** Draw ghost, points and surroundings in the colours of the page's theme, "light" or "dark". */
+  paint(theme) {
+    if (this.ghostMaterial) this.ghostMaterial.color.set(getComputedStyle(document.documentElement).getPropertyValue("--ghost").trim());
+    if (this.marks) this.marks.uniforms.edge.value = EDGES[theme];
+    this.viewer.scene_tree.find(["meshcat", "decorations"]).object.traverse(({ isMesh, material }) => {
+      if (isMesh) material.emissive.copy(material.color).multiplyScalar(theme === "dark" ? 0.6 : 0); // wires are thin
+    });
     this.redraw();
   }
 

@@ -30,6 +30,8 @@ _SCRIPTS = (
     "motion.js",
     "theme.js",
     "picture.js",
+    "groups.js",
+    "input.js",
     "controls.js",
     "cockpit.js",
     "start.js",

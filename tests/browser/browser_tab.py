@@ -12,7 +12,8 @@ SEEN = """() => { const v = calibrationViewer; const { stage } = v;
   const controls = [...document.querySelectorAll('input, select, button, details')];
   return JSON.stringify([document.body.innerText, document.documentElement.dataset.theme, innerWidth, innerHeight,
     controls.map((e) => [e.id, e.value, e.checked, e.open, e.disabled, e.hidden]), document.activeElement.id,
-    [v.row, v.live, v.state, v.shown, v.vectorFactors, v.ghostFactor, v.scene.title, v.player.playing, v.morph.frame],
+    [v.row, v.live, v.state, v.groups.shown, v.vectorFactors, v.ghostFactor, v.scene.title, v.player.playing],
+    [v.morph.frame],
     stage && [stage.viewer.camera.position.toArray().map((x) => x.toFixed(9)), stage.root.children.length],
     stage && stage.marks && Object.values(stage.marks.uniforms).map((u) => u.value)]); }"""
 """What a page shows, and the state behind it."""

@@ -1,8 +1,5 @@
-// The controls: state of the page, what each control changes, keys, picking, and what a live program shows.
+// The controls: state of the page, what each control shows, and what a live program shows.
 "use strict";
-
-const FACTORS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
-const SIZES = [0.25, 0.35, 0.5, 0.7, 1, 1.4, 2, 3]; // of a point, beside the usual one
 
 class Controls {
   constructor(scene) {
@@ -14,21 +11,17 @@ class Controls {
     this.part = 0; // of readings, whose errors are shown
     this.row = 0;
     this.live = null; // what a live program shows instead of a pose
-    this.shown = { groups: scene.groups.map(() => true), outliers: true };
+    this.groups = new Groups(this.table, () => this.filter());
     this.stage = this.makeStage();
-    this.morph = new Morph((part) => {
-      if (!this.stage || !this.stage.marks) return;
-      this.stage.marks.uniforms.state.value = part;
-      this.stage.redraw();
-    });
+    this.morph = new Morph((part) => this.setMark("state", part));
     this.player = new Player(() => this.showNext());
     this.theme = new Theme((theme) => {
       if (this.stage) this.stage.paint(theme);
     });
     this.drive = this.makeDrive();
-    this.wire();
-    this.mapPanel = new MapPanel(this.stage && this.stage.map, scene.colourBytes, this.wireFactor.bind(this),
-                                 () => this.stage.redraw());
+    this.arrange();
+    wireControls(this);
+    this.mapPanel = new MapPanel(this.stage && this.stage.map, scene.colourBytes, () => this.stage.redraw());
     this.filter();
     this.applyState();
     this.applyVisibility();
@@ -66,6 +59,7 @@ class Controls {
     this.table = new PoseTable(scene);
     scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
     for (const id of ["summary", "notes", "remarks", "drive-sliders", "part"]) document.getElementById(id).replaceChildren();
+    this.groups.table = this.table; // what the reader has hidden stays hidden
     this.panel = new Panel(scene, this.table);
     this.state = scene.states.includes("after") ? "after" : "before";
     this.part = 0;
@@ -92,46 +86,6 @@ class Controls {
     return new DrivePanel(scene, tree, robots, (state) => this.showLive(state));
   }
 
-  wire() {
-    const on = (id, event, action) => document.getElementById(id).addEventListener(event, action);
-    for (const state of ["before", "after"]) {
-      on(`state-${state}`, "change", () => this.become(state));
-    }
-    on("same-scale", "change", () => this.applyState());
-    on("part", "change", (event) => this.showPart(Number(event.target.value)));
-    this.arrange();
-    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.part][this.vectorState()], (factor) => {
-      this.vectorFactors[this.part][this.vectorState()] = factor;
-      if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
-      this.noteFactors();
-    });
-    this.wireFactor("ghost-factor", FACTORS, this.ghostFactor, (factor) => {
-      this.ghostFactor = factor;
-      if (this.stage) {
-        this.stage.ghostFactor = factor;
-        this.stage.showPose(this.stage.pose);
-      }
-      this.noteFactors();
-    });
-    this.wireFactor("point-size", SIZES, 1, (size) => {
-      if (this.stage && this.stage.marks) this.stage.marks.uniforms.size.value = size;
-    });
-    for (const id of ["show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"]) {
-      on(id, "change", () => this.applyVisibility());
-    }
-    on("pose", "input", (event) => this.go(this.rows[Number(event.target.value)]));
-    on("previous", "click", () => this.step(-1));
-    on("next", "click", () => this.step(1));
-    on("reset-camera", "click", () => this.resetCamera());
-    on("save-picture", "click", () => this.savePicture());
-    document.getElementById("save-picture").hidden = !this.stage;
-    for (const button of document.querySelectorAll("[data-view]")) {
-      button.addEventListener("click", () => this.lookFrom(button.dataset.view));
-    }
-    document.addEventListener("keydown", (event) => this.key(event));
-    this.wirePicking();
-  }
-
   /** Which controls the scene has use for, and how they stand at first. */
   arrange() {
     for (const state of ["before", "after"]) {
@@ -147,7 +101,7 @@ class Controls {
     document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
     document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
     this.wirePart();
-    this.wireGroups();
+    this.groups.offer(this.part);
     this.vectorFactors = this.scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
     this.ghostFactor = this.scene.ghost_factor;
     const ghost = document.getElementById("ghost-factor");
@@ -167,111 +121,24 @@ class Controls {
   showPart(part) {
     this.part = part;
     document.getElementById("part").value = part;
-    if (this.stage && this.stage.marks) this.stage.marks.uniforms.chosenPart.value = part;
-    this.wireGroups();
+    this.setMark("chosenPart", part);
+    this.groups.offer(this.part);
     this.filter();
     this.applyState();
     this.noteFactors();
   }
 
-  wireGroups() {
-    const { groups, nGroups } = this.table;
-    const place = document.getElementById("groups");
-    const group = this.table.group.filter((_, row) => this.table.part[row] === this.part);
-    const count = (matches) => group.filter(matches).length;
-    place.replaceChildren();
-    const add = (name, mark, n, shown, choose) => {
-      const box = element("input", { type: "checkbox", id: `show-${name.replace(" ", "-")}` });
-      box.checked = shown;
-      box.disabled = n === 0;
-      box.addEventListener("change", () => { choose(box.checked); this.filter(); });
-      const text = name[0].toUpperCase() + name.slice(1);
-      place.append(element("label", { class: "check" }, box, markPicture(mark), element("span", {}, `${text} (${n})`)));
-    };
-    groups.forEach(({ name, mark }, kind) => {
-      const n = count((code) => code % nGroups === kind);
-      if (n || name === "identification" || name === "validation") {
-        add(name, mark, n, this.shown.groups[kind], (checked) => { this.shown.groups[kind] = checked; });
-      }
-    });
-    this.nOutliers = count((code) => code >= nGroups);
-    add("outliers", "cross", this.nOutliers, this.shown.outliers, (checked) => { this.shown.outliers = checked; });
-    place.hidden = this.table.n === 0;
-    // of what was left out the legend has the cross alone: all of it are outliers
-    this.groupsInLegend = groups.filter((_, kind) => count((code) => code === kind) > 0);
-  }
-
-  wireFactor(id, steps, start, apply) {
-    const slider = document.getElementById(id);
-    slider.max = steps.length - 1;
-    slider.show = (factor) => {
-      slider.value = Math.max(0, steps.findIndex((listed) => listed >= factor));
-      changed();
-    };
-    const changed = () => {
-      const factor = steps[Number(slider.value)];
-      document.getElementById(`${id}-text`).textContent = `\u00d7${factor}`;
-      slider.setAttribute("aria-valuetext", `${factor} times`);
-      apply(factor);
-      if (this.stage) this.stage.redraw();
-    };
-    slider.addEventListener("input", changed);
-    slider.show(start);
-  }
-
-  wirePicking() {
-    if (!this.stage) return;
-    const { pane } = this.stage; // the camera's controls capture the pointer there
-    let start = null;
-    pane.addEventListener("pointerdown", (event) => { start = [event.clientX, event.clientY]; });
-    pane.addEventListener("pointerup", (event) => {
-      if (!start || Math.hypot(event.clientX - start[0], event.clientY - start[1]) > 5 || !this.stage.marks) return;
-      const box = pane.getBoundingClientRect();
-      const reach = event.pointerType === "touch" ? 24 : 12;
-      const row = this.stage.marks.pick(this.stage.viewer.camera, event.clientX - box.left, event.clientY - box.top,
-                                        box.width, box.height, reach);
-      if (row >= 0) this.go(row);
-    });
-  }
-
-  /** Arrow keys step through the poses unless a control of its own uses them. */
-  key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const target = event.target;
-    const usesArrows = target.matches("input[type=range], input[type=radio], select");
-    const toggles = { v: "show-vectors", g: "show-ghost", f: "show-frames" };
-    const name = event.key.toLowerCase();
-    if (!usesArrows && event.key === "ArrowLeft") this.step(-1);
-    else if (!usesArrows && event.key === "ArrowRight") this.step(1);
-    else if (!usesArrows && event.key === "Home" && this.rows.length) this.go(this.rows[0]);
-    else if (!usesArrows && event.key === "End" && this.rows.length) this.go(this.rows[this.rows.length - 1]);
-    else if (name === "p") this.player.toggle();
-    else if (name === "b" && this.scene.states.length > 1) {
-      this.become(this.state === "before" ? "after" : "before");
-    } else if (name === "r") this.resetCamera();
-    else if (name === "s") this.savePicture();
-    else if (name === "d") document.getElementById("dark").click();
-    else if (name in toggles) {
-      const box = document.getElementById(toggles[name]);
-      box.checked = !box.checked;
-      this.applyVisibility();
-    } else return;
-    event.preventDefault();
+  /** Give the marks' shaders a value. */
+  setMark(name, value) {
+    if (!this.stage || !this.stage.marks) return;
+    this.stage.marks.uniforms[name].value = value;
+    this.stage.redraw();
   }
 
   /** Which rows are visible; the slider and the arrow keys run over these only. */
   filter() {
-    const { group, n, nGroups, part } = this.table;
-    const visible = Array.from({ length: 2 * nGroups }, (_, code) =>
-      this.shown.groups[code % nGroups] && (code < nGroups || this.shown.outliers));
-    this.rows = [];
-    for (let row = 0; row < n; row += 1) {
-      if (visible[group[row]] && part[row] === this.part) this.rows.push(row);
-    }
-    if (this.stage && this.stage.marks) {
-      this.stage.marks.uniforms.visible.value = visible.map(Number);
-      this.stage.redraw();
-    }
+    this.rows = this.groups.rows(this.part);
+    this.setMark("visible", this.groups.visible().map(Number));
     const slider = document.getElementById("pose");
     slider.max = Math.max(0, this.rows.length - 1);
     for (const id of ["pose", "previous", "next", "play"]) {
@@ -370,15 +237,9 @@ class Controls {
     document.getElementById("vector-factor").show(this.vectorFactors[this.part][this.vectorState()]);
     const { range } = this.scene.parts[this.part];
     const [low, high] = (same ? range.both : range[this.state]) || range.both || [0, 1];
-    const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
-    if (uniforms) {
-      Object.assign(uniforms.low, { value: low });
-      Object.assign(uniforms.high, { value: high });
-      Object.assign(uniforms.logarithmic, { value: Number(same) });
-      this.stage.redraw();
-    }
+    Object.entries({ low, high, logarithmic: Number(same) }).forEach(([name, value]) => this.setMark(name, value));
     this.morph.to(this.state === "before" ? 0 : 1, gradually);
-    this.panel.legend(this.part, this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
+    this.panel.legend(this.part, this.state, low, high, same, this.groups.inLegend, this.groups.nOutliers > 0);
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     this.showNumbers();
   }

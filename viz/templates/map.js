@@ -105,7 +105,7 @@ class WorkspaceMap {
 /** The controls of the map, and its part of the legend. */
 class MapPanel {
   /** @param colours 256 x 4 bytes @param redraw draws the picture anew */
-  constructor(map, colours, wireFactor, redraw) {
+  constructor(map, colours, redraw) {
     Object.assign(this, { map, colours, redraw });
     this.on = (id) => document.getElementById(id);
     this.on("map-block").hidden = !map;
@@ -113,10 +113,11 @@ class MapPanel {
     for (const id of ["map-kind", "map-axis"]) this.on(id).addEventListener("change", () => this.apply());
     this.on("map-slice").addEventListener("input", () => this.apply());
     this.on("show-ellipsoids").addEventListener("change", () => this.apply());
-    wireFactor("ellipsoid-factor", FACTORS, map.data.factor, (factor) => {
+    factorSlider("ellipsoid-factor", FACTORS, map.data.factor, (factor) => {
       map.enlarge(factor);
       this.factor = factor;
       this.ellipsoidText();
+      this.redraw();
     });
     this.on("map-kind").value = "std";
     this.apply();

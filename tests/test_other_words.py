@@ -117,6 +117,8 @@ RUN = {
     "joint_limits": lambda t: t.robot.joint_limits.shape == (6, 2) and t.robot.joint_limits[0, 1] == 2.9,
     "frame_names": lambda t: "flange" in t.robot.frame_names,
     "forward of a list": lambda t: t.robot.forward([0.0] * 6, "flange").shape == (4, 4),
+    "in robot.parameters": lambda t: "joint_3.z" in t.robot.parameters and "joint_9.z" not in t.robot.parameters,
+    "if fit": lambda t: all((t.fit, t.robot, t.data, t.fit.verdict)),
     "fix of a robot": lambda t: (
         not t.robot.fix("joint_3.z").is_free[[p.name for p in t.robot.parameters].index("joint_3.z")]
     ),
@@ -242,6 +244,29 @@ ANSWERED = {
     "calib.fit(t.fit, t.data)": "expected a Robot",
     "t.fit.to_urdf('x.urdf')": 'fit.export("arm.urdf")',
     "t.fit.calibrated": "fit.robot",
+    # what Python asks of everything
+    "len(t.fit)": "len(fit.free_names)",
+    "len(t.robot)": "len(robot.joint_names)",
+    "t.fit(t.q)": "fit.predict(q)",
+    "t.robot(t.q)": "robot.forward(q",
+    "t.fit.verdict == 'PASS'": "fit.verdict.grade == 'PASS'",
+    "calib.compare(t.fit, t.fit).plot()": "--html FILE",
+    # one word, another meaning in another function
+    "calib.solve(t.fit, t.q[:, :3], q0=t.q)": "near=q",
+    "calib.verify(t.fit, t.data, alpha=0.05)": ".p_value",
+    "calib.select(t.robot, t.q, k=3)": "count=40",
+    "t.fit.export(format='mjcf')": "file_format=",
+    "t.robot.jacobian(t.q, reference_frame='LOCAL')": "axes of the measurement frame",
+    # controllers, MoveIt, metrology
+    "t.robot.mastering": "joint-offsets",
+    "t.robot.move_group": "calib.compensate(robot, program)",
+    "t.robot.manipulability(t.q)": "robot.jacobian(q)",
+    "t.robot.integrate(t.q, t.q)": "q + dq",
+    "t.fit.passed": "fit.verdict.grade",
+    "t.fit.u95": "limit95",
+    "t.fit.joint_offsets": "joint-offsets",
+    "t.data.dropna()": "data.to_dataframe()",
+    "calib.SE3(t.q)": "(4, 4)",
 }
 """Lines of other packages, and what the error names."""
 
@@ -341,6 +366,11 @@ def test_what_the_table_names_is_there(t):
         (["plot", ARM], "calib view ROBOT"),
         (["fit", ARM, READ, "--tool", "tcp"], "no option '--tool'; here: the robot description: targets:"),
         (["demo"], "no command 'demo'; here: medrue demo"),
+        (["fit", ARM, READ, "--compliance"], "--terms auto"),
+        (["fit", ARM, READ, "--confidence", "0.9"], "95 %"),
+        (["export", ARM, "--to", "mjcf"], "--format urdf is the format"),
+        (["mastering", ARM], "--format joint-offsets"),
+        (["uncertainty", ARM], "calib study ROBOT"),
     ],
 )
 def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):

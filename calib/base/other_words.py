@@ -125,6 +125,16 @@ class Worded(metaclass=_Worded):
         def __getitem__(self, key: Any) -> Any:
             raise UnknownOptionError(f"{type(self).__name__}: takes no [{key!r:.40}]{way('[]', self._other_words)}")
 
+        def __len__(self) -> int:
+            raise UnknownOptionError(f"{type(self).__name__}: has no length{way('len()', self._other_words)}")
+
+        def __bool__(self) -> bool:
+            return type(self).__len__ is Worded.__len__ or len(self) > 0  # what has no length is never empty
+
+        def __call__(self, *args: Any, **options: Any) -> Any:
+            """Say what to call instead."""
+            raise UnknownOptionError(f"{type(self).__name__}: is no function{way('()', self._other_words)}")
+
 
 def _no_name(of: str, name: str, place: str, names: list[str]) -> str:
     public = [candidate for candidate in names if candidate[0] != "_" and candidate.isidentifier()]

@@ -82,6 +82,9 @@ class Parameters(tuple[Parameter, ...]):
     def __getitem__(self, which: SupportsIndex | str | slice) -> Parameter | tuple[Parameter, ...]:
         return super().__getitem__(index_of(self, which) if isinstance(which, str) else which)
 
+    def __contains__(self, which: object) -> bool:
+        return super().__contains__(which) or any(parameter.name == which for parameter in self)
+
     def to_dataframe(self) -> Any:
         """Return a pandas table of nominal values and sigmas, in the units of tables; see `calib.base.words.pandas`."""
         keys = ("name", "unit", "nominal", "sigma")

@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError, InputError, nearest
+from calib.base.other_words import worded
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
 from calib.data.measurement_columns import APPROACH, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -32,6 +33,7 @@ from calib.robots.gravity import turned_joints
 from calib.robots.robot import Robot
 
 
+@worded
 def read_poses(path: Source, robot: Robot) -> Poses:
     """Read joint values; one column for each actuated joint, other columns are ignored.
 
@@ -42,6 +44,7 @@ def read_poses(path: Source, robot: Robot) -> Poses:
     return poses_of_table(table, robot, used=set())
 
 
+@worded
 def read_measurements(
     path: Source | Sequence[Source], robot: Robot, *, growing: Sequence[str] | None = None
 ) -> Measurements:

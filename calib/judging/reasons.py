@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Literal, Self
 
-from calib.base.other_words import Worded
+from calib.base.other_words import UnknownOptionError, Worded
 from calib.judging.claim import Claim
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
@@ -172,6 +172,12 @@ class Verdict(Worded):
     reasons: tuple[Reason, ...]
     not_covered: tuple[str, ...] = ()
     claim: Claim | None = None
+
+    def __eq__(self, other: object) -> bool:
+        """Whether two verdicts are the same; a verdict beside a text is a mistake that would go unseen."""
+        if isinstance(other, str):
+            raise UnknownOptionError(f"Verdict: is no text; here: fit.verdict.grade == {other!r}")
+        return isinstance(other, Verdict) and vars(self) == vars(other)
 
     @property
     def nothing_to_correct(self) -> bool:

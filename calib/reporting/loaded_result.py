@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.other_words import worded
 from calib.base.words import titled_html
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
@@ -112,6 +113,7 @@ class LoadedResult(ReadOnlyArrays):
         return self.uncertainty.at(self.robot, pose_set.joints, pose_set.conditions if context is None else context)
 
 
+@worded
 def load_result(folder: Path | str) -> LoadedResult:
     """Load what `calib fit --out`, or `save`, wrote.
 
@@ -136,6 +138,7 @@ def load_result(folder: Path | str) -> LoadedResult:
     return LoadedResult(str(folder), robot, Estimates(estimates), content, known, joints)
 
 
+@worded
 def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:
     """Predict positions of all targets, loops closed.
 

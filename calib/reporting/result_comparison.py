@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calib.base.arrays import FloatArray
+from calib.base.other_words import Worded
 from calib.base.words import as_data, counted, listed, plain_text, text_table
 
 REAL_BELOW = 0.05
@@ -73,7 +74,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ResultComparison:
+class ResultComparison(Worded):
     """Results side by side, each two of them against each other.
 
     Attributes:
@@ -89,6 +90,8 @@ class ResultComparison:
         pairs: What each two of them differ in, those with the first one first.
         notes: What to know before using it.
     """
+
+    _other_words = "results side by side"
 
     names: tuple[str, ...]
     folders: tuple[str | None, ...]

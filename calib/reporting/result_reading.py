@@ -14,6 +14,7 @@ import scipy
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, DataError, DescriptionError
 from calib.base.files import read_text
+from calib.base.other_words import worded
 from calib.base.units import error_scale, per_si
 from calib.base.words import counted, listed
 from calib.data.measurements import Poses
@@ -44,6 +45,7 @@ def forced_lines(folder: Path | str) -> list[str]:
     return ["verdict: FAIL, exported by force:", *(f"  {reason}" for reason in verdict["reasons"])]
 
 
+@worded
 def load(path: Path | str) -> Robot:
     """Load a robot from a description (YAML), a plain URDF (`calib.robots.loading.load`), or calibrated from a result.
 

@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
+from calib.base.other_words import worded
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
@@ -143,6 +144,7 @@ class Compensation(ReadOnlyArrays):
         ]
 
 
+@worded
 def compensate(
     calibrated: Robot | Calibrated | KnownRobot, program: Poses | Goals | ArrayLike, *, keep: str | None = None
 ) -> Compensation:

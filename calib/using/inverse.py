@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, UnreachablePoseError, nearest
+from calib.base.other_words import worded
 from calib.base.units import millimetres
 from calib.base.words import listed
 from calib.data.measurements import Poses
@@ -85,6 +86,7 @@ class Solution(ReadOnlyArrays):
             )
 
 
+@worded
 def solve(
     calibrated: Robot | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
 ) -> Solution:

@@ -22,6 +22,7 @@ from typing import Self
 
 from calib.base.errors import InputError
 from calib.base.remembered import remembered
+from calib.base.threads import one_blas_thread
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.pose_checks import likely_mistake
@@ -80,6 +81,7 @@ _MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
 
 
 @remembered
+@one_blas_thread
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK.
 

@@ -24,8 +24,9 @@ from scipy.stats import binomtest, t
 
 from calib.base.errors import CalibrationError
 from calib.photographs.estimation import plain
-from calib.photographs.hand_eye_calibration import calibrate, rms
+from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
+from calib.photographs.left_out import rms
 from calib.photographs.scene import Placed, Scene, on_board
 
 TABLES = {
@@ -58,11 +59,11 @@ def links_of(row, angles):
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def forward(numbers, q):
-    """The tool in the base, (4, 4)."""
-    result = np.eye(4)
-    for row, angle in zip(numbers, q, strict=True):
-        result = result @ links_of(row, np.array([angle]))[0]
+def frames(numbers, q):
+    """The base and what follows each joint, at joint values (n, 6): seven times (n, 4, 4)."""
+    result = [np.tile(np.eye(4), (len(q), 1, 1))]
+    for row, angles in zip(numbers, q.T, strict=True):
+        result.append(result[-1] @ links_of(row, angles))
     return result
 
 
@@ -70,10 +71,7 @@ def joints_of(numbers, ideal, q):
     """Joint values (n, 6) that bring the tool to poses (n, 4, 4), by damped Newton steps; None where none are found."""
     q = np.tile(q, (len(ideal), 1))
     for _ in range(_NEWTON_STEPS):
-        axes = [np.tile(np.eye(4), (len(q), 1, 1))]
-        for row, angles in zip(numbers, q.T, strict=True):
-            axes.append(axes[-1] @ links_of(row, angles))
-        there = axes.pop()
+        *axes, there = frames(numbers, q)
         off = np.concatenate([ideal[:, :3, 3] - there[:, :3, 3], turns(ideal[:, :3, :3], there[:, :3, :3])], axis=1)
         if np.max(np.abs(off)) < 1e-10:
             return q
@@ -95,7 +93,7 @@ def reached(numbers, ideal, generator):
     """Joint values for tool poses of a robot that stands somewhere, and where; None if no place was found."""
     for _ in range(_PLACES):
         q = generator.uniform([-2, -2, -2, -2, 0.6, -2], [2, 0, 2, 2, 1.6, 2])
-        base = ideal[0] @ np.linalg.inv(forward(numbers, q))
+        base = ideal[0] @ np.linalg.inv(frames(numbers, q[None])[-1][0])
         joints = joints_of(numbers, np.linalg.inv(base) @ ideal, q)
         if joints is not None:
             return joints, base
@@ -103,7 +101,7 @@ def reached(numbers, ideal, generator):
 
 
 def drawn(generator, errors, n, mount, robot, sigma):
-    """Images of a set-up, n of them; None where the robot cannot take them."""
+    """Images of a set-up, n of them, and where camera and board are; None where the robot cannot take them."""
     nominal = table(robot)
     place = reached(nominal, tools(n, mount, generator)[0], generator)
     if place is None:
@@ -113,28 +111,26 @@ def drawn(generator, errors, n, mount, robot, sigma):
     if errors == "joints":
         real[:, [1, 2]] += LENGTH_OFF * generator.standard_normal((6, 2))
         real[:, [0, 3]] += ANGLE_OFF * generator.standard_normal((6, 2))
-    told, there = [], []
-    for q in joints:
-        twist = REPEATABILITY * generator.standard_normal(6) * [1, 1, 1, 5, 5, 5]
-        if errors == "images":
-            twist = generator.standard_normal(6) * np.repeat([SHIFT_OFF, TURN_OFF], 3)
-        told.append(base @ forward(nominal, q))
-        there.append(base @ forward(real, q) @ pose(twist[:3], np.rad2deg(twist[3:])))
-    told, there, body = np.array(told), np.array(there), board_points()
-    camera, board = CAMERA[mount], BOARD[mount]
-    links = there if mount == "base" else np.linalg.inv(there)
-    views = np.linalg.inv(camera) @ links @ board
+    twists = REPEATABILITY * generator.standard_normal((n, 6)) * [1, 1, 1, 5, 5, 5]
+    if errors == "images":
+        twists = generator.standard_normal((n, 6)) * np.repeat([SHIFT_OFF, TURN_OFF], 3)
+    told, body = frames(nominal, joints)[-1], board_points()
+    there = frames(real, joints)[-1] @ np.array([pose(twist[:3], np.rad2deg(twist[3:])) for twist in twists])
+    on_base = np.linalg.inv(base) @ (CAMERA if mount == "base" else BOARD)[mount]
+    camera, board = (on_base, BOARD[mount]) if mount == "base" else (CAMERA[mount], on_base)
+    views = np.linalg.inv(camera) @ (there if mount == "base" else np.linalg.inv(there)) @ board
     pixels = np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3]) for view in views])
     pixels += sigma * generator.standard_normal(pixels.shape)
     names = tuple(f"shot_{k + 1:03d}" for k in range(n))
-    return Scene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
+    scene = Scene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
+    return scene, Placed(camera, board, INTRINSICS)
 
 
-def covered(result, mount):
+def covered(fitted, camera):
     """Which of the camera's six numbers lie in their intervals."""
-    step = np.linalg.inv(result.fitted.placed.camera) @ CAMERA[mount]
+    step = np.linalg.inv(fitted.placed.camera) @ camera
     off = np.r_[step[:3, 3], Rotation.from_matrix(step[:3, :3]).as_rotvec()]
-    half = t.ppf(0.975, result.fitted.freedom[:6]) * np.sqrt(np.diag(result.fitted.covariance)[:6])
+    half = t.ppf(0.975, fitted.freedom[:6]) * np.sqrt(np.diag(fitted.covariance)[:6])
     return np.abs(off) <= half
 
 
@@ -160,16 +156,22 @@ def tried(number, errors, seed):
     generator = np.random.default_rng([seed, number])
     robot, mount = list(TABLES)[number % 4], ("tool", "base")[number // 4 % 2]
     n, sigma = int(generator.integers(8, 41)), float(np.exp(generator.uniform(np.log(0.1), 0.0)))
-    every = drawn(generator, errors, n + NEW, mount, robot, sigma)
-    if every is None:
+    case = drawn(generator, errors, n + NEW, mount, robot, sigma)
+    if case is None:
         return None
+    every, real = case
     order = generator.permutation(n + NEW)
     own = every.only(np.isin(np.arange(n + NEW), order[:n]))
     new = every.only(np.isin(np.arange(n + NEW), order[n:]))
     result = calibrate(own, INTRINSICS, mounts=(mount,))
-    reference, _ = plain(own, Placed(CAMERA[mount], BOARD[mount], INTRINSICS), ())
+    reference, _ = plain(own, real, ())
     off = rms(on_board(new, result.fitted.placed))
-    line = Line(off / rms(on_board(new, reference)), covered(result, mount), off / result.limit, judge(result).grade)
+    line = Line(
+        off / rms(on_board(new, reference)),
+        covered(result.fitted, real.camera),
+        off / result.limit,
+        judge(result).grade,
+    )
     words = ["lens found"] * result.lens_found + ["weighed"] * result.weighed
     words += [f"{len(result.off)} set aside"] * bool(result.off) + [mistake.code for mistake in result.mistakes]
     print(

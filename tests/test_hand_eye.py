@@ -8,10 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from calib.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
-from calib.photographs.estimation import Noise, estimate, left_out, solve
-from calib.photographs.hand_eye_calibration import calibrate, rms
+from calib.photographs.estimation import estimate, solve
+from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
+from calib.photographs.left_out import left_out, rms
 from calib.photographs.scene import Placed, on_board, residuals, rows
+from calib.photographs.shared_errors import Noise
 
 
 def codes(result):

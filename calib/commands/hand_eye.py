@@ -23,9 +23,11 @@ from calib.data.tables import read_table
 from calib.instruments.board import Board
 from calib.photographs.camera_files import read_camera
 from calib.photographs.detection import DetectedImage
-from calib.photographs.hand_eye_calibration import LENSES, HandEye, calibrate, require_images
+from calib.photographs.hand_eye import HandEye
+from calib.photographs.hand_eye_calibration import calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.images import joint_columns, shots
+from calib.photographs.lens_choice import LENSES
 from calib.photographs.pages import Picture, exaggeration, page
 from calib.photographs.scene import Mount, Scene
 from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses

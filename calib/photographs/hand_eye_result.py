@@ -12,7 +12,8 @@ from calib.base.arrays import FloatArray
 from calib.base.words import as_data, counted, listed
 from calib.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import turning
-from calib.photographs.hand_eye_calibration import HandEye, rms
+from calib.photographs.hand_eye import HandEye
+from calib.photographs.left_out import rms
 from calib.photographs.scene import SIDES
 
 _FEW = 10  # images below which a result is one to look at
@@ -147,7 +148,7 @@ def report(result: HandEye, frames: Frames) -> str:
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
         f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
-        " if the robot's errors differ from image to image"
+        " errors of the robot that follow its pose included"
         for title, key, pose in (
             (f"Camera in {parents(result, frames)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {parents(result, frames)[1]}", "board", transform(fitted.placed.board)),
@@ -201,7 +202,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left.pixels), "camera_alone": rms(result.alone),
                    "left_out_with_given_intrinsics": result.rms_given},
         "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left.board), "limit95": result.limit},
-        "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn},
+        "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn,
+                  "arm_m_and_rad": fitted.arm},
         "weighed": result.weighed,
         "images": [
             {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}

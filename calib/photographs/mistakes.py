@@ -23,8 +23,10 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import CalibrationError
 from calib.instruments.camera import NAMES
-from calib.photographs.estimation import Estimate, Prior, estimate, found_noise, left_out, normal_equations
+from calib.photographs.estimation import Estimate, estimate
+from calib.photographs.left_out import predicted, rms
 from calib.photographs.scene import Linear, Scene, linearised, residuals, rows
+from calib.photographs.shared_errors import Prior, found_noise, normal_equations
 from calib.photographs.starts import Start, camera_alone, start
 
 _FAR = 0.01  # m on the board: more than robots are off
@@ -129,8 +131,8 @@ def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray) -> lis
             continue
         ends.append((begun.typical, code, text))
     if ends and min(ends)[0] < _HALVES * typical:
-        rms, code, text = min(ends)
-        return [Mistake(code, f"{text} (then {rms:.1f} px are left in place of {typical:.1f})", True)]
+        least, code, text = min(ends)
+        return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
         f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not"
         f" belong together,"
@@ -162,15 +164,9 @@ def _square_size(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake
     chance = 2 * float(scipy.special.stdtr(freedom, -abs(change) / std))
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
-    ends = [
-        left_out(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled) for each in (fitted, other)
-    ]
     before, after = (
-        sum(
-            float(np.sum(residuals(scene.only(np.arange(len(scene)) == i), placed) ** 2))
-            for i, placed in enumerate(every)
-        )
-        for every in ends
+        rms(predicted(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled).pixels) ** 2
+        for each in (fitted, other)
     )
     if not after < _BETTER * before:
         return None

@@ -11,7 +11,7 @@ so does an error of the robot at an image, L_i exp(e_i): [d; w], the tool moved 
 
 All that solving asks of the points of an image are sums over them: with residuals r, their derivative J by what is
 sought and G by e_i, J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Whatever weighs images by errors that their points
-share is algebra with 6 x 6 matrices (`calib.photographs.estimation`).
+share is algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
 """
 
 from __future__ import annotations
@@ -128,6 +128,7 @@ class Linear(ReadOnlyArrays):
         jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
+        n_arm: How many of the columns, at the end, are errors of the arm (`calib.photographs.arm_errors`).
     """
 
     residuals: FloatArray
@@ -138,12 +139,22 @@ class Linear(ReadOnlyArrays):
     gr: FloatArray
     rr: FloatArray
     n_rows: IntArray
+    n_arm: int = 0
+
+    def with_arm(self, twists: FloatArray) -> Linear:
+        """Return the sums with errors of the arm as further columns, which move the tool by twists, (n, 6, k)."""
+        turned = twists.transpose(0, 2, 1)
+        by_arm = self.jg @ twists
+        jj = np.block([[self.jj, by_arm], [by_arm.transpose(0, 2, 1), turned @ self.gg @ twists]])
+        jg = np.concatenate([self.jg, turned @ self.gg], axis=1)
+        jr = np.concatenate([self.jr, np.einsum("nak,na->nk", twists, self.gr)], axis=1)
+        return replace(self, jj=jj, jg=jg, jr=jr, n_arm=twists.shape[2])
 
     def times(self, weight: FloatArray) -> Linear:
         """Return the sums with weights of images, (n,)."""
         parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
         jj, jg, gg, jr, gr, rr = (part * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in parts)
-        return Linear(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows)
+        return Linear(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
 
 
 def in_camera(scene: Scene, placed: Placed) -> tuple[FloatArray, FloatArray]:
@@ -196,14 +207,12 @@ def _by_error(scene: Scene, placed: Placed, body: FloatArray) -> FloatArray:
 def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False) -> Linear:
     """Return residuals and derivatives, summed over the points of each image; see `rows`."""
     r, j, g = rows(scene, placed, free, scaled)
-    starts = np.concatenate([[0], np.cumsum(scene.counts)])
-    n, k = len(scene), j.shape[2]
-    jj, jg, gg, jr, gr, rr = (np.zeros((n, *shape)) for shape in ((k, k), (k, 6), (6, 6), (k,), (6,), ()))
-    for i in range(n):
-        some = slice(starts[i], starts[i + 1])
-        own_r, own_j, own_g = r[some].ravel(), j[some].reshape(-1, k), g[some].reshape(-1, 6)
-        jj[i], jg[i], gg[i] = own_j.T @ own_j, own_j.T @ own_g, own_g.T @ own_g
-        jr[i], gr[i], rr[i] = own_j.T @ own_r, own_g.T @ own_r, own_r @ own_r
+    k = j.shape[2]
+    wide = np.concatenate([j, g, r[:, :, None]], axis=2)
+    images = (part.reshape(-1, k + 7) for part in np.split(wide, np.cumsum(scene.counts)[:-1]))
+    squares = np.array([part.T @ part for part in images])
+    jj, jg, gg = squares[:, :k, :k], squares[:, :k, k:-1], squares[:, k:-1, k:-1]
+    jr, gr, rr = squares[:, :k, -1], squares[:, k:-1, -1], squares[:, -1, -1]
     return Linear(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
 
 

@@ -25,8 +25,8 @@ from calib.instruments.camera import LEAST_POINTS, rays, view_poses
 from calib.instruments.hand_eye import fixed_poses
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.losses import median_length
-from calib.photographs.estimation import Noise, normal_equations
 from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
+from calib.photographs.shared_errors import Noise, normal_equations
 
 _TRIALS = 25
 _GOOD = 5.0  # px, of most images: then there is no need to ask subsets

@@ -6,8 +6,9 @@ import numpy as np
 from exchange import Answer, Photographs, fit_time, main
 
 import calib
-from calib.photographs.hand_eye_calibration import calibrate, rms
+from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
+from calib.photographs.left_out import rms
 from calib.photographs.scene import Scene
 
 

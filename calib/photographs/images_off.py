@@ -1,0 +1,131 @@
+"""Points and images that do not fit the others, by name.
+
+A point is left out where the others of its image put it elsewhere. An image is set aside where the other images, itself
+aside, put it so far off as no robot errs; at most a third of them, as more are no outliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.errors import ComputationError
+from calib.photographs.estimation import plain
+from calib.photographs.left_out import predicted, rms
+from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
+from calib.photographs.scene import Placed, Scene, linearised, residuals
+from calib.photographs.starts import Start, image_rms, points_off
+
+_OFF = 5.0  # medians of images left out from which one is set aside
+_LEAST_OFF = 1.0  # px
+_MOST_OFF = 1 / 3  # of the images: more are no outliers
+_FEWEST = 5  # images that must stay to call another one off
+
+
+@dataclass(frozen=True)
+class OffPoint:
+    """A point that does not fit the others of its image.
+
+    Attributes:
+        image: Name of the image.
+        pixel: Where it was found [px].
+        distance: How far from where the others put it [px].
+    """
+
+    image: str
+    pixel: tuple[float, float]
+    distance: float
+
+
+@dataclass(frozen=True)
+class OffImage:
+    """An image that does not fit the others.
+
+    Attributes:
+        name: Of the image.
+        rms: How far its points are off [px].
+        shift, turn: By how much the robot's tool would have to be elsewhere [m], [rad].
+    """
+
+    name: str
+    rms: float
+    shift: float
+    turn: float
+
+
+def without_points_off(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
+    """Return where to begin without points that do not fit their image, and these, furthest first; intrinsics (9,)."""
+    scene = begin.scene
+    far = points_off(scene, intrinsics, LENS_NUMBERS)
+    off = [
+        OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
+        for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
+    ]
+    kept = scene.of_points(far == 0) if off else scene
+    return Start(kept, begin.placed, image_rms(kept, begin.placed) if off else begin.rms), tuple(off)
+
+
+def without_images_off(scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
+    """Return which images fit the others, (n,)."""
+    kept = np.ones(len(scene), dtype=bool)
+    free = () if lens == "given" else LENS_NUMBERS
+    most = int(_MOST_OFF * len(scene))
+    candidates = np.argsort(-begin.rms)[: most + 1]
+    trial = kept.copy()
+    trial[[i for i in candidates if begin.rms[i] > 3 * begin.typical][:most]] = False
+    if np.sum(trial) < _FEWEST:
+        return kept
+    for _ in range(3):
+        errors = _foretold(scene, trial, begin.placed, free, intrinsics)
+        if errors is None:
+            return kept
+        level = max(_OFF * float(np.median(errors[trial])), _LEAST_OFF)
+        now = errors <= level
+        if np.sum(now) < max(_FEWEST, len(scene) - most):
+            return kept
+        if np.array_equal(now, trial):
+            break
+        trial = now
+    return trial
+
+
+def _foretold(
+    scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None
+) -> FloatArray | None:
+    """How far off each image is from where the kept ones put it, itself aside, (n,) [px]; None if that is not known."""
+    kept_scene = scene.only(kept)
+    prior = lens_prior(begin.intrinsics, kept_scene, intrinsics is not None) if free else None
+    try:
+        placed, weights = plain(kept_scene, begin, free, prior)
+    except ComputationError:
+        return None
+    result = np.zeros(len(scene))
+    left = predicted(kept_scene, placed, free, weights, prior)
+    result[kept] = np.sqrt(kept_scene.sums(np.sum(left.pixels**2, axis=1)) / kept_scene.counts)
+    for i in np.flatnonzero(~kept):
+        part = scene.only(np.arange(len(scene)) == i)
+        result[i] = rms(residuals(part, placed))
+    return result
+
+
+def named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
+    """Return images that are not kept, (n,), and by how much the robot would have to be elsewhere."""
+    if np.all(kept):
+        return ()
+    placed, _ = plain(scene.only(kept), begin.placed, ())
+    named = []
+    for i in np.flatnonzero(~kept):
+        part = scene.only(np.arange(len(scene)) == i)
+        linear = linearised(part, placed, ())
+        error = -np.linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)[0]
+        named.append(
+            OffImage(
+                scene.names[i],
+                rms(residuals(part, placed)),
+                float(np.linalg.norm(error[:3])),
+                float(np.linalg.norm(error[3:])),
+            )
+        )
+    return tuple(sorted(named, key=lambda image: -image.rms))

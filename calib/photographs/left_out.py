@@ -1,0 +1,77 @@
+"""Images predicted by the others: each left out in turn, and the rest solved again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.photographs.estimation import solve
+from calib.photographs.scene import Placed, Scene, on_board, residuals
+from calib.photographs.shared_errors import Noise, Prior
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut(ReadOnlyArrays):
+    """Images predicted by the others.
+
+    Attributes:
+        pixels: Predicted minus found, (m, 2) [px].
+        board: The same on the board, (m, 2) [m].
+    """
+
+    pixels: FloatArray
+    board: FloatArray
+
+
+def left_out(
+    scene: Scene,
+    placed: Placed,
+    free: Sequence[int],
+    weights: Noise,
+    prior: Prior | None = None,
+    *,
+    scaled: bool = False,
+) -> list[Placed]:
+    """Return the solution without each image in turn, in order.
+
+    Args:
+        scene: The images.
+        placed: The solution of all.
+        free: Which intrinsics are sought.
+        weights: What images are weighed by; they stay as they are.
+        prior: Of the intrinsics.
+        scaled: Whether the size of the board is sought.
+    """
+    result = []
+    for i in range(len(scene)):
+        others: BoolArray = np.arange(len(scene)) != i
+        result.append(solve(scene.only(others), placed, free, weights, prior, scaled=scaled, steps=6))
+    return result
+
+
+def predicted(
+    scene: Scene,
+    placed: Placed,
+    free: Sequence[int],
+    weights: Noise,
+    prior: Prior | None = None,
+    *,
+    scaled: bool = False,
+) -> LeftOut:
+    """Return how far each image is from where the others put it; see `left_out`."""
+    pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
+    for i, without in enumerate(left_out(scene, placed, free, weights, prior, scaled=scaled)):
+        in_image = scene.image == i
+        part = scene.only(np.arange(len(scene)) == i)
+        pixels[in_image], board[in_image] = residuals(part, without), on_board(part, without)
+    return LeftOut(pixels, board)
+
+
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square length of errors (m, 2), without those that are not known."""
+    squares = np.sum(errors**2, axis=1)
+    known = np.isfinite(squares)
+    return float(np.sqrt(np.mean(squares[known]))) if np.any(known) else float("nan")

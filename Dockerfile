@@ -9,7 +9,7 @@ COPY calib /src/calib
 COPY viz /src/viz
 COPY medrue /src/medrue
 COPY urdf /src/urdf
-COPY docs/examples/medrue_simulated.csv /src/docs/examples/medrue_simulated.csv
+COPY docs/examples /src/docs/examples
 RUN pip install --no-cache-dir --quiet hatchling && pip install --no-cache-dir --quiet --no-deps --no-build-isolation /src
 WORKDIR /data
 CMD ["medrue", "demo", "--out", "demo"]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -34,6 +35,16 @@ def wheel(tmp_path_factory):
     run("-m", "build", "--wheel", "--no-isolation", "--outdir", out, ROOT, cwd=out)
     (path,) = out.glob("*.whl")
     return path
+
+
+def test_the_container_is_built_from_all_that_the_wheel_is_made_of():
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    copied = {name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1]}
+    assert [name for name in copied if not (ROOT / name).exists()] == []
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    made_of = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    needed = {*made_of["packages"], *made_of["force-include"], project["project"]["readme"]}
+    assert needed | set(project["project"]["license-files"]) <= copied
 
 
 @pytest.fixture(scope="module")

@@ -97,16 +97,16 @@ class Calibration(JudgedFit):
         executor: Executor | int | None = None,
         progress: Progress | None = None,
     ) -> Folds:
-        """Predict each part of the poses by a fit without it.
+        """Predict each part of the poses by a fit of the other parts.
 
         Args:
             folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
             seed: Seed of the random choice.
-            executor: Who fits; as in `fit`.
+            executor: What runs the fits; as in `fit`.
             progress: Called after each part with how many are done, and of how many.
 
         Returns:
-            The errors of all poses, each predicted by a fit that did not see it; `.rms` of each part [m].
+            The errors of all poses, each predicted by a fit that did not use it; `.rms` of each part [m].
 
         Raises:
             InputError: The number of folds is not valid.
@@ -131,7 +131,7 @@ class Calibration(JudgedFit):
         Args:
             draws: How many fits.
             seed: Seed of the random choice.
-            executor: Who fits; as in `fit`.
+            executor: What runs the fits; as in `fit`.
             progress: Called with the number of draws done and of all draws.
 
         Returns:
@@ -210,8 +210,8 @@ def fit(
             text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is
             found from the residuals.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
-        exclude_outliers: Leave outliers out and fit again; the result holds both fits. A reading goes by itself where
-            the others of its visit agree; where more than half of them are off, the visit goes as a whole.
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits. A reading is left
+            out alone if the others of its visit agree; if more than half of them are off, the whole visit is left out.
         starts: Number of starting points, the nominal one and perturbed ones.
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts, of folds, and of what is held out.

@@ -48,9 +48,9 @@ def group() -> None:
     """MedRUE, and the studies of the paper that calibrates it."""
 
 
-@group.command("demo")
+@group.command("demo", short_help="Calibrate MedRUE from simulated measurements.")
 @click.option(
-    "--out", default="out/demo", show_default=True, metavar="DIR", help="Folder to write the result to, as `calib fit`."
+    "--out", default="out/demo", show_default=True, metavar="DIR", help="Folder for the result, as of `calib fit`."
 )
 @shared_options(json_output=True)
 def demo_command(out: str, output: Output) -> None:
@@ -77,10 +77,10 @@ def demo_command(out: str, output: Output) -> None:
     )
 
 
-@group.command("examples")
+@group.command("examples", short_help="Write the files that the documentation uses.")
 @shared_options()
 def examples_command(output: Output) -> None:
-    """Write the files that the pages of the documentation use: `urdf` and `docs/examples`, into this folder.
+    """Write the files that the pages of the documentation use: `urdf` and `docs/examples`, into the current folder.
 
     With them, every line of a tutorial runs without a checkout.
     """
@@ -93,7 +93,7 @@ def examples_command(output: Output) -> None:
     output.say(f"{counted(count, 'file')} written to {listed(sorted(folders))}")
 
 
-@group.command("poses")
+@group.command("poses", short_help="Write the 420 poses of the target workspace.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options(json_output=True)
 def poses_command(out: str, output: Output) -> None:
@@ -141,7 +141,7 @@ def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
     return function
 
 
-@group.command("study")
+@group.command("study", short_help="Reproduce the paper's simulation study.")
 @_simulation_options
 @shared_options(json_output=True)
 def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
@@ -157,7 +157,7 @@ def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
     _finish(study_report(study), out, output, shown=("table2",))
 
 
-@group.command("experiment")
+@group.command("experiment", short_help="Reproduce the paper's experiment on a simulated robot.")
 @_simulation_options
 @click.option("--backlash-mm", type=NumberRange(0, 20), help="Backlash of the rail [mm].")
 @click.option("--lead-um", type=NumberRange(-3000, 3000), help="Lead error [um per 300 mm].")
@@ -200,7 +200,7 @@ def experiment_command(
     _finish(experiment_report(experiment), out, output, shown=("table4", "table5"))
 
 
-@group.command("touch")
+@group.command("touch", short_help="Calibrate without a tracker: by touch, or by encoders.")
 @_simulation_options
 @shared_options(json_output=True)
 def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:

@@ -2,7 +2,7 @@
 
     python tests/file_accuracy.py [FOLDER]
 
-Simulated robots with terms of joint errors, made by the few lines here; and with FOLDER, which has motoman_right,
+Simulated robots with joint terms, made by the few lines here; and with FOLDER, which has motoman_right,
 ur10_tracker and ur10 (see tests/public_data.py), real ones. Every robot is fitted with `--terms auto`, its result
 saved, loaded, and written in every format. Errors are of poses that the fit never saw; base and target are placed by
 the training poses, for the nominal robot and for every file alike. It takes about two minutes.

@@ -91,7 +91,7 @@ def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
     found = check(freer, as_poses(freer, Q[::6]))
     assert [describe_group(group, found.free_parameters) for group in found.open_groups] == [
         "d31 has no effect",
-        "dq1 with xb: dq1 +1 mm, xb -1 mm",
+        "dq1 +1 mm, xb -1 mm",
     ]
     std = dict(zip([p.name for p in found.free_parameters], found.std, strict=True))
     assert {name for name, value in std.items() if np.isinf(value)} == {"xb", "dq1", "d31"}
@@ -227,4 +227,4 @@ def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
     found = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
     assert found.beside_common < 1e-4 < 1e-3 < found.accuracy.rms  # the plate stands anywhere
     told = run_calib("check", "touch.yaml", EXAMPLES / "arm_touches_simulated.csv", cwd=tmp_path).out
-    assert "beside it, positions are known to" in " ".join(told.split())
+    assert "Beside that, positions are known to" in " ".join(told.split())

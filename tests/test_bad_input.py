@@ -268,7 +268,7 @@ BAD_OPTIONS = {
     "unknown option": (f"{FIT} --sigma 1", "no option '--sigma'; here: --sigma-mm 0.04"),
     "one argument too many": (f"{PREDICT} more.csv", "Got unexpected extra argument"),
     "one file too many": (f"{FIT} more.csv", "more.csv: no such file"),
-    "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "--parameters and --result exclude each"),
+    "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "give --parameters or --result, not both"),
     "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
     "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
     "file without end": ("predict arm.yaml /dev/zero --out new.csv", "/dev/zero: is larger than 256 MB"),
@@ -358,7 +358,7 @@ def test_no_command_shows_the_help(run_calib):
     [
         (
             "predict out/robot data.csv --out p.csv",
-            "calib: out/robot: is not there; give a robot description (YAML), a URDF, or a result's folder\n",
+            "calib: out/robot: no such file or folder; give a robot description (YAML), a URDF or a result folder\n",
         ),
         ("fit no.yaml data.csv --out out", "calib: no.yaml: no such file; give a robot description (YAML) or a URDF\n"),
         ("fit arm.yaml bad.csv --out out", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n"),

@@ -244,7 +244,7 @@ def test_what_a_table_leaves_of_joint_terms_is_stated(tmp_path: Path) -> None:
     )
     robot = calib.load(tmp_path / "arm.yaml").with_parameters({"joint_2.gain": 1e-3, "joint_3.x": 1e-3})
     made = dh_file(robot, "standard")
-    assert "no terms of joint errors (of joint_2)" in made.statement
+    assert "no joint terms (of joint_2)" in made.statement
     lower, upper = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
     q = np.random.default_rng(6).uniform(lower, upper, (N_RANDOM, 6))
     point = np.array([0.02, 0, 0.05, 1])

@@ -226,7 +226,7 @@ GOOD = "# convention: standard\njoint,type,theta [deg],d [mm],a [mm],alpha [deg]
         ("alpha [deg]", "beta [deg]", "no column 'alpha'"),
         ("d [mm]", "d [deg]", "unit 'deg' is for an angle"),
         (",90,,", ",q1,,", "'q1' is not a number"),
-        ("0,1,2,90", "0,1,,90", "column 'a': is empty; write 0"),
+        ("0,1,2,90", "0,1,,90", "column 'a': is empty; fill it in"),
         ("alpha [deg]", "alpha", "90 rad is not plausible"),
         ("revolute", "revolut", "unknown type 'revolut'; did you mean 'revolute'?"),
         ("revolute", "prismatic", "a prismatic joint needs limits"),
@@ -251,8 +251,8 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--out", "x.yaml"), "give a URDF, or a Denavit-Hartenberg table"),
-        (("arm.urdf", "--dh", "good.csv", "--out", "x.yaml"), "one of them"),
+        (("--out", "x.yaml"), "give one of these: a URDF, a Denavit-Hartenberg table"),
+        (("arm.urdf", "--dh", "good.csv", "--out", "x.yaml"), "give one of these"),
         (("arm.urdf", "--convention", "modified", "--out", "x.yaml"), "is for a table given with --dh"),
         (("--dh", "good.csv", "--convention", "modified", "--out", "x.yaml"), "says 'convention: standard', but"),
         (("--dh", "good.csv", "--out", "x.urdf"), "ends in .yaml"),

@@ -146,7 +146,7 @@ def read_names(folder):
 def test_files_report_and_verdict_say_what_they_are_worth(fit, folder):
     origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
     urdf = (folder / "calibrated.urdf").read_text()
-    assert "fitted without the terms of joint errors of j1, j2, j3, j4, j5, and 1 more" in urdf
+    assert "fitted without the joint terms of j1, j2, j3, j4, j5, and 1 more" in urdf
     assert f"{1e3 * origins.rms:.4f} mm RMS, 95 % within {1e3 * origins.limit95:.4f} mm (40 validation poses)" in urdf
     assert f"the whole model {1e3 * whole.rms:.4f} mm" in urdf
     report = fit.report(verbose=True)
@@ -326,10 +326,10 @@ def test_a_result_of_an_earlier_version_loads_and_says_what_it_lacks(folder, run
     np.testing.assert_array_equal(calib.load(old).values, calib.load(folder).values)
     run = run_calib("export", old, "--format", "urdf", "--out", tmp_path / "x.urdf")
     assert (run.code, run.err.count("\n")) == (3, 1)
-    assert "loses the terms of joint errors of j1, j2" in run.err
-    assert "fit again what an earlier version has fitted" in run.err
+    assert "loses the joint terms of j1, j2" in run.err
+    assert "fit again if an earlier version wrote it" in run.err
     assert run_calib("export", old, "--format", "urdf", "--force", "--out", tmp_path / "x.urdf").code == 0
-    assert "exported by force: these values belong to terms of joint errors" in (tmp_path / "x.urdf").read_text()
+    assert "exported by force: these values belong to joint terms" in (tmp_path / "x.urdf").read_text()
     assert run_calib("export", old, "--format", "joint-offsets", "--out", tmp_path / "zeros.csv").code == 0
 
 
@@ -337,8 +337,8 @@ def test_a_result_of_an_earlier_version_loads_and_says_what_it_lacks(folder, run
     ("change", "words"),
     [
         (lambda old: (old / "without_terms.csv").unlink(), "no such file"),
-        (lambda old: _edit(old, "holds", "orgins"), "what its result.json says of files cannot be read"),
-        (lambda old: _edit(old, "rms", "much"), "what its result.json says of files cannot be read"),
+        (lambda old: _edit(old, "holds", "orgins"), "the entry `files` of its result.json cannot be read"),
+        (lambda old: _edit(old, "rms", "much"), "the entry `files` of its result.json cannot be read"),
     ],
 )
 def test_a_damaged_result_is_one_clear_line(folder, run_calib, tmp_path, change, words):
@@ -367,9 +367,9 @@ def test_files_do_not_stay_beside_a_result_that_has_none(fit, tmp_path):
 
 def test_values_of_terms_that_no_fit_has_are_refused_unless_forced(fit, tmp_path):
     robot = fit.nominal.with_parameters({"j2.gain": 1e-3})
-    with pytest.raises(calib.ComputationError, match="a fit finds those that are best without them"):
+    with pytest.raises(calib.ComputationError, match="A fit also finds the best origins without them"):
         robot.calibrated_urdf()
-    with pytest.raises(calib.ComputationError, match=r"format 'dh': .* loses the terms of joint errors of j2"):
+    with pytest.raises(calib.ComputationError, match=r"format 'dh': .* loses the joint terms of j2"):
         calib.export(robot, "dh", tmp_path / "x.csv")
     assert fit.nominal.calibrated_urdf() == fit.nominal.urdf.source
     assert fit.robot.with_parameters({"j2.x": 0.05}).files == {}

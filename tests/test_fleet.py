@@ -179,7 +179,7 @@ def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(
     fit = calib.fit(fleet.robot, calib.simulate(repaired, robot.sample(20, rng), seed=rng))
     assert fit.nominal.description.fleet.unlike == ("joint_3.rz",)
     text = {reason.code: reason.text for reason in fit.verdict.reasons}["unlike_fleet"]
-    assert text.startswith("this robot is unlike the 3 of its fleet in joint_3.rz")
+    assert text.startswith("this robot is unlike the 3 robots of its fleet in joint_3.rz")
     assert abs(dict_of(fit.robot)["joint_3.rz"] - dict_of(repaired)["joint_3.rz"]) < 0.002
 
 

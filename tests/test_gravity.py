@@ -550,3 +550,37 @@ def test_two_joints_about_one_axis_cannot_be_told_apart(tmp_path):
     (tmp_path / "data.csv").write_text(f"{head}\n1,0,1,0,1,0,0,1,0,9.8\n")
     with pytest.raises(calib.DataError, match="line 2: tip_x and tip_y have no values at which 'low' reads this"):
         calib.read_measurements(tmp_path / "data.csv", robot)
+
+
+def reading_of(tmp_path, gravity, *downs):
+    """Measurements with gravity as it was read at each visit."""
+    robot = described(tmp_path, gravity)
+    rows = [f"0,0,{0.1 * k},0.9,0,0.5,{down}" for k, down in enumerate(downs)]
+    (tmp_path / "data.csv").write_text("\n".join([f"{HEADER},gravity_x,gravity_y,gravity_z", *rows]))
+    return calib.read_measurements(tmp_path / "data.csv", robot)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "downs", "message"),
+    [
+        ("{down: [0, 0, 1]}", ("0,0,-1", "0,0,-1"), "line 2: the direction of gravity that was read is 180 deg from"),
+        ("{down: [0, 0, -1]}", ("0,0,-1", "1,0,0"), "line 3: the direction of gravity that was read is 90 deg from"),
+        ("{down: [0, 0, 1], frame: upper}", ("0,0,-1", "0,0,-1"), "line 2: .* 180 deg from"),
+        ("{down: [0, 0, 1], sigma: 20 deg}", ("0,0,1", "1,0,0"), "line 3: .* 90 deg from"),
+    ],
+)
+def test_a_sensor_that_contradicts_the_stated_direction_is_refused(tmp_path, gravity, downs, message):
+    with pytest.raises(calib.DataError, match=message):
+        reading_of(tmp_path, gravity, *downs)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "downs"),
+    [
+        ("{}", ("0,0,1", "1,0,0")),  # nothing is stated
+        ("{down: [0, 0, 1]}", ("0,0,1", "0.5,0,0.866")),  # the base tilts by 30 degrees
+        ("{down: [0, 0, 1], sigma: 20 deg}", ("0,0,1", "0.766,0,0.643")),  # 50 degrees are less than three sigma
+    ],
+)
+def test_a_sensor_may_read_what_the_description_leaves_open(tmp_path, gravity, downs):
+    assert len(reading_of(tmp_path, gravity, *downs)) == 2

@@ -142,7 +142,7 @@ def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_c
     arguments = ("--parameters", "values.csv", "--format", "joint-tables", "--out", "tables")
     run = run_calib("export", "arm.yaml", *arguments, cwd=tmp_path)
     assert (run.code, run.err.count("\n")) == (3, 1)  # these tables may belong to the backlash
-    assert "loses the terms of joint errors of slide" in run.err
+    assert "loses the joint terms of slide" in run.err
     run = run_calib("export", "arm.yaml", *arguments, "--force", cwd=tmp_path)
     assert run.code == 0, run.err
     assert "note: slide: backlash is not in the table" in run.err

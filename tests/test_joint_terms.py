@@ -202,7 +202,7 @@ def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
         ("{joint: all, term: gain, sigma: 0}", "sigma must be positive"),
         ("{joint: JOINT, term: harmonics, period: 10 mm}", "`period` is for prismatic joints"),
         ("{joint: JOINT, term: coupling, driven_by: nowhere}", "driven_by: no actuated joint 'nowhere'"),
-        ("{joint: all, term: coupling, driven_by: JOINT}", "driven by itself has a `gain`"),
+        ("{joint: all, term: coupling, driven_by: JOINT}", "driven_by names the joint itself; use the term `gain`"),
         ("{joint: JOINT, term: coupling}", "driven_by"),
         ("{joint: JOINT, term: curve, stroke: 1 m}", "`stroke` is for prismatic joints"),
     ],

@@ -259,7 +259,7 @@ def test_a_target_at_the_fixed_point_is_an_error(arm):
     ball = arm.positions(q)[2, 0]
     there = arm.with_parameters({f"beam_end.{axis}": ball[k] for k, axis in enumerate("xyz")})
     data = calib.as_measurements(there, q, read(arm, q))
-    with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is where its distance"):
+    with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is within"):
         calib.rows.observed.observe(there, there.assemble(q), data.readings)
 
 

@@ -297,7 +297,7 @@ def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
         (
             "tip_std_x,tip_std_y,tip_std_z,tip_corr_x_y",
             "1e-3,1e-3,1e-3,1.2",
-            "line 2: the correlations of 'tip' cannot be",
+            "line 2: the correlations of 'tip' contradict each other",
         ),
     ],
 )

@@ -147,8 +147,8 @@ def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_
     ("text", "said"),
     [
         ("<mujoco><worldbody>", "MuJoCo cannot read it: XML parse error"),
-        (ARM.replace(".03 0 0 0", ".03 1 0 0"), "is not one joint that follows another by a line"),
-        (ARM.replace(' joint2="wrist"', ""), "is not one joint that follows another by a line"),
+        (ARM.replace(".03 0 0 0", ".03 1 0 0"), "is not linear, or not between two joints"),
+        (ARM.replace(' joint2="wrist"', ""), "is not linear, or not between two joints"),
         (
             ARM.replace("<equality>", f"{TENDON}<equality>").replace(FOLLOWS, '<tendon tendon1="t"/>'),
             "ties neither bodies nor joints",

@@ -1,6 +1,8 @@
 """What a terminal says at the end: what the grade means, and a command that can be typed as it stands."""
 
+import json
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -33,7 +35,8 @@ def say(monkeypatch):
 
     def verdict(grade, *codes):
         reasons = tuple(Code(code).says("", grade=grade) for code in codes)
-        monkeypatch.setattr("calib.commands.next_steps.judge", lambda fit: Verdict(grade, reasons))
+        for module in ("calib.commands.next_steps", "calib.judging.next_step"):
+            monkeypatch.setattr(f"{module}.judge", lambda fit: Verdict(grade, reasons))
 
     return verdict
 
@@ -52,9 +55,10 @@ def say(monkeypatch):
 )
 def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, wanted):
     say(grade, *codes)
-    meaning, following = after_fit(fit, "a.yaml", ("my data.csv",), "out")
+    meaning, following = after_fit(fit, "a.yaml", ("my data.csv",), "out").splitlines()
     assert grade in meaning
-    assert following.removeprefix("Next: ").startswith(wanted)
+    assert following.startswith("Next: ")
+    assert following.partition(": calib ")[2].startswith(wanted.removeprefix("calib "))
 
 
 def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(robot, data):
@@ -63,39 +67,58 @@ def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(
     read = calib.as_measurements(robot, data.joints, {"reflector": values})
     fit = calib.fit(robot, read)
     assert fit.outliers[0].pose == 17
-    assert "--exclude-outliers" in after_fit(fit, "a.yaml", ("d.csv",), "out")[1]
+    assert "--exclude-outliers" in after_fit(fit, "a.yaml", ("d.csv",), "out")
 
 
 def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     used, held = data.split(0.25, seed=1)
     validated = calib.fit(robot, used, validation=held)
     say("PASS")
-    assert after_fit(validated, "a.yaml", ("d.csv",), "out")[1].startswith("Next: calib export out ")
+    assert after_fit(validated, "a.yaml", ("d.csv",), "my out").splitlines()[1] == (
+        "Next: use my out/calibrated.urdf, or correct a program for the real robot: calib compensate 'my out'"
+        " program.csv --out compensated.csv"
+    )
+    say("PASS", "nothing_to_correct")
+    assert after_fit(validated, "a.yaml", ("d.csv",), "out").endswith(": calib verify out measured.csv")
+
+
+def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
+    run_calib("init", "--klipper", EXAMPLES / "printer.cfg", "--out", tmp_path / "printer.yaml")
+    printer = calib.load(tmp_path / "printer.yaml")
+    fit = calib.fit(printer, tmp_path / "printer.csv", validation=tmp_path / "printer.csv")
+    say("PASS")
+    assert after_fit(fit, "p.yaml", ("d.csv",), "out").endswith(
+        ": calib export out --format klipper --out settings.cfg"
+    )
+
+
+def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, say, monkeypatch):
+    validated = calib.fit(robot, data, validation=0.25)
+    monkeypatch.setattr("calib.judging.next_step.why_no_origins", lambda fit: "its joint terms matter")
+    say("PASS")
+    assert ": calib compensate out program.csv --out" in after_fit(validated, "a.yaml", ("d.csv",), "out")
+    assert "urdf" not in after_fit(validated, "a.yaml", ("d.csv",), "out")
 
 
 def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
     found = calib.check(robot, data)
-    assert "calib sample" in after_check(found, "a.yaml", data, ())[0]
-    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, ("d.csv",))[0]
+    assert "calib sample" in after_check(found, "a.yaml", data, ())
+    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, ("d.csv",))
     poses = calib.as_poses(robot, data.joints)
-    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, ("d.csv",))[0]
+    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, ("d.csv",))
 
 
-def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path, monkeypatch):
+def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
     robot, data = EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv"
     out = tmp_path / "my result"
-    quiet = run_calib("fit", robot, data, "--out", out, "--no-pages")
-    assert "Next:" not in quiet.out  # nobody sits there
-    hints = []
-    monkeypatch.setattr(calib.commands.common.Output, "hint", lambda self, lines: hints.extend(lines))
-    run_calib("fit", robot, data, "--out", out, "--no-pages")
-    again = run_calib(*shlex.split(hints[-1].removeprefix("Next: calib ").partition("    (")[0]), "--no-pages")
+    first = run_calib("fit", robot, data, "--out", out, "--no-pages").out.splitlines()[-1]
+    again = run_calib(*shlex.split(first.partition(": calib ")[2]), "--no-pages")
     assert again.code == 0
-    assert hints[-1].startswith("Next: calib export")
-    assert run_calib(*shlex.split(hints[-1].removeprefix("Next: calib ")), cwd=tmp_path).code == 0
-    assert after_select("a.yaml", "b.csv")[0].endswith(
-        "calib watch a.yaml measured.csv --goal 0.1mm --candidates b.csv"
-    )
+    assert json.loads((out / "result.json").read_text())["next"].startswith("use DIR/calibrated.urdf, or ")
+    last = again.out.splitlines()[-1]
+    shutil.copy(data, tmp_path / "program.csv")
+    assert run_calib(*shlex.split(last.partition(": calib ")[2]), cwd=tmp_path).code == 0
+    assert after_select("a.yaml", "b.csv").endswith("calib watch a.yaml measured.csv --goal 0.1mm --candidates b.csv")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -8,6 +8,7 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_a
 from small_robots import write_arm
 
 import calib
+from calib.data.tables import read_table
 from calib.instruments.kind import Readings
 from calib.judging import findings
 from calib.numerics.losses import Blocks, studentised
@@ -212,6 +213,28 @@ def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_pa
         return sorted((table.labels[k], table.targets[k]) for k in np.flatnonzero(table.outlier))
 
     assert marked(told) == marked(own)
+
+
+def test_a_folder_has_the_readings_that_were_left_out_too(photographed, tmp_path):
+    arm, data, _ = photographed
+    fit = calib.fit(arm, data, exclude_outliers=True)
+    fit.save(str(tmp_path / "out"))
+    table = read_table(tmp_path / "out" / "residuals.csv")
+    used = fit.identification.data.n_readings
+    assert table.text("set") == ["identification"] * used + ["left out"] * (data.n_readings - used)
+    readings = data.readings["eye"]
+    names = [(data.names[visit], f"p{int(point)}") for visit, (point,) in
+             zip(readings.visits, readings.details, strict=True)]  # fmt: skip
+    rows = [names.index(name) for name in zip(table.text("pose"), table.text("looked_at_point"), strict=True)]
+    assert sorted(rows) == list(range(data.n_readings))
+    pixels = np.stack([table.column(f"measured_{axis}", "pixel") for axis in "uv"], 1)
+    np.testing.assert_allclose(pixels, readings.values[rows], rtol=0, atol=1e-9)
+    errors = np.stack([table.column(f"error_after_{axis}", "pixel") for axis in "uv"], 1)
+    assert np.abs(errors[used:]).max() > 5.0 > np.abs(errors[:used]).max()
+    assert table.text("weight")[used:] == [""] * (data.n_readings - used)
+    saved = read_saved(tmp_path / "out", arm)
+    assert [*saved.sets] == ["identification", "left out"]
+    assert saved.sets["identification"].data.n_readings == used
 
 
 def test_so_many_single_readings_cannot_be_outliers(photographed):

@@ -219,4 +219,4 @@ def test_predict_says_what_the_fit_claims(tmp_path, run_calib):
     run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
                     tmp_path / "p.csv")  # fmt: skip
     limit = 1e3 * fit.verdict.claim.told.limit95
-    assert f"The tool itself is within {limit:.3g} mm of them, 95 % of the time, at poses like" in run.out
+    assert f"The real tool is within {limit:.3g} mm of these positions, 95 % of the time, at poses like" in run.out

@@ -59,9 +59,7 @@ def test_instruments_that_contradict_each_other_are_named(tmp_path):
         if barred is true:
             assert codes == {}
         else:
-            assert codes["instruments_disagree"].startswith(
-                "readings of bar, distance, are explained worse than before"
-            )
+            assert codes["instruments_disagree"].startswith("readings of bar, distance, fit worse than before")
 
 
 def test_targets_that_were_computed_from_one_pose_are_told(tmp_path):
@@ -71,8 +69,8 @@ def test_targets_that_were_computed_from_one_pose_are_told(tmp_path):
     of_pose, of_reading = 2e-4 * rng.standard_normal((60, 1, 3)), 2e-4 * rng.standard_normal((60, 2, 3))
     computed = calib.fit(arm, measurements(arm, q, arm.positions(q) + of_pose))
     text = told(rules_data.moves_as_one, computed)["moves_as_one"]
-    assert text.startswith("targets other, ball keep their distances")
-    assert "they were computed from one pose" in text
+    assert text.startswith("the distances between targets other, ball are the same at every pose")
+    assert "these targets were computed from one measured pose" in text
     assert told(rules_data.moves_as_one, calib.fit(arm, measurements(arm, q, arm.positions(q) + of_reading))) == {}
 
 

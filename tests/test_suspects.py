@@ -59,7 +59,7 @@ def test_swapped_columns_are_named(arm, data):
 def test_several_signs_are_named_together(arm, data, turned):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
     names = ", ".join(f"j{j + 1}" for j in turned)
-    assert likely_mistake(arm, wrong).startswith(f"it looks as if joints {names} counted the other way: with")
+    assert likely_mistake(arm, wrong).startswith(f"it looks as if joints {names} counted the other way: if")
 
 
 @pytest.mark.parametrize(
@@ -100,9 +100,9 @@ def with_zeros(arm, data, rows):
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
     zeros = "it looks as if 2 readings of exactly 0, 0, 0 (row 7, row 30) were none"
-    assert likely_mistake(arm, wrong).startswith(f"{zeros}: with that undone")
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}: if this is corrected")
     wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
-    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 counted the other way: with that undone")
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 counted the other way: if this is corrected")
 
 
 def test_columns_that_are_copies_are_named(arm, data):

@@ -107,7 +107,7 @@ def test_noise_that_only_an_unfit_model_leaves_fails_without_proof(arm):
     found = reason(fit, "noise")
     assert found.grade == fit.verdict.grade == "FAIL"
     assert fit.folds is None
-    assert "no healthy robot leaves more than 1 % of the space measured" in found.text
+    assert "a healthy robot does not leave more than 1 % of the measured space" in found.text
 
 
 def test_unused_poses_that_get_worse_prove_nothing(arm, truth):
@@ -235,7 +235,7 @@ def test_a_joint_that_never_moved_is_named(prior_arm):
 
 def test_too_few_poses_are_a_check(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(11), SIGMA, 1))
-    words = "too few poses: 33 measured coordinates decide 26.0 parameters and leave 7.0"
+    words = "too few poses: 33 measured coordinates determine 26.0 parameters and leave 7.0"
     assert words in reason(fit, "too_few_poses").text
 
 
@@ -499,7 +499,7 @@ def test_validation_where_the_calibration_does_not_reach_is_a_check(prior_arm):
 
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
-    assert any("so a scale error" in text for text in free.verdict.not_covered)
+    assert any("no known length was measured: a scale error" in text for text in free.verdict.not_covered)
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))
     known = calib.fit(robot, noisy(robot, joints(3000), SIGMA, 1), sigma=SIGMA)

@@ -326,7 +326,7 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
         (ONE, (), "no column"),
         (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,x,1\n", (), "column 'reflector_y'"),
         (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,1,1\n", (), "measure more poses"),
-        (ONE, ("--change", "joint_3.ry=1 deg"), "goes with --plan"),
+        (ONE, ("--change", "joint_3.ry=1 deg"), "needs --plan"),
         (ONE, ("--plan", "--change", "joint_3.ry"), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_3.ry="), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "no change 'joint_9.ry'"),

@@ -67,10 +67,10 @@ def test_errors_on_the_same_readings_are_drawn_where_there_are_any(found):
     html = comparison_page(found, created=NOON).html
     assert 'id="same-rows"' in html
     assert 'id="intervals"' in html
-    alone = dataclasses.replace(found, sizes=(), errors_on=("readings of its own, not used",) * 2)
+    alone = dataclasses.replace(found, sizes=(), errors_on=("readings that it did not use",) * 2)
     html = comparison_page(alone, created=NOON).html
     assert 'id="same-rows"' not in html
-    assert "readings of its own" in html
+    assert "readings that it did not use" in html
     held = dataclasses.replace(found, differences=found.differences[2:])
     assert 'id="intervals"' not in comparison_page(held, created=NOON).html
 

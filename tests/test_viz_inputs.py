@@ -78,10 +78,18 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
         assert "noise" in scene.verdict.reasons[0][1]
 
 
-def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
+def test_a_folder_shows_the_outliers_that_were_left_out_or_says_that_it_lacks_them(tmp_path):
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     fit.save(str(tmp_path / "out"), pages=False)
-    assert gather(medrue_robot(), fit).scene.notes == ()
+    own, saved = (gather(medrue_robot(), result).scene for result in (fit, tmp_path / "out"))
+    assert own.notes == saved.notes == ()
+    left_out = [np.flatnonzero(np.array(scene.poses.group) == "left out") for scene in (own, saved)]
+    assert left_out[0].tolist() == left_out[1].tolist() == [83]
+    np.testing.assert_allclose(saved.poses.after[83] - saved.poses.measured[83],
+                               own.poses.after[83] - own.poses.measured[83], rtol=0, atol=1e-12)  # fmt: skip
+    assert saved.poses.outlier[83]
+    path = tmp_path / "out" / "residuals.csv"
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith("left out")))
     assert "not shown: left out of the fit, 1 outlier" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]
 
 
@@ -102,29 +110,6 @@ def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
     assert of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
     assert of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
     assert of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))
-
-
-@pytest.mark.parametrize(
-    ("grade", "codes", "validated", "words"),
-    [
-        ("PASS", [], True, "use it"),
-        ("PASS", [], False, "--validate 0.25"),
-        ("PASS", ["nothing_to_correct"], True, "keep the nominal robot"),
-        ("CHECK", ["outliers"], True, "--exclude-outliers"),
-        ("CHECK", ["systematic", "outliers"], True, "--exclude-outliers"),  # outliers look like joint terms
-        ("CHECK", ["too_few_poses", "systematic"], True, "calib check"),
-        ("FAIL", ["not_assembled"], False, "largest errors"),
-        ("CHECK", ["of_another_package"], True, ""),
-    ],
-)
-def test_what_to_do_next_is_one_sentence(grade, codes, validated, words):
-    grades = ["PASS" if grade == "PASS" else "CHECK"] * len(codes)
-    entry = {"grade": grade, "reasons": ["because"] * len(codes), "codes": codes, "grades": grades}
-    following = of_result(entry, validated=validated).following
-    assert words in following
-    assert following.count(". ") == 0
-    assert bool(following) == bool(words)
-    assert of_result({"grade": grade, "reasons": ["because"]}).following == ""
 
 
 def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):

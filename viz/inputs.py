@@ -16,7 +16,7 @@ from viz import reading_errors
 from viz.judgement import of_fit as judgement_of_fit
 from viz.judgement import of_result
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
-from viz.poses import IDENTIFICATION, Calibrated
+from viz.poses import EXCLUDED, IDENTIFICATION, Calibrated
 from viz.remarks import remarks
 from viz.saved_readings import read_saved
 from viz.scene import Scene, build_scene, other_errors, scene_of_fit
@@ -100,12 +100,10 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
         placed = _placed(robot, data)
         table = from_measurements(data, placed, calibrated, saved.sigmas)
         readings = reading_errors.of_measurements(data, placed, model)
-    left_out = content["excluded"] if data is None else []
+    left_out = content["excluded"] if data is None and EXCLUDED not in saved.sets else []
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
-    judgement = of_result(
-        content["verdict"], validated=any(name in content["errors"] for name in ("validation", "cross_validation"))
-    )
+    judgement = of_result(content["verdict"], content.get("next", ""))
     others = other_errors(content.get("instruments", ()), content["errors"]) if data is None else ()
     scene = build_scene(
         placed, model, table, readings, verdict=judgement, notes=notes, told=told.notes, comments=said, others=others

@@ -15,7 +15,7 @@ import numpy as np
 from calib import Fit, Measurements, Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
-from calib.fitting.outliers import Outlier, left_out_with, numbers_by_instrument
+from calib.fitting.outliers import Outlier, numbers_by_instrument
 from calib.instruments.kind import FrameInstrument, Instrument
 from calib.judging import findings
 from calib.rows.observed import predicted_readings
@@ -58,10 +58,8 @@ def from_fit(fit: Fit) -> PoseTable:
         sets.append(
             of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit))
         )
-    data = _left_out(fit)
-    if data is not None:
-        left_out = _judged(EXCLUDED, data, fit.placed, Calibrated(fit.robot, fit.told_positions.at), noise(fit))
-        sets.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
+    calibrated = Calibrated(fit.robot, fit.told_positions.at)
+    sets += _left_out(findings.excluded_errors(fit), fit.identification, fit.placed, calibrated, noise(fit))
     if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
         names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
         sets = [
@@ -71,18 +69,29 @@ def from_fit(fit: Fit) -> PoseTable:
     return averaged(concatenate(sets))
 
 
-def _left_out(fit: Fit) -> Measurements | None:
-    """The points that were left out of a fit; where none are measured, the visits left out as a whole; None without."""
-    if fit.with_all is None or not fit.excluded:
-        return None
-    data = fit.with_all.identification.data
-    numbers = left_out_with(fit.excluded, fit.with_all.rows.layout)
-    points = {name: own for name, own in numbers.items() if _measures_points(fit.nominal.instrument(name))}
-    if any(map(len, points.values())):
-        return data.of_readings(points)
-    stay = np.unique(np.concatenate([np.delete(data.readings[name].visits, own) for name, own in numbers.items()]))
-    gone = np.setdiff1d(np.arange(len(data)), stay)
-    return data.subset(gone) if len(gone) and not points else None
+def _left_out(
+    errors: ErrorSet | None, used: ErrorSet, placed: Robot, calibrated: Calibrated, sigmas: Sigmas
+) -> list[PoseTable]:
+    """The points that were left out of a fit; where no instrument measures any, the visits left out as a whole."""
+    if errors is None:
+        return []
+    data = errors.data
+    if any(_measures_points(instrument) for instrument in placed.instruments):
+        data = data.of_readings(
+            {
+                name: np.arange(len(own))
+                for name, own in data.readings.items()
+                if _measures_points(placed.instrument(name))
+            }
+        )
+    else:
+        stay = {(name, q.tobytes()) for name, q in zip(used.data.names, used.data.joints, strict=True)}
+        whole = [(name, q.tobytes()) not in stay for name, q in zip(data.names, data.joints, strict=True)]
+        data = data.subset(np.flatnonzero(whole))
+    if not len(data):
+        return []
+    table = _judged(EXCLUDED, data, placed, calibrated, sigmas)
+    return [replace(table, outlier=np.ones(len(table), dtype=bool))]
 
 
 def of_errors(
@@ -144,8 +153,10 @@ def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable
             )
         )
         for group, errors in saved.sets.items()
+        if group != EXCLUDED
     ]
-    return averaged(concatenate(sets))
+    left_out, used = saved.sets.get(EXCLUDED), saved.sets[IDENTIFICATION]
+    return averaged(concatenate([*sets, *_left_out(left_out, used, placed, calibrated, saved.sigmas)]))
 
 
 def noise(fit: Fit) -> Sigmas:

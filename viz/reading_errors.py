@@ -24,8 +24,7 @@ import numpy as np
 from calib import Fit, Measurements, Robot
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.fitting.error_sets import STATES, ErrorSet
-from calib.fitting.fit import errors_on
-from calib.fitting.outliers import left_out_with, numbers_by_instrument
+from calib.fitting.outliers import numbers_by_instrument
 from calib.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
 from calib.judging import findings
 from calib.robots import kinematics
@@ -125,10 +124,10 @@ def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     for group, errors, rows, outliers in sets:
         marked = numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
         tables += _of_set(group, errors, fit.placed, fit.robot, marked)
-    if fit.with_all is not None and fit.excluded:
-        data = fit.with_all.identification.data.of_readings(left_out_with(fit.excluded, fit.with_all.rows.layout))
-        marked = {name: np.arange(len(readings)) for name, readings in data.readings.items()}
-        tables += _of_set(EXCLUDED, errors_on(fit.placed, fit.robot, data), fit.placed, fit.robot, marked)
+    left_out = findings.excluded_errors(fit)
+    if left_out is not None:
+        marked = {name: np.arange(len(readings)) for name, readings in left_out.data.readings.items()}
+        tables += _of_set(EXCLUDED, left_out, fit.placed, fit.robot, marked)
     return _together(tables)
 
 

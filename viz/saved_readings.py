@@ -18,7 +18,7 @@ from calib.data.tables import Table, read_table
 from calib.fitting.error_sets import STATES, ErrorSet
 from calib.instruments.kind import Instrument, Readings
 from calib.reporting.result_reading import read_result
-from viz.poses import IDENTIFICATION
+from viz.poses import EXCLUDED, IDENTIFICATION
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Saved:
     """The readings of a result folder.
 
     Attributes:
-        sets: Readings and errors of each set, by its name; the path of the measurements is that name.
+        sets: Readings and errors of each set, by its name, which is the path of the measurements, too.
         sigmas: Noise of one reading of each instrument that measures points, per axis, by its name [m].
         outliers: Numbers of the readings of each set that are outliers, by instrument.
     """
@@ -59,7 +59,7 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
     if IDENTIFICATION not in groups:
         raise DataError(f"{path}: has no rows of the set '{IDENTIFICATION}'; run the fit again")
     sets = {str(group): _error_set(robot, table, np.flatnonzero(groups == group)) for group in dict.fromkeys(groups)}
-    marked = np.zeros(len(groups), dtype=bool)
+    marked = groups == EXCLUDED
     marked[[row["row"] - 1 for row in content["outliers"] if row.get("row", len(groups) + 1) <= len(groups)]] = True
     targets = np.array(table.text("target"))
     outliers = {

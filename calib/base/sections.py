@@ -160,10 +160,10 @@ def _read(value: Any) -> OwnLength:
         if strange is not None:
             raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
         if set(value) != set(_KEYS):
-            raise ValueError("give {value: ..., sigma: ...}; a number alone is known, and 'unknown' says nothing of it")
+            raise ValueError("give {value: ..., sigma: ...}; or a number alone if it is exact, or 'unknown'")
         sigma = quantity(value["sigma"], "length", "sigma")
         if sigma <= 0:
-            raise ValueError("sigma must be positive; a number alone is known")
+            raise ValueError("sigma must be positive; give a number alone if it is exact")
         return OwnLength(quantity(value["value"], "length", "value"), True, sigma)
     except InputError as error:
         raise ValueError(str(error).removeprefix("value: ")) from None

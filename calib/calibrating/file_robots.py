@@ -1,6 +1,6 @@
 """The robots that files of a fit get: for each kind of file the best that it can hold (`calib.robots.held`).
 
-A file that loses terms of joint errors gets the robot that the same measurements give without them: fitted again, from
+A file that loses joint terms gets the robot that the same measurements give without them: fitted again, from
 the nominal robot, to the same visits (without those that were left out as outliers), with the same noise, loss, starts
 and folds. So its origins carry what they can of what the terms explain, and its covariance counts the rest as noise.
 
@@ -69,7 +69,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:
-    """Return the robot that a fit began with, without the terms of joint errors that files lose which hold so much.
+    """Return the robot that a fit began with, without the joint terms that files lose which hold so much.
 
     The nominal one, where its values belong to these terms, as those of an earlier result.
     """

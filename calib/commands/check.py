@@ -97,5 +97,5 @@ def command(
     output.say(text_report(assessment, source, verbose=verbose))
     if plots is not None:
         output.say(f"Figures written to {plots}")
-    output.hint(after_check(assessment, robot, pose_set, data))
+    output.say(after_check(assessment, robot, pose_set, data))
     output.json({"robot": model.path, "poses": source} | to_dict(assessment))

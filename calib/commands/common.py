@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import logging
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,8 +33,8 @@ from calib.robots.urdf.arm_chain import arm_chain
 from calib.rows.registration import register
 
 SIGMA_HELP = (
-    "Noise of one position reading: one standard deviation along each axis [mm]. Default: what the description states."
-    " The noise of other instruments stands in the description"
+    "Noise of one position reading: one standard deviation along each axis [mm]. Default: as the description states"
+    " it. The description also has the noise of other instruments"
 )
 """What --sigma-mm means, in every command that takes it."""
 FORCED = "Also replace files that this program did not write, or that this command reads."
@@ -61,12 +60,6 @@ class Output:
         """Print text for people."""
         if not self.quiet and self.json_target != "-":
             click.echo(text)
-
-    def hint(self, lines: Sequence[str]) -> None:
-        """Print what to do next, to somebody who sits at a terminal."""
-        if sys.stdout.isatty():
-            for line in lines:
-                self.say(line)
 
     def note(self, text: str) -> None:
         """Print a warning or remark to standard error."""
@@ -283,7 +276,7 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
         ComputationError: The verdict of the result is FAIL.
     """
     if parameters and result:
-        raise InputError("--parameters and --result exclude each other")
+        raise InputError("give --parameters or --result, not both")
     if parameters:
         return robot.with_parameters(read_parameters(parameters, robot))
     return load_calibrated(result, robot) if result else robot

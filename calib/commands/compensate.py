@@ -80,7 +80,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
 @click.option(
     "--skip-unreachable",
     is_flag=True,
-    help="Also write what cannot be compensated: rows empty, and marked; targets of a program as they are.",
+    help="Also write what cannot be compensated: rows are empty and marked; targets of a program stay as they are.",
 )
 @click.option("--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
@@ -299,5 +299,5 @@ def _said(
             )
     lines.append(of_frame(compensation.frame))
     if held_out is not None:
-        lines.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (rms), their noise included")
+        lines.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (RMS), their noise included")
     return "\n".join(lines)

@@ -46,7 +46,9 @@ def compensate_gcode(
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
     if len(known.robot.target_names) > 1:
-        raise DataError(f"{known.robot.path}: has several targets, G-code moves one; describe that one alone")
+        raise DataError(
+            f"{known.robot.path}: has several targets, but G-code moves only one; describe that target alone"
+        )
     program = read_gcode(path, start)
     output.check(out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING

@@ -51,7 +51,7 @@ def compensate_grid(
         columns.append((f"turn_{axis} [deg]", cells_of(corrections.turn[:, k] * degrees)))
     off, angle = millimetres(corrections.position_errors), corrections.angle_errors * degrees
     wrong = (
-        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
+        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (RMS), {np.max(off):.4f} mm and"
         f" {np.max(angle):.4f} deg at worst"
     )
     kept, before = corrections.nothing_to_correct, summary(millimetres(corrections.before))

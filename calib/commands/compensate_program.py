@@ -156,7 +156,7 @@ def _said(program: RobotProgram, compensated: CompensatedProgram, result: str, p
         most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
         lines.append(
             f"This is said of target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it, and"
-            f" {most:.4f} mm (rms) at most are expected there"
+            f" {most:.4f} mm (RMS) at most are expected there"
         )
     if program.left_out:
         lines.append(f"{counted(len(program.left_out), 'place')} not compensated, listed above")

@@ -39,7 +39,7 @@ from calib.robots.robot import Robot
 @click.option(
     "--sigma-mm",
     type=float,
-    help=f"{SIGMA_HELP}. Without either, it is found from the residuals.",
+    help=f"{SIGMA_HELP}. If neither states it, the noise is found from the residuals.",
 )
 @loss_option
 @click.option(
@@ -123,7 +123,7 @@ def command(
     withheld = "" if failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
-    output.hint(after_fit(result, robot, data, out))
+    output.say(after_fit(result, robot, data, out))
     if output.json_target is not None:
         output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:

@@ -147,7 +147,7 @@ def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: Float
     sizes = {image.size for image in detected_images}
     if len(sizes) > 1:
         words = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
-        raise DataError(f"the images have several sizes ({words} px): one camera with one lens has one; sort them")
+        raise DataError(f"the images have several sizes ({words} px); give images of one camera, all of one size")
     points = board.points()
     counts = [len(image.points) for image in detected_images]
     return Scene(

@@ -82,7 +82,7 @@ _LENGTHS = "; ".join(
 @click.option(
     "--schema",
     is_flag=True,
-    help="Write the JSON schema of robot descriptions instead; editors check descriptions by it.",
+    help="Write the JSON schema of robot descriptions instead; editors use it to check descriptions.",
 )
 @click.option(
     "--out",
@@ -110,11 +110,11 @@ def command(
 ) -> None:
     """Write a commented robot description to start from, for URDF or a MuJoCo file (MJCF).
 
-    Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
-    what it leaves out. Other ways to start also write the URDF. --dh: a Denavit-Hartenberg table, with columns theta,
-    d, a, alpha (and beta), with units, one row for each joint. --template: a robot with loops, with your --length.
-    --klipper: the printer.cfg of a delta printer; its measurements are written, too. --marlin, --duet: the settings of
-    a delta printer.
+    If --target is not given, the description has the longest chain of joints with motors, but no fingers of a gripper.
+    A note says what is left out. Other options start from something else and write the URDF, too. --dh: a
+    Denavit-Hartenberg table, with columns theta, d, a, alpha (and beta), with units, one row for each joint.
+    --template: a robot with loops, with your --length. --klipper: the printer.cfg of a delta printer; its measurements
+    are also written. --marlin, --duet: the settings of a delta printer.
     """
     printers = {name: file for name, file in (("klipper", klipper), ("marlin", marlin), ("duet", duet)) if file}
     if schema:
@@ -126,8 +126,8 @@ def command(
         return
     if sum(source is not None for source in (urdf, dh, template, *printers.values())) != 1:
         raise InputError(
-            "give a URDF, or a Denavit-Hartenberg table with --dh, or a --template, or a printer with --klipper,"
-            " --marlin or --duet; one of them"
+            "give one of these: a URDF, a Denavit-Hartenberg table (--dh), a --template, or a printer (--klipper,"
+            " --marlin or --duet)"
         )
     if template and target:
         raise InputError("--target is for a URDF or a table; a template has its own targets")
@@ -311,7 +311,7 @@ def _write_printer(printer: PrinterFile, target: str | None, given: Sequence[str
     for text in given:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals or key != "arm" or arm is not None:
-            raise InputError(f"--length {text}: of a printer give arm=VALUE once, such as arm=288mm")
+            raise InputError(f"--length {text}: a printer has one length; write it once, such as arm=288mm")
         arm = quantity(value, "length", "--length arm")
     geometry = expected_geometry(printer, arm)
     heights = sorted({row.value for row in printer.rows if len(row.places) == 1})

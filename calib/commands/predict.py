@@ -57,7 +57,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         if claim and claim["part"] == "position" and claim["limit95"] is not None:
             output.say(
-                f"The tool itself is within {claim['limit95']:.3g} {claim['unit']} of them, 95 % of the time,"
+                f"The real tool is within {claim['limit95']:.3g} {claim['unit']} of these positions, 95 % of the time,"
                 f" {claim['region']}"
             )
         output.say(

@@ -46,7 +46,7 @@ def command(
 ) -> None:
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
-    A robot that touches something is at contact in these poses. Where only cameras measure, they see their targets.
+    If the robot touches something, it does so at these poses. If only cameras measure, they see their targets there.
     Cables, walls and collisions of the robot with itself are not checked: look at the poses before you send them
     (calib view ROBOT --data FILE).
     """

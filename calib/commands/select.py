@@ -157,7 +157,7 @@ def command(
         write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
-    output.hint(after_select(robot, out))
+    output.say(after_select(robot, out))
     output.json({"robot": model.path} | to_dict(selection, poses))
 
 

@@ -38,7 +38,7 @@ from calib.rows.simulate import simulate, unstated_noise
 @click.option(
     "--parameters", metavar="FILE", help="True parameter values (CSV parameter,value,unit); nominal if not given."
 )
-@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}; 0: no noise of anything.")
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}. 0: no instrument has noise.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
 @click.option(
     "--photographs",
@@ -114,7 +114,10 @@ def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random
     assert camera.image is not None
     again = next((name for k, name in enumerate(data.names) if name in data.names[:k]), None)
     if again is not None:
-        raise InputError(f"{data.path}: pose '{again}' is there twice; a photograph is called by its pose")
+        raise InputError(
+            f"{data.path}: pose '{again}' appears twice; photographs are named after poses, so these need names of"
+            " their own"
+        )
     visits = np.arange(len(data))
     pairs, nothing = np.zeros(len(data), dtype=np.intp), np.zeros((len(data), 0))
     looks = Readings(visits, pairs, nothing, None, nothing)
@@ -148,5 +151,5 @@ def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | Non
     named = ", ".join(f"'{name}'" for name in unstated)
     remedy = "state it there, or give --sigma-mm"
     if unstated_noise(robot, 1.0):
-        remedy = "state it there, as --sigma-mm speaks of positions only, or give --sigma-mm 0 for no noise of anything"
+        remedy = "state it there, as --sigma-mm speaks of positions only, or give --sigma-mm 0 for no noise at all"
     raise InputError(f"{robot.path}: states no noise (sigma) of {named}; {remedy}")

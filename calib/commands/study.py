@@ -33,7 +33,7 @@ from calib.robots.robot import Robot
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @loss_option
-@click.option("--elsewhere", metavar="FILE", help="Poses (CSV) to predict, too.")
+@click.option("--elsewhere", metavar="FILE", help="Other poses (CSV) to predict, beside POSES.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the whole study.")
 @jobs_option("the draws", os.cpu_count() or 1)
 @shared_options(json_output=True)

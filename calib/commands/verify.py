@@ -52,7 +52,7 @@ def command(
     whether a new calibration is due (exit code 3 unless they agree). Repeated poses also give figures of ISO 9283.
     """
     if change and not plan:
-        raise InputError("--change: goes with --plan; what has changed is found from the measurements")
+        raise InputError("--change: needs --plan; without it, changes are found from the measurements")
     result = result_folder(robot, result)
     model = loaded(robot, output)
     promise = load_promise(result, model)

@@ -69,7 +69,7 @@ def command(
     file always holds the present state; with --json -, every state is one line.
     """
     if once and view:
-        raise InputError("--once ends at once, so there is nothing to --view; leave one of them out")
+        raise InputError("--once prints one answer and ends, so --view has nothing to follow; leave one of them out")
     if goal.strip()[-1:].isdigit():
         raise InputError(f"--goal {goal}: write its unit, such as {goal.strip()}mm")
     length = quantity(goal, "length", "--goal")

@@ -103,7 +103,10 @@ def _rows(table: Table) -> tuple[DhRow, ...]:
         values = {}
         for name, column in given.items():
             if math.isnan(column[k]) and name not in (variable, "beta"):
-                raise DataError(f"{table.path}, line {line}, column '{name}': is empty; write 0 if it is none")
+                raise DataError(
+                    f"{table.path}, line {line}, column '{name}': is empty; fill it in, with 0 if there is no such"
+                    " length or angle"
+                )
             values[name] = 0.0 if math.isnan(column[k]) else float(column[k])
         dimension = _NUMBERS[variable] if variable else None
         offset, lower, upper = (_cell(table, name, k, dimension) for name in ("offset", "lower", "upper"))

@@ -146,7 +146,10 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
             noise for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True) if not part.is_position
         ]
         if readings.covariance is None and not all(noise.stated for noise in others):
-            raise InputError(f"sigma: '{name}' reads more than positions, of which no noise is stated; state it there")
+            raise InputError(
+                f"sigma: '{name}' reads more than positions, and the noise of the rest is not stated; state it in the"
+                " robot description"
+            )
         covariance = readings.covariance
         if covariance is None:
             widths = [len(part.axes) for part in instrument.parts]

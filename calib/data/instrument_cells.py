@@ -133,7 +133,10 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
-        raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{instrument.name}' cannot be")
+        raise DataError(
+            f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{instrument.name}' contradict each other;"
+            " correct them"
+        )
     return std[:, :, None] * correlation * std[:, None, :]
 
 

@@ -29,7 +29,7 @@ from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
 from calib.joint_terms.gravity import GravitySection, check_read, columns_of, read_down
 from calib.joint_terms.term import CONTEXT
-from calib.robots.gravity import turned_joints
+from calib.robots.gravity import contradicted, turned_joints
 from calib.robots.robot import Robot
 
 
@@ -136,7 +136,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
-    return Poses(
+    poses = Poses(
         joints,
         labels,
         names,
@@ -148,6 +148,20 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         setups=setups,
         robot=robot,
     )
+    _check_gravity(poses, robot, table)
+    return poses
+
+
+def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
+    """Raise `DataError` where sensors read another direction of gravity than the description states."""
+    angles = contradicted(robot.description, robot.nominal, poses.joints, poses.conditions)
+    if not np.all(np.isnan(angles)):
+        k = int(np.nanargmax(angles))
+        raise DataError(
+            f"{table.path}, line {table.lines[k]}: the direction of gravity that was read is"
+            f" {np.degrees(angles[k]):.0f} deg from the one that {robot.path} states; check gravity.down, gravity.frame"
+            " and the signs (an accelerometer at rest reads upwards), or leave gravity.down out"
+        )
 
 
 def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict[str, FloatArray]:

@@ -1,7 +1,7 @@
 """What controllers and ROS hold: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
 
 Most of them hold less than the calibrated robot. Each file says, in its comment, what it holds and which error is left
-at the target, judged by the robot itself with all that it has: loops, terms of joint errors, tool.
+at the target, judged by the robot itself with all that it has: loops, joint terms, tool.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _chain_text(robot: Robot, chain: SerialChain) -> str:
 
 def _terms_text(robot: Robot) -> str:
     joints = list(dict.fromkeys(term.joint for term in robot.terms))
-    return f", no terms of joint errors (of {listed(joints)})" if joints else ""
+    return f", no joint terms (of {listed(joints)})" if joints else ""
 
 
 def _tool_text(chain: SerialChain) -> str:

@@ -89,7 +89,7 @@ def export(
             `toolbox` put no comment into the URDF, unless it holds less than the robot.
         note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
             for controllers holds and which error it leaves.
-        force: Write the file even if its robot is worse than the nominal one, or belongs to terms of joint errors that
+        force: Write the file even if its robot is worse than the nominal one, or belongs to joint terms that
             the format cannot hold; and replace files that this program did not write, or that the robot comes from.
 
     Returns:

@@ -89,15 +89,15 @@ def said_of(robot: Robot, holds: Holds) -> list[str]:
     """Return what a file that holds so much of a robot says: what it loses, and how good it is, as far as known."""
     lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
-        without = f"terms of joint errors of {listed(lost)}, which are not in this file"
+        without = f"joint terms of {listed(lost)}, which are not in this file"
         return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []
     lines = [f"exported by force: {known.withheld}"] if known.withheld else []
     if holds is Holds.ZEROS:  # what that format says by itself has the rest
         return lines
     if lost:
         lines.append(
-            f"holds {holds.value}, fitted without the terms of joint errors of {listed(lost)}, which have no place in"
-            f" this file; {WHOLE}"
+            f"holds {holds.value}, fitted without the joint terms of {listed(lost)}, which have no place in this file;"
+            f" {WHOLE}"
         )
     return [*lines, f"error of the robot in this file: {compared(robot, holds)}"]
 

@@ -115,10 +115,9 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     if len(spread) > 1 and spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
         return
     raise DataError(
-        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}; where the"
-        " measurement frame is, which the description calls unknown, needs positions that spread in at least two"
-        " directions: measure other poses, or hold what they leave open (`held`, such as base.rx for the turn about a"
-        " line along x)"
+        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}, which does not"
+        " determine the base, whose pose the description calls unknown: measure positions that spread in at least two"
+        " directions, or hold what these leave open (`held`, such as base.rx for the turn about a line along x)"
     )
 
 
@@ -208,7 +207,7 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
     good = sorted(trial for trial in tried if trial[0] <= _AS_GOOD * best)
     fewest = min((joints for _, joints, _ in good if joints), default=0)
     likely = [words for _, joints, words in good if joints in (0, fewest)]
-    closer = f"with that undone, the nominal robot comes {now / best:.0f} times closer"
+    closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
     return f"it looks as if {', or '.join(likely[:3])}: {closer}"
 
 

@@ -1,4 +1,4 @@
-"""A robot as the facts that a function needs which computes its tool poses: trees, terms of joint errors, gravity.
+"""A robot as the facts that a function needs which computes its tool poses: trees, joint terms, gravity.
 
 Joint errors are sums of two kinds of terms (`calib.joint_terms.formula`), with their coefficients multiplied in; those
 that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is

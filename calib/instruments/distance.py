@@ -181,7 +181,7 @@ def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
     length = np.linalg.norm(vectors, axis=1)
     if np.any(length < _NOTHING):
         raise ComputationError(
-            f"{what} is where its distance is measured from, within {micrometres(_NOTHING):g} um, which has no"
-            " direction; check where the description has both"
+            f"{what} is within {micrometres(_NOTHING):g} um of the point that its distance is measured from, so that"
+            " the distance has no direction; check both places in the description"
         )
     return length, vectors / length[:, None]

@@ -54,7 +54,7 @@ class Coupling(JointTerm):
         if other not in joint.actuated:
             raise ValueError(f"driven_by: no actuated joint '{other}'{nearest(other, joint.actuated)}")
         if other == joint.name:
-            raise ValueError("a joint that is driven by itself has a `gain`")
+            raise ValueError("driven_by names the joint itself; use the term `gain`")
         size = EXPECTED[joint.dimension] if sigma is None else sigma
         name = coupling_name(joint.name, other)
         return cls(joint.name, (coefficient(name, joint.dimension, size),), joint.actuated.index(other))

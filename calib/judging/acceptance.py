@@ -69,7 +69,7 @@ class Acceptance(Worded):
         freedom: Degrees of freedom (m of the module docstring).
         placed: How many degrees of freedom placing base and targets took.
         changes: Every candidate, the one with the largest z first.
-        alike: Significant ones that explain the readings as well as the first, itself included.
+        alike: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, after placing base and targets where they are unknown.
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.

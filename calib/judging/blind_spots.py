@@ -41,7 +41,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
     if made > NO_MATTER * findings.linear(fit).factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
-        yield (f"no known length was measured, so a scale error{below} of the instrument, or from heat, stays unseen")
+        yield f"no known length was measured: a scale error{below} (of the instrument, or from heat) does not show"
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
@@ -52,9 +52,9 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
-            "the noise of the instrument was not stated, so the robot's own scatter (play, changing loads) looks"
-            f" like its noise; if all of it is the robot's, single positions are known to {single:.2g} mm RMS; state"
-            " the noise of the instrument (--sigma-mm)"
+            "the noise of the instrument was not stated, so that scatter of the robot (play, changing loads) looks the"
+            f" same as this noise. If the robot makes all of it, single positions are known to {single:.2g} mm RMS."
+            " State the noise of the instrument (--sigma-mm)"
         )
 
 

@@ -9,11 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.base.errors import UnreachablePoseError
+from calib.base.errors import ComputationError, UnreachablePoseError
 from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
+from calib.fitting.error_sets import ErrorSet
+from calib.fitting.fit import errors_on
 from calib.fitting.fitted import Fit
-from calib.fitting.outliers import Outlier, blocks, outliers_of
+from calib.fitting.outliers import Outlier, blocks, left_out_with, outliers_of
 from calib.judging import residual_patterns
 from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget, error_budget
@@ -67,6 +69,21 @@ def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
     if fit.validation is None or rows is None or far_off is None:
         return ()
     return outliers_of(far_off, fit.validation, rows.layout)
+
+
+@remembered
+def excluded_errors(fit: Fit) -> ErrorSet | None:
+    """Return the errors of the readings that were left out as outliers, by the fit without them.
+
+    None where none were, or where the robot cannot be assembled at their visits.
+    """
+    if fit.with_all is None:
+        return None
+    gone = left_out_with(fit.excluded, fit.with_all.rows.layout)
+    try:
+        return errors_on(fit.placed, fit.robot, fit.with_all.identification.data.of_readings(gone))
+    except (UnreachablePoseError, ComputationError):
+        return None
 
 
 @remembered

@@ -219,8 +219,8 @@ class System:
             )
         if self.freedom < 1:
             raise DataError(
-                f"{data.path}: {int(np.sum(self.counts))} measured coordinates only place base and targets; measure"
-                " more poses"
+                f"{data.path}: {int(np.sum(self.counts))} measured coordinates are only enough to place base and"
+                " targets; measure more poses"
             )
         return self
 

@@ -6,7 +6,6 @@ of `calib.judging.rules_...`; `calib.judging.verdict` asks these functions in or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Literal, Self
@@ -18,38 +17,13 @@ Grade = Literal["PASS", "CHECK", "FAIL"]
 
 
 class Answer(Enum):
-    """What answers a reason: an option of `calib fit`, or something else."""
+    """What answers a reason: see `calib.judging.next_step`."""
 
-    LEAVE_OUT = "--exclude-outliers"
-    ADD_TERMS = "--terms auto"
-    TRY_STARTS = "--starts 5"
-    OTHER_POSES = "other poses"
-    LOOK = "look at it"
-    VALIDATE = "--validate 0.25"
-    USE = "use it"
-
-
-_OPTIONS = (Answer.LEAVE_OUT, Answer.ADD_TERMS, Answer.TRY_STARTS)
-"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
-do to a fit looks like noise, and like joint terms."""
-
-
-def what_next(grade: Grade, answers: Sequence[Answer], *, validated: bool) -> Answer:
-    """Return what to do next about a verdict.
-
-    Args:
-        grade: Its grade.
-        answers: Those of its reasons that are CHECK or FAIL, in order.
-        validated: Whether poses that were not used have judged the fit.
-    """
-    option = next((answer for answer in _OPTIONS if answer in answers), None)
-    if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
-        return option
-    if Answer.OTHER_POSES in answers:
-        return Answer.OTHER_POSES
-    if grade != "FAIL" and not validated:
-        return Answer.VALIDATE
-    return Answer.LOOK if answers else Answer.USE
+    LEAVE_OUT = "fit without outliers"
+    ADD_TERMS = "add joint terms"
+    TRY_STARTS = "fit from several starting points"
+    OTHER_POSES = "measure other poses"
+    LOOK = "look at the errors"
 
 
 @dataclass(frozen=True)
@@ -62,7 +36,7 @@ class Reason:
         text: What was found, and what to do.
         counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
             robot gets better, it is no doubt, and its grade becomes PASS.
-        answer: What the next command has to do about it.
+        answer: What to do about it.
     """
 
     grade: Grade

@@ -265,7 +265,9 @@ def _missing(errors: ErrorSet, several: list[Scatter], turned: list[Scatter], fi
     cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:
-        return ["no pose was read more than once: no AP, RP, AD, RD; give rows that repeat a pose the same name"]
+        return [
+            "no pose was read more than once: AP, RP, AD, RD are not known; give rows that repeat a pose the same name"
+        ]
     if len(several) != _FIVE:
         result.append(f"{len(several)} repeated poses where ISO 9283 has five")
     if min(cycles) < CYCLES:

@@ -54,7 +54,9 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
     data = fit.identification.data
     still = unmoved_joints(fit.nominal, data.joints)
     if len(still) == len(fit.nominal.joint_names):
-        yield Code.POSES_EQUAL.says("all poses are the same: the parameters rest on their priors; move the robot")
+        yield Code.POSES_EQUAL.says(
+            "all poses are the same, so the parameters come from their priors alone; move the robot"
+        )
     elif still:
         yield Code.JOINT_NEVER_MOVED.says(
             f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: poses that move"
@@ -64,8 +66,8 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
     directions = directions_moved(data.joints)
     if directions < min(n_moved, len(data) - 1):
         yield Code.JOINTS_MOVE_TOGETHER.says(
-            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space:"
-            " errors of single joints rest on priors. Move each joint by itself"
+            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space: the"
+            " errors of single joints come from priors alone. Move each joint by itself"
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
@@ -81,8 +83,8 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
-            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+            f"too few poses: {rows} measured coordinates determine {used:.1f} parameters and leave"
+            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many poses",
             counted=fit.statistics.freedom >= FEW,
         )
 
@@ -92,9 +94,9 @@ def few_shared(fit: Fit) -> Iterator[Reason]:
     statistics = fit.statistics
     if statistics.shared is not None and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: the readings of a pose share errors, and intervals rest on"
+            "too few poses: the readings of a pose share errors, so that intervals come from only"
             f" {statistics.interval_freedom:.1f} independent errors. Measure several times as many poses, not more"
-            " readings of each"
+            " readings of each pose"
         )
 
 
@@ -112,9 +114,10 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
             rigid |= {names[a], names[b]}
     if rigid:
         yield Code.MOVES_AS_ONE.says(
-            f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
-            f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
-            " Intervals use each pose once; give the pose itself, to an instrument of kind pose"
+            f"the distances between targets {listed([name for name in names if name in rigid])} are the same at every"
+            f" pose, to {1e6 * RIGID:g} um, while readings are off by {millimetres(fit.sigma):.3g} mm per axis: these"
+            " targets were computed from one measured pose. Intervals count each pose once. Give that pose itself,"
+            " with an instrument of kind pose"
         )
 
 
@@ -245,7 +248,7 @@ def rounded(fit: Fit) -> Iterator[Reason]:
         size = error_scale(estimate.group.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
         yield Code.ROUNDED.says(
             f"joint values were rounded to steps of {steps.steps}, which makes about {size:.2g}"
-            f" {ERROR_UNIT[estimate.group.dimension]} of noise. Export all digits of the controller"
+            f" {ERROR_UNIT[estimate.group.dimension]} of noise. Export joint values with all digits of the controller"
         )
 
 

@@ -64,8 +64,8 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
     """Assemble the calibrated robot afresh."""
     if not fit.assembles:
         yield Code.NOT_ASSEMBLED.says(
-            "with the parameters found, the robot cannot be assembled from its home configuration: they are not those"
-            " of this robot; check units, joint order and signs"
+            "with the parameters found, the robot cannot be assembled from its home configuration, so they are wrong;"
+            " check units, joint order and signs"
         )
 
 
@@ -75,7 +75,7 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
         if comparison.worse:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * UNLIKELY:g} %). The fit follows its own measurements, not the robot. Measure more poses,"
+                f" {100 * UNLIKELY:g} %). The fit describes its own measurements, not the robot. Measure more poses,"
                 " spread over the space where the robot will work"
             )
 
@@ -94,8 +94,8 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
     if sums[1] > HARM**2 * sums[0]:
         yield Code.RESIDUALS_GREW.says(
             f"errors at the poses used are {np.sqrt(sums[1] / sums[0]):.2f} times those of the nominal robot with base"
-            " and targets placed: the fit follows priors or weights more than the measurements; check the stated noise"
-            " and the sigmas of the description"
+            " and targets placed: priors or weights count more in this fit than the measurements; check the stated"
+            " noise and the sigmas of the description"
         )
         return
     for instrument, part, of_part in fit.identification.parts():
@@ -108,9 +108,9 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
             before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
             yield Code.INSTRUMENTS_DISAGREE.says(
-                f"readings of {instrument.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit}"
-                f" RMS, {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
-                " other; check how each is described, and the noise that is stated"
+                f"readings of {instrument.name}, {part.name}, fit worse than before ({after_rms:.4g} {unit} RMS,"
+                f" {before_rms:.4g} before), while those of other instruments fit better: the instruments contradict"
+                " each other; check the description of each, and its stated noise"
             )
 
 
@@ -127,8 +127,8 @@ def claim_broken(claim: Claim, *, needless: bool) -> Iterator[Reason]:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
                 f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({claimed.shown(claimed.rms)}). The fit follows its own measurements, not the"
-                " robot. Measure more poses, spread over the space where the robot will work"
+                f" ({claimed.shown(claimed.rms)}). The fit describes its own measurements, not the robot. Measure more"
+                " poses, spread over the space where the robot will work"
             )
         else:
             yield Code.VALIDATION.says(
@@ -155,7 +155,7 @@ def base_elsewhere(fit: Fit) -> str:
     has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
     unknown = "" if has_own_base else "set base: pose: unknown, or "
     return (
-        f"base: pose: known does not fit these measurements (rms {millimetres(stated.rms):.4g} mm; placed by the data:"
+        f"base: pose: known does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the data:"
         f" {millimetres(placed.rms):.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
     )
 
@@ -175,9 +175,9 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
         angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
         yield Code.FRAME_MOVED.says(
-            f"the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
-            f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {millimetres(left):.3g} mm RMS; measure both"
-            " from one place, or hold out poses of one file (--validate 0.2)"
+            "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
+            f" {shift:.3g} mm and {angle:.2g} deg: such a motion explains all but {millimetres(left):.3g} mm RMS;"
+            " measure both from one place, or hold out poses of one file (--validate 0.2)"
         )
 
 
@@ -198,8 +198,8 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Code.NO_GAIN.says(
-            f"poses that were not used get no better: {evidence}. Only the poses used do: the fit follows what is"
-            " special to them. Measure more poses, spread over the space where the robot will work"
+            f"poses that were not used get no better: {evidence}. Only the poses used get better: the fit describes"
+            " what is special about them. Measure more poses, spread over the space where the robot will work"
         )
 
 
@@ -268,8 +268,8 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
     if near:
         yield Code.OTHER_MINIMUM.says(
             f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
-            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the data do not say which is"
-            " the robot; measure more different poses"
+            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the measurements do not show"
+            " which of them is the robot; measure poses that differ more"
         )
 
 

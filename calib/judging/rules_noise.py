@@ -40,7 +40,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
     if sigma > LARGE_NOISE * spread:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
             f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
-            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and that joints"
+            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joints"
             " and positions belong together"
         )
     elif fit.computed:
@@ -92,7 +92,8 @@ def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
     now = _nominal_error(robot, some, name)
     if not best < _CLOSER * now:
         return ""
-    return f"it looks as if {words}: with that undone, the nominal robot comes {now / max(best, 1e-9):.0f} times closer"
+    smaller = f"errors of the nominal robot are {now / max(best, 1e-9):.0f} times smaller"
+    return f"it looks as if {words}; if this is corrected, {smaller}"
 
 
 def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
@@ -123,8 +124,8 @@ def _against_usual(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         yield Code.NOISE.says(
             f"noise found{_of(fit, estimate)} is {in_words(estimate, estimate.sigma)} per axis, more than such an"
             f" instrument has ({in_words(estimate, usual)} at most): the model does not explain the measurements, and"
-            " the rest may have moved the parameters; look for what is missing or wrong in the description of the"
-            " instrument, and check the result with another instrument",
+            " what it leaves out may have changed the parameters; look for what is missing or wrong in the"
+            " description of the instrument, and check the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             counted=False,
         )
@@ -170,7 +171,9 @@ def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
         yield _beyond(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
     elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
-        yield Code.NOISE.says(f"{text}: state the noise of robot and sensor together, or look for what is missing")
+        yield Code.NOISE.says(
+            f"{text}: state the noise of robot and sensor together, or look for what the model leaves out"
+        )
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
         advice = "state a smaller noise; or the same reading was used more than once"
@@ -186,9 +189,9 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
     if not _may_be_left_out(fit, estimate):
         text += (
-            f" no healthy robot leaves more than {100 * LEFT_OUT:g} % of the space measured"
-            f" ({millimetres(_spread(fit)):.4g} mm): look at units, joint order and signs, and outliers; if it is all"
-            " noise, state that (--sigma-mm)"
+            f" a healthy robot does not leave more than {100 * LEFT_OUT:g} % of the measured space"
+            f" ({millimetres(_spread(fit)):.4g} mm): check units, joint order and signs, and outliers; if all of it is"
+            " noise, state that noise (--sigma-mm)"
         )
         return Code.NOISE.says(text, grade="FAIL")
     if better or no_worse:

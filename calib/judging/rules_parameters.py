@@ -54,16 +54,16 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
         impossible.sort(key=lambda entry: -entry[0])
         words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
         yield Code.FAR_FROM_NOMINAL.says(
-            f"parameters further from nominal than {IMPOSSIBLE:g} times what their stated sigma allows: {words};"
-            " no error of that size explains it: check signs, zeros and order of the joint columns, and units; if it is"
-            " possible, state a larger sigma in the description"
+            f"parameters are more than {IMPOSSIBLE:g} times as far from nominal as their stated sigma allows: {words}."
+            " No error of the stated size explains this: check signs, zeros and order of the joint columns, and units."
+            " If such an error is possible, state a larger sigma in the description"
         )
     elif far:
         far.sort(key=lambda entry: -entry[0])
         words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
         yield Code.AT_BOUNDS.says(
-            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
-            " check zero positions and units, or, if that is possible, state a larger sigma in the description"
+            f"parameters are more than {PLAUSIBLE:g} times as far from nominal as their stated sigma allows: {words};"
+            " check zero positions and units. If such an error is possible, state a larger sigma in the description"
         )
 
 
@@ -116,10 +116,10 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
     fleet = fit.nominal.description.fleet
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)
-        extent = "altogether" if whole else f"in {listed(fleet.unlike)}"
+        extent = "in every parameter" if whole else f"in {listed(fleet.unlike)}"
         yield Code.UNLIKE_FLEET.says(
-            f"this robot is unlike the {fleet.robots} of its fleet {extent}: the fleet's prior was not used there, so"
-            " more poses are needed; look for a repair, a crash, another model or another convention"
+            f"this robot is unlike the {fleet.robots} robots of its fleet {extent}: the fleet's prior was not used"
+            " there, so more poses are needed; look for a repair, a crash, another model or another convention"
         )
 
 

@@ -84,7 +84,7 @@ def null_groups(
 
 
 def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
-    """Return a group in words, such as `xb with dq1: xb +1 mm, dq1 -1 mm`.
+    """Return a group in words, such as `xb +1 mm, dq1 -1 mm`.
 
     Args:
         group: Of `null_groups`.
@@ -93,11 +93,7 @@ def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
     first = parameters[group.members[0]]
     if len(group.members) == 1:
         return f"{first.name} has no effect"
-    names = [parameters[k].name for k in group.members]
-    moves = []
-    for name, amount, unit in natural_coefficients(group, parameters):
-        moves.append(f"{name} {amount:+.4g} {unit}")
-    return f"{first.name} with {', '.join(names[1:])}: " + ", ".join(moves)
+    return ", ".join(f"{name} {amount:+.4g} {unit}" for name, amount, unit in natural_coefficients(group, parameters))
 
 
 def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:

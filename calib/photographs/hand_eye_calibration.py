@@ -57,7 +57,7 @@ def calibrate(
     """
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
-        raise DataError("intrinsics are to stay as given, and none are; give --camera FILE")
+        raise DataError("the lens is to stay as given, but no intrinsics are given; give them with --camera FILE")
     scene = _in_order_of_content(scene)
     first = intrinsics_at_first(scene) if intrinsics is None else intrinsics
     begin, points = without_points_off(start(scene, first, mounts=mounts), first)
@@ -110,6 +110,6 @@ def require_images(count: int) -> None:
     """Raise `DataError` unless there are enough images with a board and a pose."""
     if count < LEAST_IMAGES:
         raise DataError(
-            f"{counted(count, 'image')} with a board and a pose of the robot; it takes {LEAST_IMAGES}, and 10 to 20 are"
-            " sensible"
+            f"{counted(count, 'image')} with a board and a pose of the robot; give at least {LEAST_IMAGES}, better 10"
+            " to 20"
         )

@@ -137,9 +137,8 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     enough = scene.counts >= LEAST_POINTS
     if np.sum(enough) < LEAST_IMAGES:
         raise DataError(
-            f"{int(np.sum(enough))} images show {LEAST_POINTS} points or more; it takes {LEAST_IMAGES}, and 10"
-            f" to 20 are"
-            " sensible"
+            f"{int(np.sum(enough))} images show {LEAST_POINTS} points or more; give at least {LEAST_IMAGES}, better 10"
+            " to 20"
         )
     views, errors = single_views(scene, intrinsics)
     usable = np.flatnonzero(np.isfinite(errors))

@@ -183,7 +183,7 @@ class Progress(ReadOnlyArrays):
         if not math.isfinite(self.unseen.high95):
             return f"too few poses yet that no fit had seen ({self.n_unseen})"
         shown = "" if reads_positions(self.robot) else ", as far as readings show positions"
-        where = f"the last {self.n_unseen} poses, each judged before it was fitted"
+        where = f"the last {self.n_unseen} poses, each predicted before it was fitted"
         return f"{_shown(self.unseen)} at {where}{shown}"
 
     def _next(self) -> list[str]:

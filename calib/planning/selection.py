@@ -190,7 +190,7 @@ def _run(
     if fewest < request.count:
         raise InputError(
             f"only {fewest} candidates were found that keep {millimetres(request.minimum_distance):g} mm from each"
-            f" other, for {request.count} wanted; choose a smaller distance or count"
+            f" other, and {request.count} are to be chosen; give a smaller distance or count"
         )
     runs = []
     search = partial(_search, setting.problem, request.index, setting.space)

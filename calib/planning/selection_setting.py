@@ -204,8 +204,8 @@ def _require_on_grid(robot: Robot, request: Request, poses: Poses) -> None:
             looks.pairs, all_looks[name].pairs
         ):
             raise InputError(
-                f"{poses.path}: says at which poses '{name}' reads what, which poses off the grid cannot; choose on the"
-                " grid"
+                f"{poses.path}: says at which poses '{name}' reads what, and says nothing of poses off the grid; choose"
+                " on the grid"
             )
 
 

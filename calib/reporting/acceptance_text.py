@@ -15,12 +15,12 @@ from calib.judging.promise import POWER, Change
 from calib.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.numerics.chances import FALSE_ALARM
 
-_SHOWN, _WIDTH = 8, 110  # changes; characters of a table
+_SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration promised",
     "drifted": "DRIFTED: one change of the robot explains the readings",
-    "noisier": "NOISIER: readings of one pose scatter more than promised, which no calibration cures",
-    "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains it",
+    "noisier": "NOISIER: readings of one pose scatter more than promised, which no calibration can correct",
+    "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
 }
 
 
@@ -44,16 +44,16 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
             _iso_table(figures),
         ]
     lines = [_said_of_placing(acceptance), *missing] if figures and acceptance.placed else missing
-    parts += [f"ISO 9283: {line}" for line in lines]
+    parts += [f"ISO 9283: {'; '.join(lines)}"] if lines else []
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
-    return plain_text(parts, _WIDTH).rstrip()
+    return plain_text(parts, _WIDTH, wrap=True).rstrip()
 
 
 def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     """Return the smallest changes that n poses of a file will show as text."""
     title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {POWER:.0%}"
-    return plain_text([title, _changes(changes)], _WIDTH).rstrip()
+    return plain_text([title, _changes(changes)], _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
@@ -128,8 +128,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
         promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
-            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm rms, {table['mean']:.4f} mm"
-            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm rms (noise {noise:.4f} mm,"
+            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
+            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm)"
         )
         if (acceptance.ratio > 1.0) != (rms > promised) and acceptance.verdict != "agrees":
@@ -171,11 +171,11 @@ def _said_of_placing(acceptance: Acceptance) -> str:
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
     which = f"{counted(n, 'is', 'are')} significant" if n else "none is significant"
-    return f"Changes looked for, the largest beside its standard deviation first; {which}"
+    return f"Changes that were looked for, by size over standard deviation; {which}"
 
 
 def _changes(changes: Sequence[Change]) -> Table:
-    table = text_table(("change of", "unit", "found", "std", "detectable"), ("change of", "unit"))
+    table = text_table(("change of", "unit", "found", "std", "detectable"), ("change of", "unit"), plain=True)
     for change in changes[:_SHOWN]:
         unit, scale = _unit(change)
         numbers = [x * scale for x in (change.value, change.std, change.visible)]
@@ -185,7 +185,7 @@ def _changes(changes: Sequence[Change]) -> Table:
 
 def _iso_table(figures: Sequence[IsoFigure]) -> Table:
     left = ("figure", "pose", "unit")
-    table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left)
+    table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left, plain=True)
     for iso in figures:
         unit, scale = _iso_unit(iso)
         numbers = (iso.figure.value, iso.figure.low95, iso.figure.high95)

@@ -14,26 +14,27 @@ from calib.numerics.observability import INDICES, TaskIndex
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 from calib.rows.candidates import WHITENED
 
-_SHOWN = 12
-_SINGLE = 5  # parameters without effect that get a line of their own
-_GROUPS = 8  # groups that the short answer lists
+_SHOWN = 12  # names in a list
+_FEW = 4  # the same in the short answer
+_LINES = 3  # lines of groups in the short answer
 _MOSTLY_COMMON = 0.5  # part of the position error below which what is beside a common motion is told too
 
 
-def text_report(assessment: Assessment, source: str, width: int = 110, *, verbose: bool = False) -> str:
+def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
     """Return what poses determine as text.
 
     Args:
         assessment: What was found.
         source: Where the poses came from.
-        width: Of the tables, in characters.
-        verbose: All groups, and a table of all parameters; otherwise the answer on one screen.
+        width: Of the text, in characters.
+        verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
     """
-    groups = _groups(assessment, None if verbose else _GROUPS)
-    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment), *_accuracy(assessment), ""]
-    parts += [_counts(assessment), *assessment.determination.lines(), "", *groups, ""]
+    lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
+    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
+    parts += [*_accuracy(assessment), "", _counts(assessment), *assessment.determination.lines(), ""]
+    parts += [*_groups(assessment, lines, width), ""]
     parts += [_observability(assessment), _parameters(assessment)] if verbose else []
-    return plain_text([*parts, *_doubts(assessment)], width).rstrip()
+    return plain_text([*parts, *_doubts(assessment, names)], width, wrap=True).rstrip()
 
 
 def to_dict(assessment: Assessment) -> dict[str, object]:
@@ -82,37 +83,46 @@ def _heading(a: Assessment, source: str) -> str:
     return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}"
 
 
-def _verdict(a: Assessment) -> list[str]:
+def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
-    lines = [f"Held at nominal: {', '.join(held)}"] if held else []
+    lines = [f"Held at nominal: {', '.join(held) if most is None else _some(held)}"] if held else []
     lines.append(sentence(a.determination.words()))
     if a.determination.missing:
         lines.append("Hold one of each of these, or add other poses:")
-        lines += [f"  {describe_group(group, a.free_parameters)}" for group in a.open_groups]
+        lines += _fitting([describe_group(group, a.free_parameters) for group in a.open_groups], most, width)
     if a.near_singular:
         lines.append(
             f"Warning: {counted(len(a.near_singular), 'pose')} near a singularity of the loops:"
-            f" {_some(a.near_singular)}"
+            f" {_some(a.near_singular, _FEW)}"
         )
     return lines
 
 
-def _groups(a: Assessment, most: int | None) -> list[str]:
-    """What moves together unseen: all of it, or so many groups at most."""
+def _fitting(groups: list[str], most: int | None, width: int) -> list[str]:
+    """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
+    shown, used = [], 0
+    for text in groups:
+        used += -(-(len(text) + 2) // (width - 4))
+        if most is not None and used > most:
+            break
+        shown.append(f"  {text}")
+    more = len(groups) - len(shown)
+    return [*shown, f"  {counted(more, 'more group')} with --verbose"] if more else shown
+
+
+def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
+    """What moves together unseen: all of it, or so many lines at most."""
     if not a.groups:
         return ["Every combination of the parameters moves a measured position."]
-    lines = ["These move together (by these amounts) without moving any measured position:"]
+    lines = ["These move together, by these amounts, and no measured position moves:"]
     single = [a.parameters[group.members[0]].name for group in a.groups if len(group.members) == 1]
-    if len(single) > _SINGLE:
-        lines.append(f"  {', '.join(single)} have no effect")
-    listed = [group for group in a.groups if len(group.members) > 1 or len(single) <= _SINGLE]
-    lines += [f"  {describe_group(group, a.parameters)}" for group in listed[:most]]
-    if len(listed[:most]) < len(listed):
-        lines.append(f"  {counted(len(listed) - len(listed[:most]), 'more group')} with --verbose")
+    if single:
+        lines.append(f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect")
+    several = [group for group in a.groups if len(group.members) > 1]
+    lines += _fitting([describe_group(group, a.parameters) for group in several], most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
-    lines.append(
-        f"To determine the rest, hold {', '.join(dropped)} (condition number {a.elimination.conditions[-1]:.0f})"
-    )
+    names = ", ".join(dropped) if most is None else _some(dropped)
+    lines.append(f"To determine the rest, hold {names} (condition number {a.elimination.conditions[-1]:.0f})")
     if {a.parameters[k].name for k in a.elimination.dropped} == {
         parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
     }:
@@ -139,19 +149,19 @@ def _parameters(a: Assessment) -> Table:
     return table
 
 
-def _doubts(a: Assessment) -> list[str]:
+def _doubts(a: Assessment, most: int) -> list[str]:
     pairs, weak = a.correlated(), a.hardly_known()
     listed = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
-    names = [name if not math.isfinite(part) else f"{name} ({part:.2f})" for name, part in weak]
+    names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
     return [
-        f"Correlations above {CORRELATION_LIMIT:g}: {_some(listed) if listed else 'none'}",
-        f"Hardly better known than before (more than {HARDLY:g} of the expected error left):"
-        f" {_some(names) if names else 'none'}",
+        f"Correlations above {CORRELATION_LIMIT:g}: {_some(listed, most) if listed else 'none'}",
+        f"Hardly better known than before (more than {100 * HARDLY:.0f} % of the expected error is left):"
+        f" {_some(names, most) if names else 'none'}",
     ]
 
 
 def _counts(a: Assessment) -> Table:
-    headers = ("poses", "uniform: rms", "max", "best of these: rms", "max")
+    headers = ("poses", "uniform: RMS", "max", "best of these: RMS", "max")
     table = text_table(headers, title="Predicted position error against number of poses, mm")
     for row in a.by_count:
         uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
@@ -163,13 +173,13 @@ def _counts(a: Assessment) -> Table:
 def _accuracy(a: Assessment) -> list[str]:
     rms, largest = _pair(a.accuracy)
     lines = [
-        f"With all {a.n_poses}: position error {rms} mm rms, {largest} mm at worst, from measurement noise alone."
+        f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise alone."
         " What the model leaves out (backlash, bending) comes on top, and more poses do not remove it."
     ]
     if a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
-            "Most of that moves all positions as one body, such as where the base stands; beside it, positions are"
-            f" known to {millimetres(a.beside_common):.4f} mm rms."
+            "Most of it moves all positions as one body, such as the place of the base. Beside that, positions are"
+            f" known to {millimetres(a.beside_common):.4f} mm RMS."
         )
     return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 
@@ -223,6 +233,6 @@ def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
     ]
 
 
-def _some(items: list[str] | tuple[str, ...]) -> str:
-    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
-    return ", ".join(items[:_SHOWN]) + more
+def _some(items: list[str] | tuple[str, ...], most: int = _SHOWN) -> str:
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return ", ".join(items[:most]) + more

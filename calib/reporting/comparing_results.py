@@ -49,7 +49,7 @@ from calib.robots.robot import Robot
 
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
 _ERRORS = {
-    "validation": "readings of its own, not used",
+    "validation": "readings that it did not use",
     "cross_validation": "poses left out in turns",
     "identification": "the readings that it used",
 }
@@ -212,7 +212,7 @@ def _why_not(first: _Result, other: _Result) -> str:
         return f"the fit of {' and '.join(failed)} failed"
     used = [result.readings.get("identification", {}).keys() for result in (first, other)]
     shared = len(used[0] & used[1])
-    return f"both used {counted(shared, 'reading')} that {'is' if shared == 1 else 'are'} the same" if shared else ""
+    return f"both used the same {counted(shared, 'reading')}" if shared else ""
 
 
 def _notes(first: _Result, other: _Result) -> list[str]:
@@ -284,7 +284,7 @@ def _errors(
     for result in results:
         best = next((name for name in _ERRORS if name in result.content["errors"]), None)
         if best is None:
-            raise DataError(f"{result.name}: its result.json tells no errors; run the fit again")
+            raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
         value = result.content["errors"][best]["after"]["rms"]
         values.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])

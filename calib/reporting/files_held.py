@@ -158,7 +158,7 @@ def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -
             return {holds: replace(file_robot, withheld="") for holds, file_robot in files.items()}
         return files
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise DataError(f"{folder}: what its result.json says of files cannot be read; run the fit again") from None
+        raise DataError(f"{folder}: the entry `files` of its result.json cannot be read; run the fit again") from None
 
 
 def _stored(folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot) -> FileRobot:

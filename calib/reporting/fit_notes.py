@@ -77,7 +77,7 @@ def _scatter(fit: Fit) -> list[str]:
         )
     if fit.chi_square is not None:
         chi = fit.chi_square
-        chance = f"{chi.p_larger:.2g} of a larger, {chi.p_smaller:.2g} of a smaller value"
+        chance = f"chance of a larger value {chi.p_larger:.2g}, of a smaller one {chi.p_smaller:.2g}"
         lines.append(f"Chi-square of the stated noise: {chi.value:.1f} where {chi.freedom:.1f} is expected ({chance})")
     return lines
 
@@ -109,7 +109,7 @@ def _terms(fit: Fit) -> list[str]:
                 f" log evidence {trial.evidence:+.1f}"
             )
             others = listed([_rival(kind, less) for kind, less in trial.alike.items() if kind not in trial.together])
-            alike = f"; its kind is not proven, it may be {others}" if others else ""
+            alike = f"; its kind is not certain, and may be {others}" if others else ""
             which = "; the data do not show which, so they were added together" if trial.together else ""
             name = " or ".join([trial.term, *trial.together])
             (added if trial.added else left).append(

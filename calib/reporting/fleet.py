@@ -74,7 +74,7 @@ class Fleet(ReadOnlyArrays):
         mean, mean_std: Mean over the robots, and how sure it is, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
         shown: How many robots determine each parameter, (n,).
-        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of an odd one by its own fit.
+        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of an odd robot by its own fit.
         notes: What to know before using it.
     """
 

@@ -63,7 +63,7 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
         more = [counted(len(reasons) - most, "more reason")] if len(reasons) > most else []
         more += [counted(len(not_covered), "limit") + " of this verdict"] if not_covered else []
         reasons = reasons[:most]
-        not_covered = [f"  {' and '.join(more)}: see report.html, or use --verbose"] if more else []
+        not_covered = [f"  {' and '.join(more)}: --verbose prints them"] if more else []
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
 
 
@@ -110,7 +110,7 @@ def _files(fit: Fit) -> list[Table]:
     if worth is None:
         return []
     title = f"What files are worth, {worth.unit} ({worth.part} error, {worth.where})"
-    table = text_table(("file holds", "rms", "95 % limit", "formats"), ("file holds", "formats"), title)
+    table = text_table(("file holds", "RMS", "95 % limit", "formats"), ("file holds", "formats"), title)
     for line in worth.lines:
         numbers = [f"{number:.4f}" if np.isfinite(number) else "-" for number in (line.rms, line.limit95)]
         table.add_row(line.holds, *numbers, line.formats)
@@ -121,7 +121,7 @@ def _budget(fit: Fit) -> list[Table]:
     budget = budget_table(fit)
     if budget is None:
         return []
-    of = "poses used, corrected for that" if budget["set"] == "identification" else "poses not used"
+    of = "poses used, corrected for their use" if budget["set"] == "identification" else "poses not used"
     title = f"What made the error before ({of})"
     unit = budget["unit"]
     table = text_table(("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"), title=title)

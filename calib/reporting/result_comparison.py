@@ -75,7 +75,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ResultComparison(Worded):
-    """Results side by side, each two of them against each other.
+    """Results side by side, compared in pairs.
 
     Attributes:
         names: What the folders of the results differ in; `fit 1` of a fit.
@@ -87,7 +87,7 @@ class ResultComparison(Worded):
         sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
             that none of them used; empty where there are none.
         differences: One for each parameter.
-        pairs: What each two of them differ in, those with the first one first.
+        pairs: What the two results of each pair differ in, pairs with the first result first.
         notes: What to know before using it.
     """
 

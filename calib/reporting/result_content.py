@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
 
 from calib.base.arrays import IntArray
+from calib.base.remembered import remembered
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.base.version import PROGRAM
 from calib.base.words import as_data
@@ -16,15 +18,19 @@ from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.terms.joint_curves import joint_curves
 from calib.judging import findings
+from calib.judging.next_step import next_step
 from calib.judging.repeatability import repeatability, repeats
 from calib.judging.verdict import judge
 from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import file_entries
 from calib.rows.prediction import PositionUncertainty
+from calib.rows.rows import Rows
 
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 """Files of a result folder that hold the robot as it was before."""
+LEFT_OUT = "left out"
+"""Set in `residuals.csv` of the readings that were left out as outliers."""
 CORRELATED = 0.95
 """Correlation coefficients from here on are listed."""
 
@@ -45,6 +51,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "data": data.path,
             "comments": comments(fit),
             "verdict": judge(fit).to_dict(forced=forced),
+            "next": str(next_step(fit)),
             "converged": fit.converged,
             "message": fit.message,
             "seconds": fit.seconds,
@@ -171,22 +178,33 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
     }
 
 
-def residual_places(fit: Fit) -> dict[str, IntArray]:
+@remembered
+def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
+    """Return the sets of readings that `residuals.csv` holds, with their rows."""
+    sets = {"identification": (fit.identification, fit.rows)}
+    if fit.validation is not None and fit.validation_rows is not None:
+        sets["validation"] = fit.validation, fit.validation_rows
+    excluded = findings.excluded_errors(fit)
+    if excluded is not None:
+        sets[LEFT_OUT] = excluded, fit.whitened(excluded)[1]
+    return sets
+
+
+def residual_places(sets: Mapping[str, tuple[ErrorSet, Rows]]) -> dict[str, IntArray]:
     """Return the row of `residuals.csv` of each reading of each set, counted from 0, (n,): visit by visit."""
     places: dict[str, IntArray] = {}
     count = 0
-    for label, rows in (("identification", fit.rows), ("validation", fit.validation_rows)):
-        if rows is not None:
-            place = np.empty(rows.layout.n_readings, dtype=np.intp)
-            place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
-            places[label], count = place, count + len(place)
+    for label, (_, rows) in sets.items():
+        place = np.empty(rows.layout.n_readings, dtype=np.intp)
+        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+        places[label], count = place, count + len(place)
     return places
 
 
 def outlier_rows(fit: Fit) -> list[dict[str, object]]:
     """Return the outliers of both sets, worst first in each, with their rows of `residuals.csv`, counted from 1."""
     both = {"identification": findings.outliers(fit), "validation": findings.validation_outliers(fit)}
-    places = residual_places(fit)
+    places = residual_places(residual_sets(fit))
     return [
         _outlier(fit, label, outlier) | {"row": int(places[label][outlier.reading]) + 1}
         for label, outliers in both.items()

@@ -87,6 +87,7 @@ class _Result(_Part):
     robot: str
     comments: list[str]
     verdict: _Verdict
+    next: str = ""
     n_poses: _Count
     n_rows: _Count
     sigma: _Number | None

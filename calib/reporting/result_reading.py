@@ -47,20 +47,22 @@ def forced_lines(folder: Path | str) -> list[str]:
 
 @worded
 def load(path: Path | str) -> Robot:
-    """Load a robot from a description (YAML), a plain URDF (`calib.robots.loading.load`), or calibrated from a result.
+    """Load a robot from a description (YAML) or a plain URDF (`calib.robots.loading.load`), or a calibrated one.
 
     Args:
-        path: Path of the file, or of the folder of the result.
+        path: Path of the file, or of a result folder, which gives the calibrated robot.
 
     Raises:
         UrdfError: The URDF is not valid.
-        DescriptionError: There is nothing, or the description is not valid, or does not fit the URDF.
+        DescriptionError: The file is missing, or the description is not valid, or does not fit the URDF.
         DataError: The folder holds no result, or a damaged one.
         ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     folder = Path(path)
     if not folder.suffix and not folder.exists():
-        raise DescriptionError(f"{path}: is not there; give a robot description (YAML), a URDF, or a result's folder")
+        raise DescriptionError(
+            f"{path}: no such file or folder; give a robot description (YAML), a URDF or a result folder"
+        )
     if not folder.is_dir():
         return loading.load(path)
     checksums = read_result(folder).get("sha256", {})

@@ -37,9 +37,8 @@ from calib.judging import findings
 from calib.judging.reasons import Verdict
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
-from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import VALUES, files_of, name_of_values
-from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, residual_places, to_dict
+from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, residual_places, residual_sets, to_dict
 from calib.robots.description import description_yaml
 from calib.robots.held import Holds
 from calib.robots.urdf.text import UrdfText, apply_edits
@@ -138,16 +137,13 @@ def _said_inside(verdict: Verdict, how: str) -> list[str]:
 def _residual_table(fit: Fit) -> str:
     """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
 
-    A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
+    A cell is empty where there is no number: of readings that were not fitted, of robots without loops. Readings that
+    were left out as outliers are last, in a set of their own.
     """
     blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
-    count, of_sets = 0, residual_places(fit)
-    for label, error_set in error_sets(fit):
-        if label == "cross_validation":
-            continue
-        rows = fit.rows if label == "identification" else fit.validation_rows
-        assert rows is not None
-        place = of_sets[label]
+    count, sets = 0, residual_sets(fit)
+    for label, place in residual_places(sets).items():
+        error_set, rows = sets[label]
         count += len(place)
         by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
         blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
@@ -169,8 +165,7 @@ def _residual_columns(
 ) -> dict[str, Sequence[object] | FloatArray]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    studentised = findings.studentised(fit) if used else findings.validation_studentised(fit)
-    assert studentised is not None
+    studentised = findings.studentised(fit)
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
     instrument, of_instrument, readings = (
         fit.nominal.instrument(name),

@@ -22,16 +22,20 @@ from calib.planning.selection_problem import TASK
 from calib.robots.robot import Robot
 from calib.rows.candidates import WHITENED
 
+_SHOWN = 8  # candidates skipped
 
-def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:
+
+def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
     """Return the result of a selection as text.
 
     Args:
         selection: The result.
         poses: The candidates.
-        width: Of the table, in characters.
+        width: Of the text, in characters.
     """
-    return plain_text([*_summary(selection, poses), _indices(selection), *_remarks(selection)], width).rstrip()
+    return plain_text(
+        [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
+    ).rstrip()
 
 
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
@@ -205,8 +209,9 @@ def _remarks(s: Selection) -> list[str]:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:
         lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
-        lines += [f"  {reason}" for reason in s.skipped]
-    lines.append(f"{s.seconds:.2f} s, of which choosing {s.selecting_seconds:.2f} s")
+        lines += [f"  {reason}" for reason in s.skipped[:_SHOWN]]
+        lines += [f"  and {len(s.skipped) - _SHOWN} more"] if len(s.skipped) > _SHOWN else []
+    lines.append(f"{s.seconds:.2f} s in all, {s.selecting_seconds:.2f} s for the choice")
     return lines
 
 

@@ -175,12 +175,12 @@ class Description(Section):
 
     @property
     def terms(self) -> tuple[TermSection, ...]:
-        """Listed terms of joint errors."""
+        """Listed joint terms."""
         listed = () if isinstance(self.parametrisation, str) else self.parametrisation
         return tuple(section for section in listed if isinstance(section, TermSection)) + self.joint_terms
 
     def with_terms(self, sections: Sequence[TermSection]) -> Description:
-        """Return the description with these terms of joint errors in place of its own."""
+        """Return the description with these joint terms in place of its own."""
         listed = self.parametrisation if isinstance(self.parametrisation, str) else self.origins
         return self.model_copy(update={"parametrisation": listed, "joint_terms": tuple(sections)})
 

@@ -31,6 +31,7 @@ from calib.robots.urdf.text import UrdfText
 _ROUNDS = 30  # of Newton's method
 _SETTLED = 1e-12  # [rad]
 _MISSED = 1e-9  # how far a direction may end beside what was read
+_CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
 _SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
 
 
@@ -174,18 +175,54 @@ def accelerations(
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
     """
     section = GravitySection() if section is None else section
-    setup = np.zeros(len(joints), dtype=np.intp) if context.setups is None else context.setups
-    down = section.stated(setups)[setup]
+    down = _stated(section, setups, len(joints), context)
     if context.down is not None:
-        read = context.down
-        if section.frame is not None:
-            read = np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), read)
+        read = _read(section, mechanism, joints, context.down)
         down = np.where(np.isnan(read), down, read)
     if len(turns) == 0:
         return STANDARD * down, ()
     (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
     turned = STANDARD * down @ second.T
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
+
+
+def _stated(section: GravitySection, setups: tuple[str, ...], n: int, context: Context) -> FloatArray:
+    """The direction at each of n visits as a description says it, (n, 3)."""
+    return section.stated(setups)[np.zeros(n, dtype=np.intp) if context.setups is None else context.setups]
+
+
+def _read(section: GravitySection, mechanism: Mechanism, joints: FloatArray, down: FloatArray) -> FloatArray:
+    """What sensors read (n, 3), in the root link's axes, (n, 3)."""
+    if section.frame is None:
+        return down
+    return np.asarray(np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), down))
+
+
+def contradicted(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
+    """Return how far gravity as it was read is from a stated direction, where that is too far, (n,) [rad]; else NaN.
+
+    NaN, too, where the sensor's link is in a loop.
+
+    Args:
+        description: Of the robot.
+        mechanism: The nominal mechanism.
+        q: Actuated joints, (n, n_actuated) [m or rad].
+        context: What sensors read, and in which setup.
+    """
+    section, result = description.gravity, np.full(len(q), np.nan)
+    if section is None or context.down is None:
+        return result
+    if section.frame is not None and np.any(
+        mechanism.support[mechanism.frames[section.frame]] @ mechanism.select_passive
+    ):
+        return result
+    setups = tuple(description.setups)
+    stated = np.array(["down" in section.model_fields_set or name in section.setups for name in setups or ("",)])
+    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    cosine = np.sum(_read(section, mechanism, joints, context.down) * _stated(section, setups, len(q), context), axis=1)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    known = stated[np.zeros(len(q), dtype=np.intp) if context.setups is None else context.setups]
+    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, result)
 
 
 def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:

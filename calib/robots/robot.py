@@ -35,7 +35,7 @@ class Robot(RobotData):
 
     Its data are those of `calib.robots.robot_data.RobotData`: `values`, (n_parameters,) [m or rad], of its
     `parameters`; `mechanism`, with the origins that they give, and `nominal`, with nominal ones; `description`, `urdf`,
-    `instruments`, `terms` of joint errors, `mode` (home and assembly mode), `path`; of a fit, `files` (the robots that
+    `instruments`, joint `terms`, `mode` (home and assembly mode), `path`; of a fit, `files` (the robots that
     files get).
     """
 
@@ -60,7 +60,7 @@ class Robot(RobotData):
         """Return a robot with these parameters held, too.
 
         Args:
-            names: One after the other, or as a list.
+            names: As arguments, or as a list.
 
         Raises:
             ParameterError: An unknown name.
@@ -106,7 +106,7 @@ class Robot(RobotData):
         Args:
             path: YAML file to write. It names the URDF, which stays where it is.
             force: Whether to replace a file that this program did not write, that was edited, or that the robot comes
-                from; comments in it and all.
+                from, with the comments in it.
 
         Raises:
             InputError: The file cannot be written, or should not be replaced; or parameters are not nominal, which a
@@ -123,14 +123,14 @@ class Robot(RobotData):
             holds: How much; see `calib.robots.held`.
 
         Raises:
-            ComputationError: Terms of joint errors would be lost, and no fit says what is best without them.
+            ComputationError: Joint terms would be lost, and no fit says what is best without them.
         """
         return held_by(self, holds)
 
     def calibrated_urdf(self) -> bytes:
         """Return the URDF of the calibrated robot; unchanged numbers keep their bytes.
 
-        Terms of joint errors have no place in it. Of a fit that has some, it gets the origins that are best without.
+        A URDF cannot hold joint terms. Of a fit with joint terms, it gets the origins that are best without them.
 
         Raises:
             ComputationError: There are such terms, and no fit says which origins are best without them.

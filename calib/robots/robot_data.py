@@ -79,7 +79,7 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def commanded_names(self) -> tuple[str, ...]:
-        """Names of the other actuated joints."""
+        """Names of the actuated joints that are commanded: all but those that inclinometers read."""
         return tuple(name for name in self.joint_names if name not in self.sensed_names)
 
     @property
@@ -109,10 +109,10 @@ class RobotData(ReadOnlyArrays):
 
     @cached_property
     def left_out(self) -> dict[str, int]:
-        """Targets of which is not told how well their positions are known, and their places among the targets.
+        """Targets for which the uncertainty of positions is not reported, and their places among the targets.
 
-        Where a target is that is only read from unknown places, as by a camera that stands somewhere, readings may
-        hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
+        Readings hardly determine where a target is that is read only from unknown places, as by a camera beside the
+        robot. It is left out if other targets are read in the measurement frame, or from known places.
         """
         read: dict[bool, set[str]] = {True: set(), False: set()}
         for instrument in self.instruments:

@@ -34,7 +34,7 @@ def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
 
 
 def without_terms(robot: SomeRobot, holds: Holds) -> SomeRobot:
-    """Return the robot without the terms of joint errors that files lose which hold so much, values as they are."""
+    """Return the robot without the joint terms that files lose which hold so much, values as they are."""
     kept = [section for section in robot.description.terms if holds.keeps(TERMS[section.term])]
     changed = with_terms(robot, kept)
     names = {parameter.name for parameter in changed.parameters}
@@ -50,9 +50,9 @@ def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
         lost = lost_by(robot, holds)
         if lost:
             raise ComputationError(
-                f"{robot.path}: a file that holds {holds.value} loses the terms of joint errors of {listed(lost)},"
-                " and the origins here belong to these terms; a fit finds those that are best without them: export"
-                " its result, or fit again what an earlier version has fitted"
+                f"{robot.path}: a file that holds {holds.value} loses the joint terms of {listed(lost)}, and the"
+                " origins here were fitted with these terms. A fit also finds the best origins without them: export"
+                " its result folder, or fit again if an earlier version wrote it"
             )
         return robot
     kept = without_terms(robot, holds)
@@ -60,7 +60,7 @@ def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
 
 
 def urdf_of_origins(robot: RobotData) -> bytes:
-    """Return the URDF with the origins that the current values give, whatever terms of joint errors go with them.
+    """Return the URDF with the origins that the current values give, whatever joint terms go with them.
 
     Unchanged numbers keep their bytes.
     """

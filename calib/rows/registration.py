@@ -69,7 +69,7 @@ def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Plac
     """
     groups = _seen_together(robot, data, 0)
     if not groups:
-        raise DataError(f"{data.path}: no points were measured, so that they show no frame")
+        raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
     return _registration(robot, data, groups[0], _Frames(robot, 0), frame_known=frame_known)
 
 

@@ -57,7 +57,7 @@ def simulate(
     Args:
         robot: The true robot.
         poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
-        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise of anything; None for what the
+        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for what the
             description states.
         seed: Seed of the noise, or a generator of random numbers.
         joint_sigma: Standard deviation of joint errors at each visit that the joint values do not show [rad, or

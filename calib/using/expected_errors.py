@@ -142,7 +142,7 @@ def expected_now(subject: str, expected: dict[str, float], unit: str) -> str:
         unit: Of this.
     """
     return (
-        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (rms), {expected['max']:.4f} {unit} at worst"
+        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
     )
 
 
@@ -156,6 +156,6 @@ def before_and_now(subject: str, before: dict[str, float], expected: dict[str, f
         unit: Of both.
     """
     return (
-        f"{subject} was off by {before['rms']:.4f} {unit} (rms); expected now: {expected['rms']:.4f} {unit},"
+        f"{subject} was off by {before['rms']:.4f} {unit} (RMS); expected now: {expected['rms']:.4f} {unit},"
         f" {expected['max']:.4f} {unit} at worst"
     )

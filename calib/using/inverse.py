@@ -43,8 +43,8 @@ class Solution(ReadOnlyArrays):
     Attributes:
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
         ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
-        miss_position: Distance from the wanted position, (n,) [m].
-        miss_angle: Angle from the wanted orientation or direction, (n,) [rad]; 0 where none is asked for.
+        miss_position: Distance from the goal, (n,) [m].
+        miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where none is asked for.
         positions: Where the target is at `q`, (n, 3) [m].
         labels: What to call each goal in messages.
         expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
@@ -132,8 +132,8 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
     odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
     if np.any(odd):
         raise DataError(
-            f"{goals.labels[int(np.argmax(odd))]}: not the same coordinates are NaN as in the first; one that is"
-            " not asked for is NaN in all, or else give calib.Goals"
+            f"{goals.labels[int(np.argmax(odd))]}: other coordinates are NaN than in the first goal; a coordinate that"
+            " is left free is NaN in all goals. Or give calib.Goals"
         )
     return goals
 

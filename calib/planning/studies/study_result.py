@@ -212,7 +212,7 @@ class Study(ReadOnlyArrays):
             lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
         if self.draws.errors.size:
             lines.append(
-                f"predicted positions elsewhere: rms error {millimetres(self.position_error):.4f} mm, intervals hold"
+                f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals hold"
                 f" {truth} in {_range(100 * self.position_coverage)} %"
             )
         if np.isfinite(self.chi_square):

@@ -302,7 +302,7 @@ class _Reader:
             elif kind == types.mjEQ_JOINT:
                 self._follower(number, name)
             else:
-                raise UrdfError(f"{self.path}: equality '{name}' ties neither bodies nor joints; URDF has none like it")
+                raise UrdfError(f"{self.path}: equality '{name}' ties neither bodies nor joints; a URDF cannot hold it")
 
     def _follower(self, number: int, name: str) -> None:
         model = self.model
@@ -310,7 +310,7 @@ class _Reader:
         polynomial = model.eq_data[number]
         if leader < 0 or follower not in self.joints or leader not in self.joints or np.any(polynomial[2:5]):
             raise UrdfError(
-                f"{self.path}: equality '{name}' is not one joint that follows another by a line; URDF has no other"
+                f"{self.path}: equality '{name}' is not linear, or not between two joints; a URDF cannot hold it"
             )
         element, led_by = self.joints[follower], self.joints[leader].attrib["name"]
         factor = float(polynomial[1])

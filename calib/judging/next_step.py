@@ -1,0 +1,77 @@
+"""What to do after a fit, as one sentence and one command to type: for the terminal, `result.json` and the viewer."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.fitting.fitted import Fit
+from calib.judging.reasons import Answer
+from calib.judging.rules_model import why_no_origins
+from calib.judging.verdict import judge
+from calib.robots.linear_delta import is_linear_delta
+
+_OPTIONS = {
+    Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
+    Answer.ADD_TERMS: ("fit again with joint terms that explain the errors", "--terms auto"),
+    Answer.TRY_STARTS: ("fit again from several starting points", "--starts 5"),
+}
+"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
+do to a fit looks like noise, and like joint terms."""
+ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
+"""What stands in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do next.
+
+    Attributes:
+        aim: What it is for, in words that begin with a verb.
+        command: What to type, in words; `ROBOT`, `DATA` and `DIR` stand for files.
+    """
+
+    aim: str
+    command: str
+
+    def __str__(self) -> str:
+        return f"{self.aim}: {self.command}"
+
+    def typed(self, robot: str, data: Sequence[str], folder: str) -> str:
+        """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`."""
+        files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
+        files[AGAIN] = shlex.quote(f"{folder}-2")
+        words = (files.get(word, word) for word in self.command.split())
+        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(words)}"
+
+
+def next_step(fit: Fit) -> NextStep:
+    """Return what answers the first reason of the verdict, or how the result is tested or used."""
+    verdict = judge(fit)
+    answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
+    option = next((answer for answer in _OPTIONS if answer in answers), None)
+    if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
+        aim, words = _OPTIONS[option]
+        return NextStep(aim, f"calib fit {ROBOT} {DATA} {words} --out {AGAIN}")
+    if Answer.OTHER_POSES in answers:
+        return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
+    if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
+        aim = "test the result on poses that the fit does not use"
+        return NextStep(aim, f"calib fit {ROBOT} {DATA} --validate 0.25 --out {FOLDER}")
+    if answers:
+        return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
+    return _use(fit)
+
+
+def _use(fit: Fit) -> NextStep:
+    """How to use a result that nothing speaks against, by what its robot is and what files can hold of it."""
+    if judge(fit).nothing_to_correct:
+        return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
+    if is_linear_delta(fit.nominal.description):
+        aim = "write the lines for the printer's settings (or --format marlin, duet)"
+        return NextStep(aim, f"calib export {FOLDER} --format klipper --out settings.cfg")
+    program = f"calib compensate {FOLDER} program.csv --out compensated.csv"
+    if why_no_origins(fit):
+        return NextStep("correct a program by the whole model", program)
+    return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)

@@ -34,6 +34,12 @@ def five_bar():
 
 
 @pytest.fixture(scope="module")
+def alone(five_bar):
+    """A study that nobody shares the work of."""
+    return calib.study(*five_bar, draws=60)
+
+
+@pytest.fixture(scope="module")
 def arm_with_priors(tmp_path_factory):
     small = FREE.replace("2 mm", "0.4 mm").replace("5 mrad", "1 mrad")
     return calib.load(write_six_axis(tmp_path_factory.mktemp("priors"), YAML + small))
@@ -170,10 +176,10 @@ def test_who_cannot_work_is_refused(five_bar, executor):
         calib.fit(*five_bar, executor=executor)
 
 
-def test_a_dask_cluster_does_the_draws(five_bar):
+def test_a_dask_cluster_does_the_draws(five_bar, alone):
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra 'dask')")
     robot, data = five_bar
-    alone, fit = calib.study(robot, data, draws=60), calib.fit(robot, data, folds=3)
+    fit = calib.fit(robot, data, folds=3)
     with (
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
@@ -184,10 +190,10 @@ def test_a_dask_cluster_does_the_draws(five_bar):
     assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
 
 
-def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_bar):
+def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_bar, alone):
     loky = pytest.importorskip("loky", reason="loky is not installed (extra 'loky')")
     robot, data = five_bar
-    alone, executor = calib.study(robot, data, draws=60), loky.get_reusable_executor(max_workers=2)
+    executor = loky.get_reusable_executor(max_workers=2)
     try:
         found = calib.study(robot, data, draws=60, executor=executor)
         os.kill(executor.submit(os.getpid).result(), signal.SIGKILL)

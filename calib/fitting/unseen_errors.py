@@ -93,12 +93,10 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     steps = (fit.unknowns.scales[:, None] * (fit.root @ pulls.T)).T
     after = {name: errors.copy() for name, errors in fit.identification.after.items()}
     for name, block in observed.items():
-        poses = pose_of_visit[data.readings[name].visits]
+        poses, jacobian = pose_of_visit[data.readings[name].visits], block.by(fit.unknowns.index)
         for start in range(0, len(poses), _READINGS_AT_ONCE):
             some = slice(start, start + _READINGS_AT_ONCE)
-            after[name][some] += np.einsum(
-                "nrk,nk->nr", block.jacobian[some][:, :, fit.unknowns.index], steps[poses[some]]
-            )
+            after[name][some] += np.einsum("nrk,nk->nr", jacobian[some], steps[poses[some]])
     foretold = (decided <= _DECIDES)[pose_of_visit]
     whole = replace(fit.identification, after=after)
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None

@@ -226,7 +226,7 @@ def _seen(
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
     observed = observe(robot, configurations, data.readings)
-    jacobian = _flat({name: block.jacobian[:, :, unknowns.index] for name, block in observed.items()}, layout)
+    jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
     return jacobian[counted], _flat({name: block.residuals for name, block in observed.items()}, layout)[counted]
 
 

@@ -379,11 +379,10 @@ def _promised(
             if not part.is_position:
                 continue
             rows = [r for r, k in enumerate(instrument.part_of_row) if k == index]
-            n += len(derivatives.jacobian)
-            slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
-            square += (
-                len(rows) * len(derivatives.jacobian) * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
-            )
+            n_readings = len(derivatives.residuals)
+            n += n_readings
+            slopes.append(derivatives.by(free)[:, rows].reshape(-1, len(free)))
+            square += len(rows) * n_readings * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
     if not n:
         return float("nan"), float("nan")
     slope = np.concatenate(slopes)

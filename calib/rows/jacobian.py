@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import FloatArray, IntArray
 from calib.base.threads import one_blas_thread
 from calib.robots import kinematics
 from calib.robots.acceleration import kernels
@@ -61,7 +61,8 @@ def linearise(robot: Robot, configurations: Configurations, *, turns: bool = Fal
     twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
     positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
     n, n_targets, n_rows, width = both.shape
-    jacobian = with_coefficients(robot, both.reshape(n, -1, width), configurations.term_columns)
+    every = np.arange(len(robot.parameters))
+    jacobian = by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
     return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1))
 
 
@@ -226,20 +227,24 @@ def parameter_twists(robot: Robot) -> FloatArray:
     return matrix
 
 
-def with_coefficients(robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the derivative by all parameters, (n, n_rows, n_parameters).
+def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray) -> FloatArray:
+    """Return the derivative by some of the parameters, (n, n_rows, n_index).
 
     Args:
         robot: Knows the joints of the terms.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
-        columns: phi of each term, (n, n_moved, n_coefficients) each.
+        columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+        index: Which parameters, in rising order, (n_index,).
     """
-    before, by_joint = np.split(derivative, [robot.coefficients.start], axis=2)
-    parts = [
-        np.matmul(by_joint[:, :, driven_by(term, robot.mechanism)], phi)
-        for term, phi in zip(robot.terms, columns, strict=True)
-    ]
-    return np.concatenate([before, *parts], axis=2)
+    first = k = robot.coefficients.start
+    parts = [derivative[:, :, index[index < first]]]
+    for term, phi in zip(robot.terms, columns, strict=True):
+        own = index[(index >= first) & (index < first + phi.shape[2])] - first
+        first += phi.shape[2]
+        if len(own):
+            moved = k + np.array(driven_by(term, robot.mechanism), dtype=np.intp)
+            parts.append(np.matmul(derivative[:, :, moved], phi[:, :, own]))
+    return np.concatenate(parts, axis=2) if len(parts) > 1 else parts[0]
 
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:

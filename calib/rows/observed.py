@@ -25,12 +25,12 @@ from calib.robots.configurations import Configurations
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 from calib.rows.jacobian import (
+    by_parameters,
     joint_twists,
     parameter_twists,
     passive_motion,
     relative_motion,
     sweeps,
-    with_coefficients,
 )
 
 
@@ -39,14 +39,32 @@ class Observed:
     """Readings of one instrument compared with what the robot predicts.
 
     Attributes:
+        robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
-        jacobian: Their derivative by all parameters, (n, n_rows, n_parameters).
-        by_joint: Their derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted.
+        derivative: Of these by the parameters that are no coefficients of joint terms, then by the driven joints where
+            these were wanted, (n, n_rows, k + n_driven).
+        term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
     """
 
+    robot: Robot
     residuals: FloatArray
-    jacobian: FloatArray
-    by_joint: FloatArray
+    derivative: FloatArray
+    term_columns: tuple[FloatArray, ...]
+
+    def by(self, index: IntArray) -> FloatArray:
+        """Return a new derivative by some of the parameters, in rising order (k,), (n, n_rows, k)."""
+        return by_parameters(self.robot, self.derivative, self.term_columns, index)
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """Derivative by all parameters, (n, n_rows, n_parameters)."""
+        return self.by(np.arange(len(self.robot.parameters)))
+
+    @property
+    def by_joint(self) -> FloatArray:
+        """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted."""
+        k = self.robot.coefficients.start
+        return self.derivative[:, :, k : k + len(self.robot.joint_names)]
 
 
 @one_blas_thread
@@ -160,11 +178,9 @@ class _Work:
 
     def result(self, configurations: Configurations) -> Observed:
         """Return what was filled in."""
-        jacobian, by_joint = np.split(self._columns, [self._by_joint], axis=2)
-        if self.robot.terms:
-            phi = tuple(columns[self.readings.visits] for columns in configurations.term_columns)
-            jacobian = with_coefficients(self.robot, self._columns, phi)
-        return Observed(self._residuals, jacobian, by_joint[:, :, : len(self.robot.joint_names)])
+        visits = _run(self.readings.visits)
+        phi = tuple(columns[visits] for columns in configurations.term_columns)
+        return Observed(self.robot, self._residuals, self._columns, phi)
 
 
 def _some(readings: Readings, chosen: IntArray) -> Readings:
@@ -181,7 +197,8 @@ def _some(readings: Readings, chosen: IntArray) -> Readings:
 
 def _run(chosen: IntArray) -> IntArray | slice:
     """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
-    span = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
+    first = int(chosen[0]) if len(chosen) else 0
+    span = slice(first, first + len(chosen))
     return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
 
 

@@ -61,24 +61,23 @@ class Whitening:
         """Groups of rows whose noise has one scale."""
         return self.layout.groups
 
-    def flatten(self, arrays: Mapping[str, FloatArray], columns: IntArray | None = None) -> FloatArray:
+    def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
         """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
             arrays: By instrument.
-            columns: Which of the k count; all if not given.
+            in_place: Whether the arrays may be used up, so that large ones are not copied.
 
         Returns:
             (n_all_rows,) or (n_all_rows, k).
         """
         parts = []
         for name in self._names:
-            array = arrays[name] if columns is None else arrays[name][:, :, columns]
-            array = np.nan_to_num(array) if np.isnan(array).any() else array
+            array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
             inverse = self._inverse[name]
             if inverse.ndim == 2:  # no correlations: divide
-                out = None if array is arrays[name] else array  # what is a copy already need not be copied again
-                scaled = np.multiply(array, inverse if array.ndim == 2 else inverse[:, :, None], out=out)
+                scale = inverse if array.ndim == 2 else inverse[:, :, None]
+                scaled = np.multiply(array, scale, out=array if in_place else None)
             elif array.ndim == 2:
                 scaled = np.matmul(inverse, array[:, :, None])[:, :, 0]
             else:
@@ -108,7 +107,7 @@ class Whitening:
         """
         divisor = self.row_scale(groups)
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / divisor
-        columns = self.flatten({name: observed[name].jacobian for name in self._names}, unknowns.index)
+        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, in_place=True)
         columns *= unknowns.scales / divisor[:, None]
         return Rows(residuals, columns, unknowns.prior, deviations, self.layout)
 

@@ -16,7 +16,7 @@ Reference: mackay1992; roberts2017.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -29,6 +29,7 @@ from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches
 from calib.numerics.chances import EXACT
+from calib.numerics.identifiability import reduced
 from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
 from calib.rows.jacobian import linearise
@@ -95,7 +96,7 @@ class _Design(ReadOnlyArrays):
     Attributes:
         rows: Whitened by what is stated, (n_rows, n_columns).
         residuals: (n_rows,).
-        parameters: Scaled parameters of each column, (n_parameters, n_columns).
+        parts: Parameters that stand together (k,), and what columns are of them, (k, n_columns of theirs).
         prior, deviations: As of `calib.rows.rows.Rows`, of the columns.
         owner: The candidate of each column; empty for what the fit has anyway.
         label: The size of each column's coefficients: its name; empty where it is not to be found.
@@ -103,34 +104,42 @@ class _Design(ReadOnlyArrays):
 
     rows: FloatArray
     residuals: FloatArray
-    parameters: FloatArray
+    parts: tuple[tuple[IntArray, FloatArray], ...]
     prior: Prior
     deviations: FloatArray
     owner: tuple[str, ...]
     label: tuple[str, ...]
 
+    def columns(self, derivative: FloatArray) -> FloatArray:
+        """Return the derivative by the columns, (..., n_columns), from that by scaled parameters, (..., n_free)."""
+        return _columns(self.parts, derivative)
+
+
+def _columns(parts: Iterable[tuple[IntArray, FloatArray]], derivative: FloatArray) -> FloatArray:
+    return np.concatenate([derivative[..., members] @ part for members, part in parts], axis=-1)
+
 
 def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
     families = [unknowns.families[number] if number >= 0 else "" for number in unknowns.family]
     labels = [family or term for family, term in zip(families, owner, strict=True)]
-    columns: list[FloatArray] = []
-    parts: list[IntArray] = []
+    parts: list[tuple[IntArray, FloatArray]] = []
+    standing: list[IntArray] = []  # a parameter whose prior each column has
     for label in dict.fromkeys(labels):
         members = np.array([k for k, other in enumerate(labels) if other == label])
-        maps = np.eye(len(labels))[:, members]
+        part, first = np.eye(len(members)), members
         if label and owner[members[0]] and len(members) > 1:
-            _, values, directions = np.linalg.svd(rows.jacobian[:, members], full_matrices=False)
+            _, values, directions = np.linalg.svd(reduced(rows.jacobian[:, members]), full_matrices=False)
             kept = max(int(np.sum(values > _NOTHING * values[0])), 1)
-            maps, members = maps @ directions[:kept].T, np.full(kept, members[0])
-        columns.append(maps)
-        parts.append(members)
-    maps, first = np.hstack(columns), np.concatenate(parts)
+            part, first = directions[:kept].T, np.full(kept, members[0])
+        parts.append((members, part))
+        standing.append(first)
+    first = np.concatenate(standing)
     return _Design(
-        rows.jacobian @ maps,
+        _columns(parts, rows.jacobian),
         rows.residuals,
-        maps,
+        tuple(parts),
         rows.prior.only(first),
-        maps.T @ rows.deviations,
+        _columns(parts, rows.deviations),
         tuple(owner[k] for k in first),
         tuple(labels[k] for k in first),
     )
@@ -194,10 +203,11 @@ class Trials:
         ).weighted(fit.weights)
         rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
         self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
-        change = unknowns.scales[:, None] * self._design.parameters
         self._residuals = {name: block.residuals for name, block in observed.items()}
-        self._by_column = {name: block.jacobian[:, :, unknowns.index] @ change for name, block in observed.items()}
-        self._elsewhere = self._combined()[:, unknowns.index] @ change
+        self._by_column = {
+            name: self._design.columns(block.by(unknowns.index) * unknowns.scales) for name, block in observed.items()
+        }
+        self._elsewhere = self._design.columns(self._combined()[:, unknowns.index] * unknowns.scales)
         partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             partitions.append(stretches(data, BLOCKS))

@@ -277,7 +277,8 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     """
     sizes, leverages, largest = [], [], []
     for block in blocks:
-        pulled = block.columns @ root
+        n, width, n_free = block.columns.shape
+        pulled = (block.columns.reshape(-1, n_free) @ root).reshape(n, width, -1)  # one product: T is read once
         leverage = pulled @ pulled.transpose(0, 2, 1)
         values, vectors = np.linalg.eigh(
             np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage

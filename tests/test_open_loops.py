@@ -1,6 +1,7 @@
 """Why a pose cannot be assembled: each reason against geometry done elsewhere."""
 
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,14 @@ import pytest
 from small_robots import write_pose_loop
 
 import calib
+from calib.data.in_memory import as_measurements
 from calib.robots.closure import gap_text, open_by
 from calib.robots.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
 def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_closed_form():
@@ -34,6 +38,40 @@ def test_no_limit_is_named_that_holds():
     why = why_open(robot.mechanism, robot.mode, robot.home)
     assert why.startswith("it can be reached alone")
     assert not any(name in why for name in robot.mechanism.passive)
+
+
+def test_a_limit_of_a_passive_joint_is_no_wall_on_the_way_of_a_fit():
+    """A pose ends within the limits of a slide, but is beyond them for most values on the way."""
+    robot, table = calib.load(robot_file()), table1()
+    rng = np.random.default_rng(90)
+    values = table.nominal + rng.choice([-1.0, 1.0], len(table.names)) * (table.actual - table.nominal)
+    truth = robot.with_parameters(dict(zip(table.names, values, strict=True)))
+    q = robot.sample(40, seed=rng)
+    q = q[truth.close(q).ok]
+    measured = forward(q, values).p_world_tool + 2e-5 * rng.standard_normal((len(q), 3))
+    fit = calib.fit(robot, as_measurements(robot, q, measured))
+    assert fit.converged
+    new = robot.sample(60, seed=rng)
+    new = new[truth.close(new).ok & fit.robot.close(new).ok]
+    off = fit.robot.positions(new)[:, 0] - forward(new, values).p_world_tool
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 4e-5
+
+
+def test_a_fit_that_ends_beyond_a_passive_limit_says_so(tmp_path):
+    nominal = calib.load(EXAMPLES / "five_bar.yaml")
+    truth, q = nominal.with_parameters({"right_end.x": 0.297}), nominal.sample(20, seed=1)
+    elbows = [robot.close(q).passive[:, nominal.mechanism.passive.index("right_elbow")] for robot in (nominal, truth)]
+    k = int(np.argmax(elbows[1]))
+    assert elbows[1][k] > elbows[0].max()
+    limit = (elbows[1][k] + elbows[0].max()) / 2
+    text = (EXAMPLES / "five_bar.urdf").read_text()
+    (tmp_path / "five_bar.urdf").write_text(text.replace('lower="0" upper="3"', f'lower="0" upper="{limit}"'))
+    (tmp_path / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    robot = calib.load(tmp_path / "five_bar.yaml")
+    with pytest.raises(
+        calib.UnreachablePoseError, match=f"at the calibrated values, pose {k}.*right_elbow.* beyond its"
+    ):
+        calib.fit(robot, calib.simulate(truth, q, seed=2))
 
 
 def test_a_gap_is_given_apart_in_length_and_angle():

@@ -26,7 +26,7 @@ from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
-from calib.robots.configurations import Configurations, configured, describe_open
+from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
 from calib.rows.observed import Observed, observe
@@ -157,16 +157,19 @@ class Problem(ReadOnlyArrays):
         Raises:
             ComputationError: A loop opens.
         """
-        evaluation = self.evaluate_if_closed(robot, near)
+        evaluation = self.evaluate_if_closed(robot, near) or self._evaluated(robot, None)
         if evaluation is None:
-            closed = robot.close(self.data.joints, columns=self._columns_of(robot))
+            closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=False)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return evaluation
 
     def evaluate_if_closed(self, robot: Robot, near: Evaluation | None = None) -> Evaluation | None:
-        """Evaluate a robot on the data; None where a loop opens."""
+        """Evaluate a robot on the data; None where a loop opens. Limits of passive joints do not count on the way."""
+        return self._evaluated(robot, self.passive if near is None else near.configurations.passive)
+
+    def _evaluated(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
-        closed = robot.close(self.data.joints, self.passive if near is None else near.configurations.passive, columns)
+        closed = close(robot, self.data.joints, seed, columns, limits=False)
         if not np.all(closed.ok):
             return None
         configurations = configured(robot, self.data.joints, closed, columns)

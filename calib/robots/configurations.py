@@ -68,11 +68,12 @@ def close(
     columns: tuple[FloatArray, ...] | None = None,
     *,
     thorough: bool = True,
+    limits: bool = True,
 ) -> loops.Closed:
     """Solve the loops of each pose without raising; see `Robot.close`."""
     values = joint_vector(robot, q)
     actual = actual_joints(robot, values, term_columns(robot, values) if columns is None else columns)
-    return loops.close(robot.mechanism, robot.mode, actual, seed, thorough=thorough)
+    return loops.close(robot.mechanism, robot.mode, actual, seed, thorough=thorough, limits=limits)
 
 
 def configured(

@@ -3,8 +3,9 @@
 Problem. Find passive joints p with r(a, p) = 0 for given actuated joints a. Several solutions exist (a five-bar's elbow
 up or down); only the one that can be reached from the home configuration without passing a singularity is the robot.
 
-Method. Newton from a solution under similar parameters where one is known ; else the loops are followed from home
-(`calib.robots.continuation`). A solution beyond the limits of a passive joint does not count.
+Method. Newton from a solution under similar parameters where one is known; else the loops are followed from home
+(`calib.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit to
+its minimum it does: a limit would be a wall there, behind which the minimum may lie.
 
 The home configuration itself must close and be regular; it decides the assembly mode (`closed_home`).
 
@@ -61,6 +62,7 @@ def close(
     seed: FloatArray | None = None,
     *,
     thorough: bool = True,
+    limits: bool = True,
 ) -> Closed:
     """Solve the loops of each pose in the assembly mode of home.
 
@@ -69,6 +71,7 @@ def close(
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
         thorough: See `calib.robots.continuation.follow`; False may leave poses open that close.
+        limits: Whether a solution beyond the limits of a passive joint is none.
     """
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
@@ -80,12 +83,12 @@ def close(
         tried = slice(None) if np.all(finite) else np.flatnonzero(finite)
         passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
         passive = wrapped(mechanism, mode, passive)
-        ok &= within_limits(mechanism, passive)
+        ok &= within_limits(mechanism, passive) | (not limits)
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         followed, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
         passive[todo] = wrapped(mechanism, mode, followed)
-        ok &= within_limits(mechanism, passive)
+        ok &= within_limits(mechanism, passive) | (not limits)
         passive[~ok], slope[~ok] = np.nan, np.nan
     return Closed(passive, ok, slope)
 

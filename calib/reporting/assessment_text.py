@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from rich.table import Table
 
+from calib.base.parameter import Parameter
 from calib.base.units import millimetres
 from calib.base.words import as_data, counted, listed, plain_text, sentence, text_table
-from calib.numerics.null_space import describe_group, natural_coefficients
+from calib.numerics.null_space import Group, describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 from calib.rows.candidates import WHITENED
@@ -85,29 +87,32 @@ def _heading(a: Assessment, source: str) -> str:
 
 def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
-    lines = [f"Held at nominal: {', '.join(held) if most is None else _some(held)}"] if held else []
+    lines = [f"Held at nominal: {', '.join(held) if most is None else listed(held, shown=_SHOWN)}"] if held else []
     lines.append(sentence(a.determination.words()))
     if a.determination.missing:
         lines.append("Hold one of each of these, or add other poses:")
-        lines += _fitting([describe_group(group, a.free_parameters) for group in a.open_groups], most, width)
+        lines += _in_words(a.open_groups, a.free_parameters, most, width)
     if a.near_singular:
         lines.append(
             f"Warning: {counted(len(a.near_singular), 'pose')} near a singularity of the loops:"
-            f" {_some(a.near_singular, _FEW)}"
+            f" {listed(a.near_singular, shown=_FEW)}"
         )
     return lines
 
 
-def _fitting(groups: list[str], most: int | None, width: int) -> list[str]:
+def _in_words(groups: Sequence[Group], parameters: Sequence[Parameter], most: int | None, width: int) -> list[str]:
     """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
-    shown, used = [], 0
-    for text in groups:
+    single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
+    alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []
+    texts = [describe_group(group, parameters) for group in groups if len(group.members) > 1]
+    shown, used = list[str](), 0
+    for text in texts:
         used += -(-(len(text) + 2) // (width - 4))
         if most is not None and used > most:
             break
         shown.append(f"  {text}")
-    more = len(groups) - len(shown)
-    return [*shown, f"  {counted(more, 'more group')} with --verbose"] if more else shown
+    more = len(texts) - len(shown)
+    return [*alone, *shown, *([f"  {counted(more, 'more group')} with --verbose"] if more else [])]
 
 
 def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
@@ -115,13 +120,9 @@ def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
     if not a.groups:
         return ["Every combination of the parameters moves a measured position."]
     lines = ["These move together, by these amounts, and no measured position moves:"]
-    single = [a.parameters[group.members[0]].name for group in a.groups if len(group.members) == 1]
-    if single:
-        lines.append(f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect")
-    several = [group for group in a.groups if len(group.members) > 1]
-    lines += _fitting([describe_group(group, a.parameters) for group in several], most, width)
+    lines += _in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
-    names = ", ".join(dropped) if most is None else _some(dropped)
+    names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
     lines.append(f"To determine the rest, hold {names} (condition number {a.elimination.conditions[-1]:.0f})")
     if {a.parameters[k].name for k in a.elimination.dropped} == {
         parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
@@ -151,12 +152,12 @@ def _parameters(a: Assessment) -> Table:
 
 def _doubts(a: Assessment, most: int) -> list[str]:
     pairs, weak = a.correlated(), a.hardly_known()
-    listed = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
+    correlated = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
     names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
     return [
-        f"Correlations above {CORRELATION_LIMIT:g}: {_some(listed, most) if listed else 'none'}",
+        f"Correlations above {CORRELATION_LIMIT:g}: {listed(correlated, shown=most) if correlated else 'none'}",
         f"Hardly better known than before (more than {100 * HARDLY:.0f} % of the expected error is left):"
-        f" {_some(names, most) if names else 'none'}",
+        f" {listed(names, shown=most) if names else 'none'}",
     ]
 
 
@@ -231,8 +232,3 @@ def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
         }
         for parameter, std in zip(a.free_parameters, a.std, strict=True)
     ]
-
-
-def _some(items: list[str] | tuple[str, ...], most: int = _SHOWN) -> str:
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return ", ".join(items[:most]) + more

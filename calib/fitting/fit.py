@@ -33,7 +33,7 @@ from calib.base.workers import Steps
 from calib.data.measurements import Measurements
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
-from calib.fitting.pose_checks import check_limits, check_measurements, require_identifiable
+from calib.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
 from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.settings import Settings
 from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
@@ -113,9 +113,10 @@ def fit_data(
     begin = seen_from(problem, start)
     determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
     solved = solve_from(problem, begin, settings, workers, steps.done)
+    if not keeps_limits(data, solved.at):
+        solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.done)
     steps.done()
     final = solved.at
-    check_limits(data, final)
     require_identifiable(problem, final)
     names = [robot.parameters[k].name for k in problem.unknowns.index]
     known = [nearby.beyond_linear[name] for name in names if name in nearby.beyond_linear]

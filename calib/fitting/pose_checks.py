@@ -24,14 +24,14 @@ from itertools import combinations
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import CalibrationError, DataError, NotIdentifiableError, UnreachablePoseError
+from calib.base.errors import CalibrationError, DataError, NotIdentifiableError
 from calib.base.threads import one_blas_thread
 from calib.base.words import counted, listed
 from calib.data.measurements import Measurements, with_points
 from calib.fitting.joint_conventions import joint_changes
 from calib.fitting.problem import Evaluation, Problem
 from calib.joint_terms.term import COLUMNS, Condition
-from calib.robots.configurations import close, describe_open
+from calib.robots.configurations import close
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination, determination
 from calib.rows.registration import register
@@ -47,21 +47,16 @@ _FIRST = 2
 _FEW = 3  # rows that may agree by chance
 
 
-def check_limits(data: Measurements, final: Evaluation) -> None:
-    """Check that passive joints keep their limits at the end of a fit, which passes them on its way.
+def keeps_limits(data: Measurements, final: Evaluation) -> bool:
+    """Return whether passive joints keep their limits at the end of a fit, which may pass them on its way.
 
     Args:
         data: The measurements.
         final: The end.
-
-    Raises:
-        UnreachablePoseError: One does not.
     """
-    robot, configurations = final.robot, final.configurations
-    closed = close(robot, data.joints, configurations.passive, configurations.term_columns)
-    if not np.all(closed.ok):
-        pose = describe_open(robot, data.joints, closed, data.labels)
-        raise UnreachablePoseError(f"at the calibrated values, {pose}, or widen the limits in the URDF")
+    configurations = final.configurations
+    closed = close(final.robot, data.joints, configurations.passive, configurations.term_columns)
+    return bool(np.all(closed.ok))
 
 
 def check_measurements(robot: Robot, data: Measurements) -> None:

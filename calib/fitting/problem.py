@@ -73,6 +73,7 @@ class Problem(ReadOnlyArrays):
         noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those where it is not stated.
         ratios: Offsets that rows are weighed for, over the scales of their groups, (n_offsets,); all 0 for none.
         weighing: The same, ready to whiten by; None without any.
+        limits: Whether a pose beyond the limits of a passive joint counts as open, on the way to the minimum as well.
     """
 
     robot: Robot
@@ -85,6 +86,7 @@ class Problem(ReadOnlyArrays):
     noise_found: BoolArray
     ratios: FloatArray
     weighing: SharedError | None = None
+    limits: bool = False
 
     @staticmethod
     def of(robot: Robot, data: Measurements, sigma: float | None = None, near: FloatArray | None = None) -> Problem:
@@ -159,17 +161,17 @@ class Problem(ReadOnlyArrays):
         """
         evaluation = self.evaluate_if_closed(robot, near) or self._evaluated(robot, None)
         if evaluation is None:
-            closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=False)
+            closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=self.limits)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return evaluation
 
     def evaluate_if_closed(self, robot: Robot, near: Evaluation | None = None) -> Evaluation | None:
-        """Evaluate a robot on the data; None where a loop opens. Limits of passive joints do not count on the way."""
+        """Evaluate a robot on the data; None where a loop opens."""
         return self._evaluated(robot, self.passive if near is None else near.configurations.passive)
 
     def _evaluated(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
-        closed = close(robot, self.data.joints, seed, columns, limits=False)
+        closed = close(robot, self.data.joints, seed, columns, limits=self.limits)
         if not np.all(closed.ok):
             return None
         configurations = configured(robot, self.data.joints, closed, columns)

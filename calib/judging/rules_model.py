@@ -38,6 +38,7 @@ EXPLAINED = 0.3
 LASTING = 0.55
 """What changes in the course of the measurement, over all that is left, up to which a claim holds at its end: what
 grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of all."""
+_AT_LIMIT = 1e-6  # distance of a passive joint from its limit, where it stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # that the sentence names
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
@@ -57,7 +58,16 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
         text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
     else:
         text = f"not converged: {end.message}"
+    for name in _at_limit(fit):
+        text += f"; passive joint {name} is at its limit in the URDF, which may be too narrow"
     yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
+
+
+def _at_limit(fit: Fit) -> list[str]:
+    """Name the passive joints that are at a limit at a pose."""
+    mechanism, passive = fit.robot.mechanism, fit.configurations.passive
+    gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
+    return [mechanism.passive[k] for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0))]
 
 
 def not_assembled(fit: Fit) -> Iterator[Reason]:

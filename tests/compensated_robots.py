@@ -169,6 +169,7 @@ class Trial:
         fit = calib.fit(
             nominal, as_measurements(nominal, joints, measured if measured.shape[1] > 1 else measured[:, 0])
         )
+        program = program[fit.robot.close(program).ok]  # passive joints keep their limits, ours and the true robot's
         return Trial(nominal, truth, fit, TrueFrame(truth, nominal, joints), program)
 
     def known(self, verdict):
@@ -228,7 +229,7 @@ def pose_goals(trial, program):
 
 def of_solve(trial, known):
     """Errors of joint values that are to reach places in the measurement frame."""
-    program = trial.program[trial.fit.robot.close(trial.program).ok][:30]
+    program = trial.program[:30]
     positions, rotations = poses_of(trial.fit.robot, program)
     goals = positions[:, 0].copy()
     if len(trial.nominal.joint_names) == 2:

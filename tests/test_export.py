@@ -263,7 +263,7 @@ def test_command_prints_the_gaps_as_json(tmp_path: Path) -> None:
         (("--format", "mjfc", "--out", "x.xml"), "'mjfc' is not one of"),
         (("--format", "mjcf",), "Missing option '--out'"),
         (("--format", "mjcf", "--result", "nowhere", "--out", "x.xml"), "holds no result"),
-        (("--format", "mjcf", "--parameters", "a", "--result", "b", "--out", "x.xml"), "exclude each other"),
+        (("--format", "mjcf", "--parameters", "a", "--result", "b", "--out", "x.xml"), "not both"),
     ],
 )  # fmt: skip
 def test_wrong_use_is_one_line_and_exit_code_2(

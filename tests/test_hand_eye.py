@@ -177,7 +177,7 @@ def test_turning_about_one_axis_alone_is_refused_or_said():
 
 
 def test_too_few_images_are_an_error():
-    with pytest.raises(DataError, match="it takes 3"):
+    with pytest.raises(DataError, match="give at least 3"):
         calibrate(scene(2, "tool"), INTRINSICS)
 
 

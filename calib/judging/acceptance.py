@@ -153,7 +153,7 @@ def visible_changes(
     The first ones are the smallest beside what the description expects of them.
 
     Args:
-        promise: What the calibration promises, or the fit itself.
+        calibrated: What the calibration promises, or the fit itself.
         poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
@@ -171,7 +171,7 @@ def poses_needed(
     """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all are too few.
 
     Args:
-        promise: What the calibration promises, or the fit itself.
+        calibrated: What the calibration promises, or the fit itself.
         poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].

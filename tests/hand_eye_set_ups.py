@@ -141,7 +141,7 @@ class Line:
     Attributes:
         over_plain: Error at new images over that of plain least squares.
         inside: Which of the camera's six numbers lie in their 95 % intervals.
-        over_limit: Error at new images over what is promised.
+        over_limit: Error at as many new images as were used over what is promised.
         grade: PASS, CHECK or FAIL.
     """
 
@@ -169,7 +169,7 @@ def tried(number, errors, seed):
     line = Line(
         off / rms(on_board(new, reference)),
         covered(result.fitted, real.camera),
-        off / result.limit,
+        rms(on_board(new.only(np.arange(NEW) < n), result.fitted.placed)) / result.limit,
         judge(result).grade,
     )
     words = ["lens found"] * result.lens_found + ["weighed"] * result.weighed

@@ -64,11 +64,12 @@ class HandEye(ReadOnlyArrays):
 
     @property
     def limit(self) -> float:
-        """RMS error on the board that new images like these stay below with a chance of 95 % [m].
+        """RMS error on the board that as many new images like these stay below with a chance of 95 % [m].
 
-        From the mean of the mean squares of images left out, which has as many degrees of freedom as their spread says
+        The mean of the mean squares of images left out has as many degrees of freedom as their spread says
         (Satterthwaite), but no more than there are errors: the points of an image share the robot's, which on the board
-        is a shift, two numbers; the rest, which the camera alone leaves, is each point's own.
+        is a shift, two numbers; the rest, which the camera alone leaves, is each point's own. The mean of as many new
+        images has as many, and their ratio follows F.
 
         Reference: satterthwaite1946.
         """
@@ -79,7 +80,7 @@ class HandEye(ReadOnlyArrays):
         most = 1.0 / ((1.0 - point_share) ** 2 / (2 * n) + point_share**2 / (2 * len(self.scene.pixels)))
         spread = float(np.var(squares, ddof=1)) / n
         freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most
-        return float(np.sqrt(mean * freedom / scipy.special.chdtri(freedom, 0.95)))
+        return float(np.sqrt(mean * scipy.special.fdtri(freedom, freedom, 0.95)))
 
     def uncertainty(self) -> dict[str, tuple[float, float]]:
         """Return half widths of 95 % intervals of camera and board: along the worst axis, and about it [m], [rad]."""

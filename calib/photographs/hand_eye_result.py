@@ -107,7 +107,7 @@ def report(result: HandEye, frames: Frames) -> str:
         lines.append(
             f"On the board, points of new images like these are {_MM * rms(result.left.board):.3f} mm off (RMS"
             f" of images left"
-            f" out in turn; below {_MM * result.limit:.3f} mm with a chance of 95 %),"
+            f" out in turn; of as many new ones below {_MM * result.limit:.3f} mm with a chance of 95 %),"
             f" {rms(result.left.pixels):.3f} px in the image"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)

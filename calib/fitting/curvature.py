@@ -31,7 +31,7 @@ import numpy as np
 
 from calib.base.arrays import FloatArray
 from calib.fitting.problem import Evaluation, Problem
-from calib.numerics.statistics import prior_shares
+from calib.numerics.statistics import prior_directions
 from calib.rows.rows import Rows
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
@@ -48,7 +48,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         groups: Scale of the noise of each group, (n_groups,).
     """
     root, own = rows.known.root, problem.unknowns.family < 0
-    shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.prior))
+    shares, turned = prior_directions(rows.known, rows.prior)
     directions = np.where(own[:, None], root @ turned, 0.0)
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, seen]), held.shape[1]

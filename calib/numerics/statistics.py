@@ -197,6 +197,20 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
     return held.T @ held
 
 
+def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues (rank,) and eigenvectors (rank, rank) of S of the module docstring.
+
+    Many eigenvalues are 1 but for rounding. With the sums of some processors, divide and conquer does not converge
+    there; QR iterations, which take longer, do.
+    """
+    matrix = prior_shares(known, prior)
+    try:
+        shares, directions = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        shares, directions = scipy.linalg.eigh(matrix, driver="ev")
+    return shares, directions
+
+
 def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
 

@@ -67,11 +67,11 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
     if len(draws) > 1:
         columns.append(_column(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws))))
     columns += [
-        _column(f"{EXTENDED.name}, rms {axis} [mm]", millimetres(component_rms(both_sides, EXTENDED)[:, k]))
+        _column(f"{EXTENDED.name}, RMS {axis} [mm]", millimetres(component_rms(both_sides, EXTENDED)[:, k]))
         for k, axis in enumerate("xyz")
     ]
     columns.append(
-        _column(f"{EXTENDED.name}, rms x over the noise's", component_rms(both_sides, EXTENDED)[:, 0] / NOISE)
+        _column(f"{EXTENDED.name}, RMS x over the noise's", component_rms(both_sides, EXTENDED)[:, 0] / NOISE)
     )
     return ResultTable(
         "pose_count",
@@ -80,7 +80,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
         (
             "poses chosen by O1 of the extended model; the paper's: by O1 of its own model",
             f"simulated; {counted(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
-            f" tracker's noise, which alone has an rms of {millimetres(NOISE):.4f} mm and a mean magnitude of"
+            f" tracker's noise, which alone has an RMS of {millimetres(NOISE):.4f} mm and a mean magnitude of"
             f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
             " one visit, in the positive direction; empty: too few readings for the model",
@@ -129,7 +129,7 @@ def both_sides_findings(both_sides: BothSides) -> tuple[str, ...]:
         f"From both sides at the same {len(both_sides.sets[0].chosen)} poses,"
         f" {counted(len(both_sides.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
         f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
-        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms} and {noise:.3f} mm).",
+        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (RMS {rms} and {noise:.3f} mm).",
         _needed(both_sides),
     )
 
@@ -142,7 +142,7 @@ def _needed(both_sides: BothSides) -> str:
     never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
     return (
         f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
-        f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an rms x error within"
+        f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an RMS x error within"
         f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least(counts, near)}."
         + (f" Not even {counts[-1]} are enough for {', '.join(never)}." if never else "")
     )

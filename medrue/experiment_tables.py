@@ -147,7 +147,7 @@ def cause_table(experiment: Experiment) -> ResultTable:
     }
     columns = [Column("cause", tuple(rows)), Column("size", tuple(sizes.get(name, "") for name in rows))]
     for k, axis in enumerate(("x", "y", "z", "distance")):
-        columns.append(Column(f"rms {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
+        columns.append(Column(f"RMS {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
     notes = [
         "simulated; each cause with the tracker's noise, calibrated from the poses of O1, at the 336 others; root mean"
         f" square over the same {counted(len(experiment.draws), 'draw')} in every row"
@@ -233,6 +233,6 @@ def _measuring_finding(experiment: Experiment) -> str:
 
 
 def _summary(experiment: Experiment, draw: ExperimentDraw, name: str) -> tuple[FloatArray, FloatArray]:
-    """Mean, max, std and rms of the distances before and after, at the poses that a set leaves, each (4,) [mm]."""
+    """Mean, max, std and RMS of the distances before and after, at the poses that a set leaves, each (4,) [mm]."""
     before, after = experiment.validation(draw, name)
     return summary(millimetres(np.linalg.norm(before, axis=1))), summary(millimetres(np.linalg.norm(after, axis=1)))

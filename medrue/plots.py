@@ -183,7 +183,7 @@ def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray
         label="least that theory allows for it",
     )
     axes.set_xticks(places, names)
-    axes.set(xlabel="index that chose the 84 poses", ylabel="rms error at the validation poses [mm]")
+    axes.set(xlabel="index that chose the 84 poses", ylabel="RMS error at the validation poses [mm]")
     axes.set_title(title)
     axes.grid(visible=False, axis="x")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
@@ -204,7 +204,7 @@ def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
         values = [components[k] for components in causes.values()]
         axes.bar(places + 0.26 * (k - 1), values, 0.24, color=AXIS_COLOURS[k], label=axis)
     axes.set_xticks(places, [name.replace(" out of ", "\nout of ").replace(" of the ", "\nof the ") for name in causes])
-    axes.set_ylabel("rms component after calibration [mm]")
+    axes.set_ylabel("RMS component after calibration [mm]")
     axes.set_title("What the paper's model leaves (simulated)")
     axes.grid(visible=False, axis="x")
     axes.legend(title="axis")

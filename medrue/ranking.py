@@ -23,7 +23,7 @@ from medrue.result_tables import Cell, Column, ResultTable
 
 LUCK = 1e-3
 """How often luck alone may make any difference of a ranking look sure."""
-LEGEND = "Surely: luck alone would say so of any pair in one ranking of a thousand"
+LEGEND = "Better: beyond chance, which alone says so of any pair in one ranking of a thousand"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,9 @@ class Ranking:
             if np.any(self.better[row]):
                 winners.setdefault(self._losers(row), []).append(name)
         if not winners:
-            return "no set is surely better than another"
+            return "no set is better beyond chance"
         clauses = [f"{_enumerated(names)} than {losers}" for losers, names in winners.items()]
-        return f"surely better: {'; '.join(clauses)}; every other difference may be luck"
+        return f"better beyond chance: {'; '.join(clauses)}; every other difference may be chance"
 
     def compared(self, row: int, column: int) -> str:
         """Return `better`, `worse` or `open` for a set (by rank) against another, nothing for itself."""
@@ -135,9 +135,8 @@ def ranking_table(rankings: dict[str, Ranking], unit: str) -> ResultTable:
         "Which choice of poses is better than which",
         tuple(Column(header, column, 4) for header, column in cells),
         (
-            f"simulated; better or worse: surely, from paired differences over {counted(first.n_draws, 'draw')},"
-            " Student's t with Holm's correction over the pairs of a ranking, so that luck alone makes any pair of it"
-            f" look sure once in {1 / LUCK:.0f}; open: may be luck",
+            f"simulated; better or worse: by paired differences over {counted(first.n_draws, 'draw')}, Student's t with"
+            f" Holm's correction; chance says so of any pair in one ranking of {1 / LUCK:.0f}; open: may be chance",
         ),
     )
 

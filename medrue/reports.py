@@ -77,7 +77,7 @@ def _spread(study: Study) -> NamedFigure:
         "Errors over the draws of the noise",
         "Boxes: quartiles of the root-mean-square error of each draw; whiskers: up to 1.5 times the box; every set of"
         " poses sees the same noise. The Cramér-Rao bound is on the mean square over the draws: compare the open"
-        " diamonds with the dots beside them, not with the boxes. By luck a dot may lie a little below.",
+        " diamonds with the dots beside them, not with the boxes. By chance a dot may lie a little below.",
         spread_figure(study.names, errors, study.floors, f"Simulation: {draws} of the noise"),
     )
 
@@ -86,12 +86,11 @@ def experiment_report(experiment: Experiment) -> Report:
     """Return the report of the simulated experiment."""
     return Report(
         "The paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8",
-        "No measurements of the paper are public. The robot is simulated: the parameters that the paper identified"
-        " (Table III), and of what it blames for the error that remains, backlash of the rail that depends on the"
-        " direction of approach, an error of the screw's lead, and links slightly out of perpendicular:"
+        "The measurements of the paper are not public. The robot is simulated. It has the parameters that the paper"
+        " identified (Table III), and causes to which the paper attributes the remaining error:"
         f" {experiment.imperfections}. A simulated tracker (40 µm, five readings averaged) stands in a frame of its own"
         " and finds the world from three nests. A second measurement of the same robots approaches every pose from both"
-        f" sides; its rail has, more than that, {experiment.both_sides.rail}. From it an extended model is identified:"
+        f" sides; its rail also has {experiment.both_sides.rail}. From it an extended model is identified:"
         " all six components of every origin, with priors, and the lead, the turns and the backlash of the screw. The"
         " truth is that model with other values, but for wear and bend, which it does not have.",
         experiment_findings(experiment),
@@ -159,9 +158,9 @@ def touch_report(study: TouchStudy) -> Report:
     """Return the report of the calibrations without a tracker."""
     return Report(
         "MedRUE without a tracker: touched sockets, and encoders on passive joints",
-        "No robot was measured. The ball at the tip of the probe is brought into sockets of one artefact, nothing being"
-        " read but the joints; or all seven passive joints have encoders; beside them the tracker of the simulation"
-        " study. Joint values and readings come from the closed form, with the actual parameters and normal noise of"
+        "No robot was measured. Either the ball at the tip of the probe touches sockets of an artefact, and only the"
+        " joints are read; or all seven passive joints have encoders; or the tracker of the simulation study measures."
+        " Joint values and readings come from the closed form, with the actual parameters and normal noise of"
         f" 40 µm. Every method measures {COUNT} poses that it chose by the smallest error predicted in the target"
         " workspace.",
         touch_findings(study),

@@ -98,14 +98,14 @@ class Study:
         return tuple(pose_set.name for pose_set in self.sets)
 
     def validation_errors(self, outcome: Outcome) -> FloatArray:
-        """Return mean, max, std and rms of the distances over each set's validation poses, (n_draws, n_sets, 4) [m]."""
+        """Return mean, max, std and RMS of the distances over each set's validation poses, (n_draws, n_sets, 4) [m]."""
         summaries = []
         for s, pose_set in enumerate(self.sets):
             summaries.append(summary(outcome.distances[:, s, pose_set.others(len(self.joints))]))
         return np.stack(summaries, axis=1)
 
     def before(self) -> FloatArray:
-        """Return mean, max, std and rms of the nominal robot's errors at O1's validation poses, (4,) [m]."""
+        """Return mean, max, std and RMS of the nominal robot's errors at O1's validation poses, (4,) [m]."""
         errors = np.linalg.norm(self.robot.positions(self.joints)[:, 0] - self.truth, axis=1)
         return summary(errors[None, self.sets[0].others(len(self.joints))])[0]
 

@@ -151,7 +151,7 @@ def observability_table(study: Study) -> ResultTable:
         tuple(columns),
         (
             "columns of the Jacobian in units of 2 mm and 1.5 deg; no measurement, real or simulated, enters",
-            f"task: predicted rms error over all {len(study.joints)} poses, for noise of {micrometres(SIGMA):.0f} um",
+            f"task: predicted RMS error over all {len(study.joints)} poses, for noise of {micrometres(SIGMA):.0f} um",
         ),
     )
 
@@ -223,7 +223,7 @@ def _floor_findings(study: Study) -> tuple[str, ...]:
     return (
         f"Mean square error of O1's poses over what theory allows: {np.mean(squares) / floor**2:.3f} +-"
         f" {float(standard_error(squares)) / floor**2:.3f}.",
-        f"Theory allows {floor:.4f} mm (rms) at O1's validation poses; the paper's {printed['mean']:.3f} mm (rms about"
+        f"Theory allows {floor:.4f} mm (RMS) at O1's validation poses; the paper's {printed['mean']:.3f} mm (RMS about"
         f" {rms:.4f}) is {'below' if rms < floor else 'above'} that, and {reached:.1f} % of our draws reach it. If its"
         f" +-120 um were the noise in distance, not on each axis, theory would allow {floor / np.sqrt(3):.4f} mm.",
     )

@@ -75,8 +75,8 @@ def method_table(study: TouchStudy) -> ResultTable:
             Column("rows", tuple(determined.n_rows for determined in seen), 0),
             Column("unknowns", tuple(len(determined.parameters) for determined in seen), 0),
             Column("rank", tuple(determined.rank_all.rank for determined in seen), 0),
-            Column("predicted rms [mm]", tuple(predicted), 4),
-            Column("rms over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
+            Column("predicted RMS [mm]", tuple(predicted), 4),
+            Column("RMS over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
             Column("cannot see", tuple(unseen(determined) for determined in seen)),
         ),
         (
@@ -96,7 +96,7 @@ def artefact_table(study: TouchStudy) -> ResultTable:
         f"Error in the target workspace predicted for the best {COUNT} touches of an artefact",
         (
             Column("sockets of the artefact", tuple(_size(artefact) for artefact in study.artefacts)),
-            Column("predicted rms [mm]", tuple(predicted), 4),
+            Column("predicted RMS [mm]", tuple(predicted), 4),
         ),
         (
             "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated enters",
@@ -126,8 +126,8 @@ def touch_findings(study: TouchStudy) -> tuple[str, ...]:
         f"With as many rows and the same noise, the tracker leaves {world[tracker][0]:.4f} mm, and"
         f" {world[tracker][1]:.4f} mm at most: touch is {world[touch][0] / world[tracker][0]:.2f} times as far off on"
         f" average, {world[touch][1] / world[tracker][1]:.2f} times at the worst pose.",
-        f"Where nobody knows where the artefact stands, touch does not see the base ({world[anywhere][0]:.2f} mm in the"
-        f" world), but the robot's shape: {shape[anywhere][0]:.4f} mm after the best rigid motion,"
+        f"With the artefact at an unknown place, touch does not show the base ({world[anywhere][0]:.2f} mm in the"
+        f" world), but still finds the robot's shape: {shape[anywhere][0]:.4f} mm after the best rigid motion,"
         f" {shape[touch][0]:.4f} mm with the artefact in a known place, {shape[tracker][0]:.4f} mm by the tracker.",
         f"Encoders alone take the mean error from {world[BEFORE][0]:.2f} to {world[encoders][0]:.2f} mm in the world,"
         f" and from {shape[BEFORE][0]:.2f} to {shape[encoders][0]:.2f} mm after the best rigid motion;"
@@ -139,12 +139,12 @@ def touch_findings(study: TouchStudy) -> tuple[str, ...]:
 
 
 def _means(study: TouchStudy, way: str) -> dict[str, FloatArray]:
-    """Mean, max, std and rms over the poses, averaged over the draws on Table I's robot, by name, (4,) [mm]."""
+    """Mean, max, std and RMS over the poses, averaged over the draws on Table I's robot, by name, (4,) [mm]."""
     return dict(zip(study.names, _summaries(study.noise, way).mean(axis=0), strict=True))
 
 
 def _summaries(distances: FloatArray, way: str) -> FloatArray:
-    """Mean, max, std and rms over the poses in one of `WAYS`, (..., n_names, 4) [mm]."""
+    """Mean, max, std and RMS over the poses in one of `WAYS`, (..., n_names, 4) [mm]."""
     return np.asarray(millimetres(summary(distances[..., WAYS.index(way), :])))
 
 

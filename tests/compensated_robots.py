@@ -8,7 +8,7 @@ described, and are judged twice: as they are, and with the verdict ignored that 
 have errors drawn from what the description expects (MedRUE: those of the paper's Table I, signs drawn). Base and tool
 are known, or both unknown, with a tracker that stands somewhere and a reflector off by what is expected of it.
 
-The truth is judged in the frame that is promised: measured, or laid where the true and the nominal robot agree best.
+The truth is judged in the frame that is stated: measured, or laid where the true and the nominal robot agree best.
 That is done here by other code: rigid motions written out, their derivatives by differences, SciPy's least squares.
 "Not laid" is what somebody sees whose base and tool are where the true robot has them, and stay there.
 """
@@ -187,7 +187,7 @@ def angles(rotations, others):
 
 
 def of_program(trial, known, goals=None):
-    """Errors of a compensated program of joints, or of poses: after, promised, limit, before, not laid; and turns."""
+    """Errors of a compensated program of joints, or of poses: after, expected, limit, before, not laid; and turns."""
     compensated = calib.compensate(known, trial.program if goals is None else goals)
     ok = compensated.ok.copy()
     ok[ok] = trial.truth.close(compensated.q[ok]).ok  # the true robot stops at the end of a passive joint
@@ -322,7 +322,7 @@ def row(cells):
 
 def main(robots, places, seeds):
     """Print the tables."""
-    print("| robot | places | errors | program | before [mm] | after | promised | after/promised | beyond 95 % [%] |"
+    print("| robot | places | errors | program | before [mm] | after | expected | after/expected | beyond 95 % [%] |"
           " after, not laid |", flush=True)  # fmt: skip
     plans = []
     for name in robots:
@@ -330,7 +330,7 @@ def main(robots, places, seeds):
             for errors in (False, True):
                 with tempfile.TemporaryDirectory() as folder:
                     plans.append(of_make(name, described(name, Path(folder), where), where, errors, seeds))
-    print("\n| robot | places | errors | nothing to correct | verify agrees | measured/promised | changes seen |")
+    print("\n| robot | places | errors | nothing to correct | verify agrees | measured/expected | changes seen |")
     print("\n".join(plans))
 
 

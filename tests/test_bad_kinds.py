@@ -129,7 +129,7 @@ IN_FILES = {
     "a joint in metres": (header(0, lambda _: "j1 [m]"), "column 'j1'"),
     "a joint in an unknown unit": (header(0, lambda _: "j1 [turns]"), "column 'j1'"),
     "a joint that is a word": (at(3, 1, "zero"), "line 5, column 'j2': 'zero' is not a number"),
-    "a joint that is no number": (at(3, 1, "nan"), "line 5, column 'j2'"),
+    "a joint that is not a number": (at(3, 1, "nan"), "line 5, column 'j2'"),
     "an infinite joint": (at(3, 1, "inf"), "line 5, column 'j2'"),
     "a joint that is empty": (at(3, 1, ""), "line 5, column 'j2': is empty"),
     "a joint that no robot has": (at(3, 1, "1e9"), "column 'j2'"),

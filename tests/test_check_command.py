@@ -100,7 +100,7 @@ def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(r
     assert run.code == 0, run.err
     assert run.out.startswith("20 poses (sampled over the joint limits, seed 0), 60 coordinates\n")
     assert json.loads((tmp_path / "out.json").read_text())["sigma_mm"] is None
-    assert "sampled poses are all in the first setup" in run.err
+    assert "all sampled poses are in the first setup" in run.err
 
 
 def test_what_is_not_determined_is_said(run_calib, tmp_path):

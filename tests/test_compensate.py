@@ -487,7 +487,7 @@ def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calib
     assert files[0] == files[1]
     found = CliRunner().invoke(command, [str(EXAMPLES / "arm.yaml"), str(tmp_path / "program.csv"), "--out", "x.csv"])
     assert found.exit_code == 2
-    assert "is no result folder; give that as ROBOT, or with --result DIR" in found.output
+    assert "is not a result folder; give that as ROBOT, or with --result DIR" in found.output
 
 
 @pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without covariance"])

@@ -168,7 +168,7 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     assert done.exit_code == 0, done.output
     assert "7 of 7 targets compensated (pose kept)" in done.stdout
     assert "end up to 64.8 mm from it" in done.stdout
-    assert "Poses count from link 'l0' to link 'l6'" in done.stdout
+    assert "Poses are from link 'l0' to link 'l6'" in done.stdout
     assert "not compensated" in done.stderr
     content = json.loads((tmp_path / "new.json").read_text())
     assert content["n_compensated"] == 7
@@ -213,7 +213,7 @@ BAD = {
         UR,
         [
             (UR, "", "has no targets"),
-            (UR, "\x00\x01", "line 1: is no text"),
+            (UR, "\x00\x01", "line 1: is not text"),
             (UR, "G1 X5\n", "has no targets that can be compensated as URScript"),
             ("movej(a)", "movej(b)", "line 4: b: is set more than once, or not to plain numbers"),
             ("movej(a)", "movej(a[0])", "line 4: a[0]: is worked out at run time"),
@@ -244,7 +244,7 @@ BAD = {
         ABB,
         [
             (ABB, "", "has no targets"),
-            (ABB, "\x00", "is no text"),
+            (ABB, "\x00", "is not text"),
             (ABB, "def p():\nmovej([0,0,0,0,0,0])\n", "has no targets that can be compensated as RAPID"),
             ("MoveL p,", "MoveL q,", "q: is declared nowhere here"),
             ("MoveL p,", "MoveL Offs(p,0,0,5),", "is worked out at run time; it moves along with p"),
@@ -259,11 +259,11 @@ BAD = {
             ("t:=[TRUE", "t:=[FALSE", "tool 't' stands in the room"),
             ("w:=[FALSE", "w:=[TRUE", "the robot holds work object 'w'"),
             ("w:=[FALSE,TRUE", "w:=[FALSE,FALSE", "is moved by another unit"),
-            ("t:=[TRUE,[[0,0,100]", "t:=[TRUE,[[0,0,h]", "'t' is not constant: 'h' is no plain number"),
+            ("t:=[TRUE,[[0,0,100]", "t:=[TRUE,[[0,0,h]", "'t' is not constant: 'h' is not a plain number"),
             ("MoveL p,", "t.tframe.trans.z:=5;\nMoveL p,", "'t' is set while the program runs"),
             ("[0.7648,", "[0.9,", "line 4: the quaternion has length 1.10"),
             ("[600,0,500]", "[600,0]", "line 4: a position has 2 numbers; expected 3"),
-            ("[600,0,500]", "[600,0,x]", "'x' is no plain number"),
+            ("[600,0,500]", "[600,0,x]", "'x' is not a plain number"),
             ("[600,0,500]", "[600,0,5E7]", "'5E7' is beyond what any machine reads"),
             ("[0,0,0,0],[9E9,", "[0,0,0,0],[100,", "moves external axes"),
             (f"[0,0,0,0],{NO_AXES}]", "[0,0,0,0]]", "robtarget 'p' is not complete"),
@@ -275,7 +275,7 @@ BAD = {
         KUKA,
         [
             (KUKA, "", "has no targets"),
-            (KUKA, "\x02", "is no text"),
+            (KUKA, "\x02", "is not text"),
             (KUKA, "DEF p()\nPTP_REL {A1 5}\nEND\n", "counts from where the robot stands"),
             ("LIN {X 600,", "LIN XP1 ; {X 600,", "XP1: is declared nowhere here"),
             ("LIN {X 600,Y 0", "LIN {X 600", "says only a part of a position"),
@@ -306,7 +306,7 @@ BAD = {
         LS,
         [
             (LS, "", "has no /MN and /POS sections"),
-            (LS, "\x00\x03", "is no text"),
+            (LS, "\x00\x03", "is not text"),
             ("/POS", "/PAS", "has no /MN and /POS sections"),
             ("/MN", "/MM", "has no /MN and /POS sections"),
             ("L P[2] 1", "L P[7] 1", "line 4: P[7] is not in /POS; save the program again"),

@@ -254,7 +254,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
     assert np.all(np.array(table, dtype=float)[:, 3:] == 0)
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert rows["nothing_to_correct"]
-    assert "count measurement noise and the priors" in rows["counted"]
+    assert "include measurement noise and the priors" in rows["counted"]
     assert [one["joints"]["arm_2 [deg]"] for one in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
 
 
@@ -286,5 +286,5 @@ def test_a_result_that_lacks_its_poses_says_what_that_costs(nominal_delta, tmp_p
     (tmp_path / "joints.csv").write_text("arm_1,arm_2,arm_3\n0.1,0.2,-0.05\n")
     done = run_calib("compensate", old, tmp_path / "joints.csv", "--out", tmp_path / "out.csv")
     assert done.code == 0
-    assert "has no residuals.csv, and so does not say at which poses it was measured" in done.err
+    assert "has no residuals.csv, so the measured poses are not known" in done.err
     assert "agree best around home" in done.out

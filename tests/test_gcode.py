@@ -277,7 +277,7 @@ FIRST = "G1 X0 Y0 Z0\n"
         (FIRST + "/G1 X1\n", (), "line 2: whether a line behind / is run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
-        (FIRST + "G1 X1 \x07\n", (), "line 2: is no text"),
+        (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),
         ("G1 X2000 Y0 Z0\n", (), "line 1 by the nominal robot misses by 1000"),
         (FIRST, ("--tolerance-mm", "0"), "--tolerance-mm 0: must lie between"),
         (FIRST, ("--tolerance-mm", "nan"), "--tolerance-mm nan: must lie between"),

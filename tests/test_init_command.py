@@ -264,7 +264,7 @@ def test_a_camera_is_described_with_its_board_and_can_be_used_at_once(tmp_path, 
     )
     run = run_calib("init", "arm.urdf", "--measure", "camera", "--out", "r.yaml", cwd=tmp_path)
     assert run.code == 0, run.err
-    assert "r_board.yaml written, the board" in run.out
+    assert "r_board.yaml written: the board" in run.out
     (tmp_path / "r.yaml").write_text((tmp_path / "r.yaml").read_text().replace("# sigma: 0.2 ", "sigma: 0.2 "))
     for command in (
         "sample r.yaml --count 40 --out poses.csv",

@@ -217,12 +217,23 @@ def test_sums_over_draws_are_those_of_the_arrays(arm):
     assert one.claimed == pytest.approx(np.sqrt(sum((1e3 * draws.std[:, 3]) ** 2) / 40))
     assert one.coverage == sum(abs(off[:, 3]) <= 1e3 * draws.half_width[:, 3]) / 40
     assert draws.errors.shape == (40, 4, 1, 3)
-    text = found.report()
+    text = found.report(verbose=True)
     assert f"{one.name}" in text
     assert f"{one.spread:.3g}" in text
     content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert content["parameters"][3]["spread"] == pytest.approx(one.spread)
     assert content["draws"] == content["answered"] == len(found) == 40
+
+
+def test_the_report_of_many_parameters_fits_on_a_screen(arm):
+    found = calib.study(arm, joints(30), draws=6, sigma=SIGMA)
+    rows = sorted(found.parameters, key=lambda parameter: parameter.coverage)
+    assert len(rows) > 25
+    lines = found.report().splitlines()
+    assert len(lines) <= 40
+    assert [line.split()[0] for line in lines[3:13]] == [row.name for row in rows[:10]]
+    assert f"{len(rows) - 10} more parameters covered at least as often: --verbose prints them" in lines[13]
+    assert len(found.report(verbose=True).splitlines()) == len(lines) - 11 + len(rows)
 
 
 def test_truths_drawn_from_the_priors_are_all_different_and_noise_is_what_is_stated(arm_with_priors):

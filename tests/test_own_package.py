@@ -303,7 +303,7 @@ def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_pa
     monkeypatch.syspath_prepend(tmp_path)
     refused = {one.term: one.refused for one in candidates(lagging[0], lagging[2])}
     assert "'broken' (lab_calib.nothing:There) cannot be loaded: ModuleNotFoundError" in refused["broken"]
-    assert "'wrong' (lab_calib:__name__): is no class derived from JointTerm" in refused["wrong"]
+    assert "'wrong' (lab_calib:__name__): is not derived from JointTerm" in refused["wrong"]
     assert refused["gain"] == ""
     with pytest.raises(calib.DescriptionError, match="cannot be loaded"):
         listed_terms("broken")

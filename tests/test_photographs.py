@@ -239,7 +239,7 @@ def test_intrinsics_are_read_from_opencv_and_ros(tmp_path):
         (ROS.replace("900, 0, 640", "900, 3, 640"), "skew"),
         (ROS.replace("900, 0, 640", "-900, 0, 640"), "positive"),
         (ROS.replace("0, 0, 1]", "0, 0]"), "a camera matrix has 9"),
-        (ROS.replace("900", "nine"), "no number"),
+        (ROS.replace("900", "nine"), "not a number"),
         ("a: [1", "not valid YAML"),
         ("just text", "holds no intrinsics"),
         ("image_width: 12\n", "has no camera_matrix"),
@@ -284,7 +284,7 @@ def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
     [
         ("image,x,y,qx,qy,qz,qw\na,0,0,0,0,0,1\n", "no column 'z'"),
         ("image,x,y,z\na,0,0,0\n", "no rotation"),
-        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "no unit quaternion"),
+        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "not a unit quaternion"),
         ("image,x,y,z,rx,ry,rz\na,0,0,0,0,0,1\n", "--angles rotvec or --angles rpy"),
         ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "no column 'image' or 'pose'"),
         ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,0,1\na,0,0,0,0,0,0,1\n", "'a' comes twice"),
@@ -318,7 +318,7 @@ def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
         ],
     )
     assert done.exit_code == 0, done.output
-    assert "left out: shot_10: is no image that can be read" in done.output
+    assert "left out: shot_10: is not an image that can be read" in done.output
     assert "35 points in 1 of 3 images" in done.output
     assert "shot_2,c0," in (tmp_path / "out.csv").read_text()
     assert json.loads((tmp_path / "d.json").read_text())["n_points"] == 35

@@ -175,7 +175,7 @@ BAD_KLIPPER = [
     ("height3_pos: ", "height3_pos: 5,", "height3_pos '5,"),
     ("height3_pos: ", "height3_pos: 1", "height3 16 mm is"),
     ("distance4: 62", "distance4: 26", "distance4 26"),
-    ("distance4: 62", "distance4: -62", "is no distance"),
+    ("distance4: 62", "distance4: -62", "is not a distance"),
     ("distance4_pos2: ", "distance4_pos3: ", "[delta_calibrate] has no 'distance4_pos2'"),
     ("height", "depth", "has distances and no heights"),
 ]
@@ -224,7 +224,7 @@ def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
     assert run("init", "--template", "delta", "--out", "d.yaml").exit_code == 0
     done = run("export", "d.yaml", "--format", "klipper", "--out", "no.txt")
     assert done.exit_code == 2
-    assert "is no delta printer" in done.output
+    assert "is not a delta printer" in done.output
     for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--template", "delta"]):
         assert run("init", "--duet", "config.g", "--out", "n.yaml", *refused).exit_code == 2
     assert json.dumps(sorted(one.name for one in folder.iterdir())).count("n.yaml") == 0

@@ -197,12 +197,12 @@ def test_files_that_are_no_bags_are_refused_in_one_line(tmp_path, measured):
     refused(tmp_path, tmp_path / "nothing.mcap", "no such file; give a CSV file or a bag")
     for name in ("broken.mcap", "broken.db3"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
-        refused(tmp_path, tmp_path / name, "is no bag that can be read")
+        refused(tmp_path, tmp_path / name, "is not a bag that can be read")
     folder = write_bag(tmp_path / "bag", still(measured[1][0]))
     next(folder.glob("*.db3")).write_bytes(b"SQLite format 3\x00 and then nothing")
-    refused(tmp_path, folder, "is no bag that can be read")
+    refused(tmp_path, folder, "is not a bag that can be read")
     (folder / "metadata.yaml").write_text("}")
-    refused(tmp_path, folder, "is no bag that can be read")
+    refused(tmp_path, folder, "is not a bag that can be read")
     assert not is_bag(tmp_path)
 
 

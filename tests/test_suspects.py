@@ -99,7 +99,7 @@ def with_zeros(arm, data, rows):
 
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
-    zeros = "it looks as if 2 readings of exactly 0, 0, 0 (row 7, row 30) were none"
+    zeros = "it looks as if 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
     assert likely_mistake(arm, wrong).startswith(f"{zeros}: if this is corrected")
     wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
     assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 counted the other way: if this is corrected")

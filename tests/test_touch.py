@@ -255,14 +255,14 @@ def test_touch_gets_about_as_far_as_the_tracker_and_encoders_do_not(command: tup
         "encoders": ("588", "43", "26"),
     }
     for name in ("tracker", "touch"):
-        predicted, found = (float(methods[name][key]) for key in ("predicted rms [mm]", "rms over draws [mm]"))
+        predicted, found = (float(methods[name][key]) for key in ("predicted RMS [mm]", "RMS over draws [mm]"))
         assert 0.5 < found / predicted < 2.0
-    assert methods["encoders"]["predicted rms [mm]"] == ""
+    assert methods["encoders"]["predicted RMS [mm]"] == ""
     assert "xt; yt; zt" in methods["encoders"]["cannot see"]
 
 
 def test_one_socket_does_not_determine_the_workspace(command: tuple[Path, Result]) -> None:
     artefacts = rows_of(command[0], "artefacts")
     assert list(artefacts) == ["9 on 525 mm by 282 mm", "one"]
-    assert 0.02 < float(artefacts["9 on 525 mm by 282 mm"]["predicted rms [mm]"]) < 0.03
-    assert artefacts["one"]["predicted rms [mm]"] == ""
+    assert 0.02 < float(artefacts["9 on 525 mm by 282 mm"]["predicted RMS [mm]"]) < 0.03
+    assert artefacts["one"]["predicted RMS [mm]"] == ""

@@ -287,7 +287,7 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
     [
         ("5 mm", "Tolerance 5 mm: met 95 of 100 positions are within "),
         ("0.001 mm", "Tolerance 0.001 mm: not met 95 of 100 positions are within "),
-        ("<b>tight</b>", "Tolerance &lt;b&gt;tight&lt;/b&gt;: not judged This is no length with a unit"),
+        ("<b>tight</b>", "Tolerance &lt;b&gt;tight&lt;/b&gt;: not judged This is not a length with a unit"),
     ],
 )
 def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, html, asked, answer):
@@ -352,8 +352,8 @@ def test_the_logo_is_in_the_page_and_only_images_are_taken(fit, tmp_path):
     assert '<img class="logo" src="data:image/svg+xml;base64,' in html
     assert "<script" not in html
     for name, content, words in (
-        ("a.png", b"GIF89a", "is no image that a page can show"),
-        ("a.svg", b"<?xml version='1.0'?><robot/>", "is no image that a page can show"),
+        ("a.png", b"GIF89a", "is not an image that a page can show"),
+        ("a.svg", b"<?xml version='1.0'?><robot/>", "is not an image that a page can show"),
         ("b.png", b"\x89PNG\r\n\x1a\n" + bytes(2**20), "of at most 512 kB"),
     ):
         (tmp_path / name).write_bytes(content)

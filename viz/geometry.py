@@ -49,7 +49,7 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
 
 def _link(name: str, link: Link, urdf_path: str) -> list[Shape]:
     if link.unknown:
-        raise ValueError(f"a {link.unknown[0]} is no shape of a URDF")
+        raise ValueError(f"a {link.unknown[0]} is not a shape of a URDF")
     by_visual = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
     return [shape for shapes in by_visual for shape in shapes]
 

@@ -69,7 +69,7 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
     try:
         limit = quantity(text, "length", "tolerance")
     except InputError:
-        return Tolerance(text, "not judged", "CHECK", "This is no length with a unit, such as 0.1 mm.")
+        return Tolerance(text, "not judged", "CHECK", "This is not a length with a unit, such as 0.1 mm.")
     claim = judge(fit).claim
     if claim is None or not claim.told.is_position or not np.isfinite(claim.told.limit95):
         return Tolerance(text, "not judged", "CHECK", "These measurements do not tell how far positions are off.")

@@ -82,11 +82,11 @@ def accuracy(assessment: Assessment) -> Figure:
         for tasks in ([row.uniform for row in rows], [row.chosen for row in rows])
     )
     largest = np.array([np.nan if row.chosen is None else _MM * row.chosen.maximum for row in rows])
-    axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, rms")
-    axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, rms")
+    axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, RMS")
+    axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, RMS")
     axes.plot(counts[inside], largest[inside], "o:", color=BLUE, label="best of these, largest")
     last = np.append(np.flatnonzero(inside)[-1:], np.flatnonzero(~inside))
-    axes.plot(counts[last], chosen[last], "-", color=GREY, label="all measured several times, rms")
+    axes.plot(counts[last], chosen[last], "-", color=GREY, label="all measured several times, RMS")
     axes.set(xscale="log", yscale="log", xlabel="number of poses", ylabel="predicted position error [mm]")
     plain_ticks(axes.xaxis, axes.yaxis)
     axes.legend()
@@ -104,7 +104,7 @@ def index_history(selection: Selection) -> Figure:
         axes.plot(run.n_paper, values[run.n_paper], "o", color=BLUE, markersize=4)
     if selection.bound is not None:
         axes.axhline(scale * selection.bound, color=GREY, linestyle="--", linewidth=1, label="no choice is beyond this")
-    name = "predicted position error, rms [mm]" if selection.index == TASK else selection.index
+    name = "predicted position error, RMS [mm]" if selection.index == TASK else selection.index
     axes.set(xlabel="exchange (dot: end of add-and-remove, then single swaps)", ylabel=name)
     axes.legend()
     return figure

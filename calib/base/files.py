@@ -105,7 +105,7 @@ def image_address(path: Path | str) -> str:
     start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
     kind = next((kind for mark, kind in _IMAGES if start.startswith(mark)), None)
     if kind is None or (kind == "svg+xml" and b"<svg" not in content):
-        raise InputError(f"{path}: is no image that a page can show; give {expected}")
+        raise InputError(f"{path}: is not an image that a page can show; give {expected}")
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 

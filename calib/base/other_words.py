@@ -133,7 +133,7 @@ class Worded(metaclass=_Worded):
 
         def __call__(self, *args: Any, **options: Any) -> Any:
             """Say what to call instead."""
-            raise UnknownOptionError(f"{type(self).__name__}: is no function{way('()', self._other_words)}")
+            raise UnknownOptionError(f"{type(self).__name__}: is not a function{way('()', self._other_words)}")
 
 
 def _no_name(of: str, name: str, place: str, names: list[str]) -> str:

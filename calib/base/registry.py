@@ -99,7 +99,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
     def _checked(self, name: str, given: object, where: str) -> type[Class]:
         if not (isinstance(given, type) and issubclass(given, self._base)):
-            raise DescriptionError(f"{self.what} '{name}' {where}: is no class derived from {self._base.__qualname__}")
+            raise DescriptionError(f"{self.what} '{name}' {where}: is not derived from {self._base.__qualname__}")
         if isabstract(given):
             missing = ", ".join(sorted(getattr(given, "__abstractmethods__", ())))
             raise DescriptionError(f"{self.what} '{name}' {where}: does not define {missing}")

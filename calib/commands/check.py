@@ -73,7 +73,7 @@ def command(
         )
         if len(model.description.setups) > 1:
             output.note(
-                "note: sampled poses are all in the first setup, and say nothing of what was moved before others"
+                "note: all sampled poses are in the first setup; they do not show what was moved before the others"
             )
     else:
         pose_set, source = read_pose_files(data, model), ", ".join(data)
@@ -82,8 +82,8 @@ def command(
     for instrument in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
         output.note(
             f"note: these poses do not touch what '{instrument.name}' touches, or do not say what: they count as"
-            " touching everything wherever they are, which tells more than touches can (one socket says nothing of the"
-            f" robot's size); give poses at contact, with a column '{instrument.text_columns()[0]}'"
+            " touching everything wherever they are, so the result is too good (one socket does not show the robot's"
+            f" size); give poses at contact, with a column '{instrument.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
     output.remarks(wrapped_terms(model, pose_set.joints))

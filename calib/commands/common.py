@@ -264,7 +264,7 @@ def result_folder(robot: str, result: str | None) -> str:
     """Return the result folder of a command that needs one: --result, or ROBOT; neither is an `InputError`."""
     folder = folder_of_values(robot, None, result)
     if folder is None:
-        raise InputError(f"{robot}: is no result folder; give that as ROBOT, or with --result DIR")
+        raise InputError(f"{robot}: is not a result folder; give that as ROBOT, or with --result DIR")
     return folder
 
 

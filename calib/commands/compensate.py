@@ -126,8 +126,8 @@ def command(
     known = load_known(result, nominal)
     if not len(known.joints):
         output.note(
-            f"note: {result}: has no residuals.csv, and so does not say at which poses it was measured; a frame that is"
-            " laid agrees around home instead; fit again"
+            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are laid where"
+            " the robots agree best around home; fit again"
         )
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)

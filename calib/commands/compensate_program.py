@@ -150,15 +150,15 @@ def _said(program: RobotProgram, compensated: CompensatedProgram, result: str, p
             lines.append(
                 before_and_now("Its orientation", figures["before_angle_mrad"], figures["expected_angle_mrad"], "mrad")
             )
-        lines.append(f"The decimals of the file move it by {figures['rounding_mm']['max']:.4f} mm at worst")
+        lines.append(f"Rounding to the file's decimals moves it by {figures['rounding_mm']['max']:.4f} mm at worst")
     if compensated.lever > 1e-6 and "expected_angle_mrad" in figures:
         far = millimetres(compensated.lever)
         most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
         lines.append(
-            f"This is said of target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it, and"
-            f" {most:.4f} mm (RMS) at most are expected there"
+            f"These figures are for target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it,"
+            f" where at most {most:.4f} mm (RMS) are expected"
         )
     if program.left_out:
         lines.append(f"{counted(len(program.left_out), 'place')} not compensated, listed above")
-    lines.append(f"Poses count from link '{compensated.base}' to link '{compensated.flange}' and the program's tool")
+    lines.append(f"Poses are from link '{compensated.base}' to link '{compensated.flange}' and the program's tool")
     return "\n".join([*lines, of_frame(compensation.frame)])

@@ -178,7 +178,7 @@ def command(
         output.say(f"{beside} written, from the table")
     output.say(f"{out} written; it works as it is, and its comments say what to change")
     if to_print is not None:
-        output.say(f"{to_print} written, the board: make it yours, then print it: calib board --board {to_print}")
+        output.say(f"{to_print} written: the board; change it to yours, then print it: calib board --board {to_print}")
     if sheet is not None and how is not None:
         then = "; pixels come from calib detect" if how.read_apart else f"; then: calib check {out} {sheet}"
         output.say(f"{sheet} written, with the header for your measurements{then}")

@@ -71,7 +71,7 @@ def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:
     match = None if Path(text).is_file() else _RANGE.match(text)
     if match is None:
         if "=" in text and not Path(text).exists():
-            raise InputError(f"--within {text}: is no range; write it as joint_2=-90..30deg")
+            raise InputError(f"--within {text}: is not a range; write it as joint_2=-90..30deg")
         joints = read_poses(text, robot).joints
         spans = zip(joints.min(axis=0).tolist(), joints.max(axis=0).tolist(), strict=True)
         return dict(zip(robot.joint_names, spans, strict=True))

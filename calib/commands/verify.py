@@ -48,7 +48,7 @@ def command(
 ) -> None:
     """Judge the calibrated ROBOT by measurements DATA (CSV) that its calibration has not seen.
 
-    The verdict says whether they agree with what was promised, whether one parameter or joint zero has drifted, or
+    The verdict says whether they agree with the calibration, whether one parameter or joint zero has drifted, or
     whether a new calibration is due (exit code 3 unless they agree). Repeated poses also give figures of ISO 9283.
     """
     if change and not plan:
@@ -109,5 +109,5 @@ def _change(robot: Robot, text: str) -> tuple[str, float]:
         raise DataError(f"--change: no change '{name}' can be looked for{nearest(name, known)}")
     value = quantity(size, known[name], f"--change {name}")
     if value == 0:
-        raise DataError(f"--change '{text}': is no change; give a size other than zero")
+        raise DataError(f"--change '{text}': is not a change; give a size other than zero")
     return name, value

@@ -94,7 +94,7 @@ class Poses(ReadOnlyArrays):
             raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
 
     def __array__(self, *_: object, **__: object) -> NoReturn:
-        raise InputError(f"{self.path}: {type(self).__name__} are no array; give .joints for the joint values alone")
+        raise InputError(f"{self.path}: {type(self).__name__} are not an array; give .joints, the joint values alone")
 
     def __iter__(self) -> Iterator[Self]:
         return (self[k] for k in range(len(self)))

@@ -171,7 +171,7 @@ class _Klipper:
             places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
             down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
             if distance and value <= 0:
-                raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is no distance; correct it")
+                raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is not a distance; correct it")
             (heights if height else spans).append(Row(key, line, value, down))
         if spans and not heights:
             raise DataError(

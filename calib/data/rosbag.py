@@ -189,7 +189,7 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
     except DataError:
         raise
     except Exception as error:  # of rosbags, of SQLite, of what a broken file makes of them
-        raise DataError(f"{path}: is no bag that can be read ({type(error).__name__}: {error})") from None
+        raise DataError(f"{path}: is not a bag that can be read ({type(error).__name__}: {error})") from None
 
 
 def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

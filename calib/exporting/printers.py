@@ -28,7 +28,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     """
     if not is_linear_delta(robot.description):
         raise InputError(
-            f"{robot.path}: is no delta printer; formats {', '.join(FIRMWARES)} hold robots of the parametrisation"
+            f"{robot.path}: is not a delta printer; formats {', '.join(FIRMWARES)} hold robots of the parametrisation"
             " linear_delta, such as calib init --klipper writes"
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}

@@ -209,7 +209,8 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
         return ""
     some = _some(sound)
     now = min(_miss(robot, _some(data) if len(zeros) == 0 else data), 1.0)
-    empty = f"{counted(len(zeros), 'reading')} of exactly 0, 0, 0 ({listed([data.labels[k] for k in zeros])}) were none"
+    where = listed([data.labels[k] for k in zeros])
+    empty = f"{counted(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
     tried = [(_miss(robot, some), 0, empty)] if len(zeros) else []
     prefix = f"{empty}, and " if len(zeros) else ""
     if not tried or tried[0][0] > _CLOSER * now:

@@ -129,7 +129,7 @@ class Distance(FrameInstrument):
             k = int(negative[0])
             raise DataError(
                 f"instrument '{self.name}', reading {k + 1}: {column.name} is {millimetres(float(read[k])):g} mm, which"
-                " is no distance; an instrument whose zero is elsewhere needs `offset` in the description"
+                " is not a distance; an instrument whose zero is elsewhere needs `offset` in the description"
             )
         return read[:, None]
 

@@ -133,7 +133,7 @@ def read_points(path: Path) -> dict[str, tuple[float, float, float]]:
     """Return points by name [m].
 
     Raises:
-        DescriptionError: No such file, a column that is missing or has a wrong unit, a cell that is no number, or a
+        DescriptionError: No such file, a column that is missing or has a wrong unit, a cell that is not a number, or a
             name that comes twice.
     """
     lines = read_text(path, "a CSV file with columns point, x, y, z", DescriptionError).splitlines()

@@ -183,7 +183,7 @@ def poses_needed(
     promise = Promise.of(calibrated)
     planned = as_poses(promise.robot, poses)
     if not (np.isfinite(size) and size != 0):
-        raise DataError(f"change of '{name}': {size:g} is no change; give a number other than zero")
+        raise DataError(f"change of '{name}': {size:g} is not a change; give a number other than zero")
 
     def shows(n: int) -> bool:
         try:

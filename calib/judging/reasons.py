@@ -150,7 +150,7 @@ class Verdict(Worded):
     def __eq__(self, other: object) -> bool:
         """Whether two verdicts are the same; a verdict beside a text is a mistake that would go unseen."""
         if isinstance(other, str):
-            raise UnknownOptionError(f"Verdict: is no text; here: fit.verdict.grade == {other!r}")
+            raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)
 
     @property

@@ -158,7 +158,7 @@ def pulls_without(
     """Return c_b = U_b^T (1 - H_b)^-1 r_b of each block, (n_blocks, k), and the largest w of it, (n_blocks,).
 
     Without block b, the solution in the coordinates of T is c_b further on. Where w is nearly 1, a direction rests on
-    that block alone, and c_b is no number to rely on.
+    that block alone, and c_b is not a number to rely on.
 
     Args:
         jacobian: J, whitened, (n_rows, n_free).

@@ -91,7 +91,7 @@ def _numbers(value: Any, path: Path | str, key: str) -> list[float]:
     try:
         return [float(number) for number in flat]
     except (TypeError, ValueError):
-        raise DescriptionError(f"{path}: {key}: holds something that is no number") from None
+        raise DescriptionError(f"{path}: {key}: holds something that is not a number") from None
 
 
 def _first(content: Mapping[str, Any], *keys: str) -> tuple[str, Any]:
@@ -146,5 +146,5 @@ def _size(content: Mapping[str, Any], path: Path | str) -> tuple[int, int] | Non
             try:
                 return int(width), int(height)
             except (TypeError, ValueError):
-                raise DescriptionError(f"{path}: width and height of the image are no numbers") from None
+                raise DescriptionError(f"{path}: width and height of the image are not numbers") from None
     return None

@@ -70,10 +70,9 @@ def judge(result: HandEye) -> Judgement:
     if axes[1] < _LITTLE_TURN:
         reasons.append(
             f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f}"
-            f" deg about"
-            " others: lengths along the first are known badly"
+            f" deg about others: lengths along the first are poorly known"
         )
-        advice.append("tilt the tool by 20 to 40 deg about two axes more")
+        advice.append("tilt the tool by 20 to 40 deg about two more axes")
     covered = image_coverage(scene.pixels, scene.size)
     if covered < LITTLE_COVERAGE:
         advice.append(f"bring the board into more of the image (it was seen in {100 * covered:.0f} %)")
@@ -106,9 +105,8 @@ def report(result: HandEye, frames: Frames) -> str:
     if judgement.grade != "FAIL":
         lines.append(
             f"On the board, points of new images like these are {_MM * rms(result.left.board):.3f} mm off (RMS"
-            f" of images left"
-            f" out in turn; of as many new ones below {_MM * result.limit:.3f} mm with a chance of 95 %),"
-            f" {rms(result.left.pixels):.3f} px in the image"
+            f" of images left out in turn; with a chance of 95 %, as many new images stay below"
+            f" {_MM * result.limit:.3f} mm), {rms(result.left.pixels):.3f} px in the image"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
     lines.append(

@@ -87,7 +87,7 @@ def decoded(content: bytes, where: str) -> GreyImage:
     Colours are read first and then turned into grey by one formula: decoders of their own make other grey values.
 
     Raises:
-        DataError: It is no image that can be read.
+        DataError: It is not an image that can be read.
     """
     cv2 = opencv()
     level = cv2.utils.logging.setLogLevel(0) if hasattr(cv2.utils, "logging") else None
@@ -99,7 +99,7 @@ def decoded(content: bytes, where: str) -> GreyImage:
         if level is not None:
             cv2.utils.logging.setLogLevel(level)
     if image is None or image.ndim not in (2, 3):
-        raise DataError(f"{where}: is no image that can be read; give PNG, JPEG, TIFF or BMP")
+        raise DataError(f"{where}: is not an image that can be read; give PNG, JPEG, TIFF or BMP")
     if image.dtype == np.uint16:
         image = (image / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
     if image.dtype != np.uint8:

@@ -50,7 +50,7 @@ def read_tool_poses(
         angles: What rx, ry, rz are.
 
     Raises:
-        DataError: A column that is missing, a cell that is no number, a quaternion that is none.
+        DataError: A column that is missing, a cell that is not a number, a quaternion that is none.
     """
     table = read_table(path, {} if robot is None else robot.description.columns)
     names = image_names(table)
@@ -100,7 +100,7 @@ def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angl
         bad = np.flatnonzero(np.abs(lengths - 1) > _NORM)
         if len(bad):
             raise DataError(
-                f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is no unit quaternion (its length is"
+                f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is not a unit quaternion (its length is"
                 f" {lengths[bad[0]]:.4g})"
             )
         return scipy.spatial.transform.Rotation.from_quat(

@@ -174,14 +174,14 @@ class Progress(ReadOnlyArrays):
             return "STOP: it holds with 95 %"
         if self.out_of_reach:
             return (
-                "not reached, and more poses will not do it: unseen errors are beyond what noise explains; look for"
+                "not reached, and more poses will not help: unseen errors are beyond what noise explains; look for"
                 " what the model leaves out (calib fit --terms auto), or for noise above the goal"
             )
         return "not yet"
 
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):
-            return f"too few poses yet that no fit had seen ({self.n_unseen})"
+            return f"too few unseen poses yet ({self.n_unseen})"
         shown = "" if reads_positions(self.robot) else ", as far as readings show positions"
         where = f"the last {self.n_unseen} poses, each predicted before it was fitted"
         return f"{_shown(self.unseen)} at {where}{shown}"
@@ -191,9 +191,9 @@ class Progress(ReadOnlyArrays):
         if self.stop or following is None:
             return [] if self.stop else ["every candidate that can be reached is measured"]
         joints = ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in self._joints(following))
-        help_ = "brings in what is missing"
+        help_ = "determines more of what is unknown"
         if following.checks:
-            help_ = "is drawn at random, to check what is predicted"
+            help_ = "is drawn at random, to check the prediction"
         elif math.isfinite(following.before) and following.before > 0:
             help_ = f"lowers the predicted error by {100 * (1 - following.after / following.before):.2g} %"
         return [f"next: pose {following.name}, which {help_}", f"  {joints}"]

@@ -17,9 +17,9 @@ from calib.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _SAID = {
-    "agrees": "AGREES: the robot is as accurate as its calibration promised",
+    "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
-    "noisier": "NOISIER: readings of one pose scatter more than promised, which no calibration can correct",
+    "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
 }
 
@@ -114,9 +114,9 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """What was measured beside what was promised: the ratio that decides, and the same in millimetres."""
+    """What was measured beside what was expected: the ratio that decides, and the same in millimetres."""
     lines = [
-        f"Residuals are {acceptance.ratio:.3f} times as large as promised, each direction weighted by its uncertainty;"
+        f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty;"
         f" 95 % interval {acceptance.low95:.3f} to {acceptance.high95:.3f} ({acceptance.freedom} degrees of freedom,"
         f" p = {acceptance.p_value:.3g})"
     ]
@@ -129,7 +129,7 @@ def _errors(acceptance: Acceptance) -> list[str]:
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
             f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
-            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
+            f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm)"
         )
         if (acceptance.ratio > 1.0) != (rms > promised) and acceptance.verdict != "agrees":

@@ -119,7 +119,7 @@ def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
     """What moves together unseen: all of it, or so many lines at most."""
     if not a.groups:
         return ["Every combination of the parameters moves a measured position."]
-    lines = ["These move together, by these amounts, and no measured position moves:"]
+    lines = ["Changes that move no measured position:"]
     lines += _in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
@@ -179,8 +179,8 @@ def _accuracy(a: Assessment) -> list[str]:
     ]
     if a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
-            "Most of it moves all positions as one body, such as the place of the base. Beside that, positions are"
-            f" known to {millimetres(a.beside_common):.4f} mm RMS."
+            "Most of it moves all positions as one body, as an unknown place of the base does. Without that part,"
+            f" positions are known to {millimetres(a.beside_common):.4f} mm RMS."
         )
     return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 

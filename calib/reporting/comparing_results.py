@@ -14,7 +14,7 @@ standard deviation by Student's t, with the degrees of freedom of Welch and Satt
 the chance that any one difference is called real without being so below 5 %, over all pairs of results, however the
 parameters are correlated. All together are tested by Hotelling's T^2, which sees differences that correlated parameters
 hide from each other. Places (of base, targets, instruments) count there with whatever they are: a tracker that stood up
-elsewhere is no change of the robot.
+elsewhere is not a change of the robot.
 
 When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
 (verdict CHECK) the covariances are too small, and too much is called real. A parameter held in one of the fits moves

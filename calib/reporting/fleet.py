@@ -119,8 +119,8 @@ class Fleet(ReadOnlyArrays):
         spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
         left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
         return (
-            f"{counted(len(self.members) - len(odd), 'robot')} say what one more is like: parameters differ from"
-            f" robot to robot by {spread:.2g} of what the description expects (median).{left}"
+            f"{counted(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
+            f" differ from robot to robot by {spread:.2g} of what the description expects (median).{left}"
         )
 
     def to_dict(self) -> dict[str, object]:

@@ -115,5 +115,5 @@ def damage(content: object) -> str:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in first["loc"]).lstrip(".")
-        return f"'{place}': {first['msg'][:1].lower()}{first['msg'][1:]}" if place else "it is no object"
+        return f"'{place}': {first['msg'][:1].lower()}{first['msg'][1:]}" if place else "it is not an object"
     return ""

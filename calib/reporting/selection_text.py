@@ -170,7 +170,7 @@ def _counted(s: Selection, poses: Poses) -> str:
         return f"{len(s)} of {len(poses)} poses ({poses.path})"
     with_each = ", ".join(f"{s.instruments.count(group)} with {group}" for group in s.groups)
     different = len(set(s.chosen.tolist()))
-    return f"{with_each}; {different} different ones of {len(poses)} poses ({poses.path})"
+    return f"{with_each}; at {different} of {len(poses)} poses ({poses.path})"
 
 
 def _indices(s: Selection) -> Printed:

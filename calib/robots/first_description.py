@@ -55,8 +55,8 @@ _HELD = """\
 # held: [{example}.x]             # keep some at nominal
 """
 _HELD_ENDS = """\
-# Kept at nominal: the place of the first joint, and of the last one along its axis. Nobody can tell them from where
-# board and camera are.
+# Kept at nominal: the place of the first joint, and of the last one along its axis. Measurements do not separate
+# them from the places of board and camera.
 held: {held}
 """
 _SIGMA = """\
@@ -70,7 +70,7 @@ _BASE_ANYWHERE = """\
 base: {{frame: {base}, pose: unknown}}
 """
 _BASE_KNOWN = """\
-# Positions are told in the frame of this link. Nothing here sees where it stands in the room.
+# Positions are given in the frame of this link. No instrument here shows where it stands in the room.
 base: {{frame: {base}}}
 """
 _POINT = """\
@@ -147,10 +147,10 @@ instruments:
     "camera": Measure(
         f"""{_BASE_KNOWN}
 targets:
-  # What the robot shall bring to its place: told as accurate as its end is.
+  # The point whose accuracy is reported.
   tool: {{{{frame: {{target}}}}}}
-  # The board stands or lies somewhere. About where, its first corner: x to the right and y down on the paper, z into
-  # it. Write where yours is: poses are proposed from which the camera sees it. As it stands, it is where many do.
+  # Roughly where the first corner of the board is; x to the right and y down on the paper, z into it. Write where
+  # yours is: poses are proposed from which the camera sees it. Many poses see this place.
   board:
     {{{{frame: {{base}}, xyz: {{board_xyz}}, rpy: {{board_rpy}}, position: unknown, orientation: unknown}}}}
 

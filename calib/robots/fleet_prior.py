@@ -78,7 +78,7 @@ class FleetSection(Section):
                 raise DescriptionError(f"{where}: fleet: no parameter '{name}'{nearest(name, known)}")
             if known[name].placement or known[name].family:
                 raise DescriptionError(
-                    f"{where}: fleet: '{name}' is no parameter that robots of a model share: places differ by where"
+                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places differ by where"
                     " each was measured, and the size of curves is found; leave it out"
                 )
 

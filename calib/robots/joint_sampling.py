@@ -35,7 +35,7 @@ def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
             raise InputError(f"within: {name} needs a range, such as (-0.5, 0.5)")
         low, high = span
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
-            raise InputError(f"within: {name} from {low:g} to {high:g} is no range; give the smaller number first")
+            raise InputError(f"within: {name} from {low:g} to {high:g} is not a range; give the smaller number first")
     return within
 
 

@@ -251,7 +251,7 @@ instruments:
     sigma: 0.05 mm
     places:
 {planes}{calipers}
-# delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly tells arms and angles: they
+# delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
 # are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
 parametrisation: {NAME}
 {_HELD if 0 < n_rows <= _N_PARAMETERS else ""}"""

@@ -199,7 +199,7 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str)
         listed = place < robot.n_origin_parameters and component in COMPONENTS and bool(description.origins)
         if not listed or parameter.placement:
             raise ParameterError(
-                f"parameter '{name}' is no component of an origin in the list 'parametrisation'; its sigma stands"
+                f"parameter '{name}' is not a component of an origin in the list 'parametrisation'; its sigma stands"
                 " in the robot description"
             )
         if quantity(sigma, parameter.dimension, f"prior of '{name}'") <= 0:

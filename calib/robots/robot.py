@@ -87,7 +87,7 @@ class Robot(RobotData):
             sigma: One standard deviation [m or rad], or text with a unit, such as `0.5 mm`.
 
         Raises:
-            ParameterError: An unknown name, or one that is no component of an origin that the description lists.
+            ParameterError: An unknown name, or one that is not a component of an origin that the description lists.
             InputError: Sigma is not a positive number of this dimension.
         """
         return with_prior(self, names, sigma)

@@ -152,7 +152,7 @@ def program_frame(known: KnownRobot) -> Frame:
     places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
     words = "in the measurement frame"
     if loose.points or loose.frames:
-        words += ", and count that the place of the measured point on its link is not known"
+        words += ", and include that the place of the measured point on its link is not known"
     meant = nominal.with_parameters(places) if places else nominal
     return Frame(known, robot, meant, nominal, words, of_robot, None)
 

@@ -65,7 +65,7 @@ class ToldPositions(ReadOnlyArrays):
     @property
     def notes(self) -> tuple[str, ...]:
         """Say in which frame it is told, where that is not the measurement frame."""
-        return () if self.motion is None else (f"how well predicted positions are known is told {OWN_FRAME}",)
+        return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
 
     def at(self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None) -> PositionUncertainty:
         """Predict positions in the measurement frame, with their covariance in the frame that is told.

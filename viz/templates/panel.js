@@ -86,7 +86,7 @@ class Panel {
     const parts = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
       reasons.length ? ` ${reasons[0].text}` : " nothing was found against this fit")];
     if (reasons.length > 1) {
-      parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more to know`),
+      parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more`),
         element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));
     }
     if (next) parts.push(element("p", { id: "next-step" }, element("strong", {}, "Next: "), next));

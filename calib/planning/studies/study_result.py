@@ -16,6 +16,9 @@ from calib.base.words import as_data, counted, data_frame, listed, plain_text, t
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
+_SCREEN = 25  # parameters whose table leaves a screen of 40 lines
+_SHOWN = 10  # parameters in the table where there are more
+_WIDTH = 110  # characters
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,20 +176,25 @@ class Study(ReadOnlyArrays):
         """Part of the draws that name an outlier."""
         return float(np.mean(self.draws.names_outliers[self.draws.answered]))
 
-    def report(self, width: int = 110) -> str:
+    def report(self, *, verbose: bool = False) -> str:
         """Return the study as text.
 
         Args:
-            width: Of the table, in characters.
+            verbose: All parameters; otherwise, of more than fit on a screen, those with the lowest coverage.
         """
         headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
         table = text_table(headers, headers[:2], plain=True)
-        for parameter in self.parameters:
+        parameters, more = self.parameters, 0
+        if not verbose and len(parameters) > _SCREEN:
+            more = len(parameters) - _SHOWN
+            parameters = tuple(sorted(parameters, key=lambda parameter: parameter.coverage)[:_SHOWN])
+        for parameter in parameters:
             row = parameter.row()
             numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
             ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
             table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
-        return plain_text([*self._summary(), "", table, "", *self._findings()], width).rstrip()
+        rest = [f"{counted(more, 'more parameter')} covered at least as often: --verbose prints them"] if more else []
+        return plain_text([*self._summary(), "", table, *rest, "", *self._findings()], _WIDTH).rstrip()
 
     def _summary(self) -> list[str]:
         n = int(np.sum(self.draws.answered))

@@ -211,7 +211,7 @@ class _Reader:
         """Take in one line."""
         self.where = f"{self.path}, line {number + 1}"
         if not line.replace("\t", " ").isprintable():
-            raise self._refuse("is no text; is this a G-code program?")
+            raise self._refuse("is not text; is this a G-code program?")
         comments = " ".join(match.group().strip() for match in _COMMENT.finditer(line))
         code = _COMMENT.sub(" ", line).strip().upper()
         if not code or code.startswith("%") or _TEXT.match(code) or _MACRO.match(code):

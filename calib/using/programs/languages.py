@@ -50,5 +50,5 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = ()) -> RobotPr
         known |= _DECLARING[suffix](file)
     suffix = Path(path).suffix.lower()
     if suffix not in _READERS:
-        raise InputError(f"{path}: is no program of a controller; these end in {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: is not a program of a controller; these end in {', '.join(SUFFIXES)}")
     return _READERS[suffix](path, known)

@@ -119,7 +119,7 @@ class _Reader:
         spans = self._groups(start, end) if self.code[start] == "[" and closing(self.code, start) == end - 1 else []
         odd = next((span for span in spans if not re.fullmatch(NUMBER, self.code[span[0] : span[1]])), None)
         if odd is not None:
-            raise LeftOutError(f"'{self.source.shown(*odd)}' is no plain number")
+            raise LeftOutError(f"'{self.source.shown(*odd)}' is not a plain number")
         if len(spans) != count:
             raise DataError(f"{self.source.where(start)}: {what} has {len(spans)} numbers; expected {count}")
         return spans

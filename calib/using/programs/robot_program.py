@@ -176,13 +176,13 @@ class Source:
             blank: Pattern of what is no code.
 
         Raises:
-            DataError: It cannot be read, or is no text.
+            DataError: It cannot be read, or is not text.
         """
         text = read_bytes(path, what, DataError).decode("latin-1")
         odd = re.search(r"[\x00-\x08\x0e-\x1f]", text)
         if odd is not None:
             line = text.count("\n", 0, odd.start()) + 1
-            raise DataError(f"{path}, line {line}: is no text; is this {what}?")
+            raise DataError(f"{path}, line {line}: is not text; is this {what}?")
         return cls(str(path), text, re.sub(blank, _blanked, text))
 
     def line(self, at: int) -> int:

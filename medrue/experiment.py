@@ -134,7 +134,7 @@ def run_experiment(
         robot: MedRUE with nominal parameters.
         extended: The extended model with nominal parameters.
         draws: How many experiments to simulate, with all causes and with each alone.
-        seed: Seed; the same one gives the same numbers, whoever works.
+        seed: Seed; the same one gives the same numbers, with any workers.
         executor: Who does the draws.
         progress: Told how far the work is.
         imperfections: Sizes of what the parameters leave out.

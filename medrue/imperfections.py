@@ -136,7 +136,7 @@ class ImperfectRobot:
 
 
 def from_direction(approach: FloatArray) -> FloatArray:
-    """Return the directions of all joints, of which q1's is `approach` (n,) and nobody knows the others', (n, 6)."""
+    """Return the directions of all joints, of which q1's is `approach` (n,) and the others are unknown, (n, 6)."""
     directions = np.zeros((len(approach), 6))
     directions[:, 0] = approach
     return directions

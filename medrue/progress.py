@@ -21,7 +21,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Tells nobody."""
+    """Tell nothing."""
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Advance]:

@@ -116,7 +116,7 @@ def run_study(robot: Robot, size: StudySize, seed: int, executor: Executor | Non
     Args:
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
-        seed: Seed; the same one gives the same numbers, whoever works.
+        seed: Seed; the same one gives the same numbers, with any workers.
         executor: Who does the draws.
         progress: Told how far the work is.
     """

@@ -9,7 +9,7 @@ Touch
     measure. A touch of a sphere gives one. The nine sockets lie on the half cylinder of the target workspace, as on a
     dummy leg, because a robot is known best where it was measured. Their places on the artefact count as known exactly.
 Encoders
-    Readings of all seven passive joints at poses of the target workspace. Nobody knows what an encoder reads at zero.
+    Readings of all seven passive joints at poses of the target workspace. What an encoder reads at zero is unknown.
 
 The noise of a touch on each axis, and of a sliding encoder, is that of the tracker; that of an encoder that turns is
 the same length seen at the end of a distal link. What is read comes from the closed form: joint values that bring the

@@ -18,7 +18,7 @@ NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [0.0, 0.0, 0.5]])
 """Nests on the robot's frame, in the world [m]."""
 NEST_NAMES = ("nest at the origin", "nest along x", "nest along z")
 PLACE = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 2.4), np.array([0.4, 2.6, 0.9]))
-"""Where the tracker stands: its frame in the world. Nobody but the simulation knows it."""
+"""Where the tracker stands: its frame in the world. Only the simulation knows it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -476,7 +476,7 @@ def test_a_sensor_behind_what_is_to_be_found_cannot_say_how_the_robot_stands(tmp
 
 def test_nobody_can_command_what_inclinometers_read(tmp_path):
     with pytest.raises(
-        calib.InputError, match=r"inclinometers read tip_x, .*, which nobody commands; give their values"
+        calib.InputError, match=r"inclinometers read tip_x, .*, so these are not commanded; give their values"
     ):
         calib.solve(mast(tmp_path), np.array([[1.0, 0.0, 1.0]]))
     with pytest.raises(calib.DataError, match="stands of 'tip_x' must be one number"):

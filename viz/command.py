@@ -14,7 +14,7 @@ from calib.base.errors import InputError
 from calib.commands.common import Output, folder_of_values, loaded, shared_options
 
 MAP_POSES = 1000
-"""Poses of a map, where nobody says how many."""
+"""Poses of a map, if no number is given."""
 
 
 @click.command("view")

@@ -54,7 +54,7 @@ class LiveViewer:
 
     @property
     def url(self) -> str:
-        """Address to open in a browser on this computer. It cannot be guessed; whoever has it can look."""
+        """Address to open in a browser on this computer. It cannot be guessed; who has it can look."""
         return self._server.url
 
     @property

@@ -1,4 +1,4 @@
-"""The report of a fit, to read and to print: page one for whoever ordered it, verdict first; the rest is an annex.
+"""The report of a fit, to read and to print: page one for the customer, verdict first; the rest is an annex.
 
 No scripts, no requests, all text escaped.
 """

@@ -6,11 +6,11 @@ the server and frees its port. It listens on 127.0.0.1, under an address that ca
 requests that name this address as their host, so that no web page elsewhere can read it, also not by a name that it
 lets point here; nor one that says it comes from another page. Nothing is ever read from a browser but the head of a
 GET, which has an end, and only so many are served at once: where more come, who was there first and has still not said
-what it wants makes room, so that connections that say nothing keep nobody out.
+what it wants makes room, so that silent connections keep no one out.
 
 Messages go to browsers as server-sent events. Each browser has a queue of its own: sending never waits, and a browser
 that is closed or does not read is dropped. So that its queue shows whether it reads, the system may keep little for it:
-left alone, it takes megabytes of messages that nobody reads.
+left alone, it takes megabytes of messages that are not read.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _CLIENTS = 32  # connections at once; each has a thread and a queue
 
 
 class PageServer:
-    """Serve a page and send messages to whoever looks at it.
+    """Serve a page and send messages to its readers.
 
     Args:
         page: The HTML.

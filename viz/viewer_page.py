@@ -1,4 +1,4 @@
-"""The viewer as one self-contained HTML file: opens from disk, needs no server, asks nobody for anything."""
+"""The viewer as one self-contained HTML file: opens from disk, needs no server, loads nothing else."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array itself if nobody can write to it, else a read-only copy."""
+    """Return the array itself if it is read-only, else a read-only copy."""
     if not array.flags.writeable and array.base is None:
         return array
     copied = array.copy()
@@ -27,7 +27,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _held_fast(value: Any) -> Any:
-    """Return an array, or a tuple or dictionary of arrays, that nobody can write to; anything else as it is."""
+    """Return an array, or a tuple or dictionary of arrays, that is read-only; anything else as it is."""
     if isinstance(value, np.ndarray):
         return read_only(value)
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):

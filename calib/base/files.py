@@ -74,7 +74,7 @@ def read_lines(
         path: The file.
         expected: What it should be, for the error.
         error: What to raise.
-        growing: Whether somebody still writes: a last line without its end is left out.
+        growing: Whether the file is still written: a last line without its end is left out.
         any_size: Whether a file on a disk may be as large as it is.
     """
     largest = math.inf if any_size and Path(path).is_file() else _LARGEST
@@ -93,7 +93,7 @@ def read_lines(
 
 
 def image_address(path: Path | str) -> str:
-    """Return a PNG, JPEG or SVG image as an address that holds it, for a page that asks nobody for anything.
+    """Return a PNG, JPEG or SVG image as an address that holds it, for a page that loads nothing else.
 
     Raises:
         InputError: It is missing, none of these, or larger than 512 kB.

@@ -1,11 +1,11 @@
-"""Which files may be replaced: those that this program wrote and nobody has changed since, and none that it has read.
+"""Which files may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
 
 What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
 comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest
-of each (`MANIFEST`). So a file tells by itself, on any machine, whether this program wrote it, and whether somebody has
-changed it since: a plan into which measurements were filled, a description that was edited.
+of each (`MANIFEST`). So a file tells by itself, on any machine, whether this program wrote it, and whether it was
+changed since: a plan into which measurements were filled, a description that was edited.
 
-Whatever else is at a place is somebody's, and replacing it is an `InputError` unless it is forced; so is what the same
+Other files belong to others: replacing them is an `InputError` unless it is forced, as is replacing what the same
 command has read, under whatever name. Files that are empty, and such as would not change, may always be replaced.
 """
 

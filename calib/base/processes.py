@@ -1,6 +1,6 @@
 """Processes of this machine as an executor without threads and locks in the program itself.
 
-Each process has a pipe of its own, and waiting for a result is what gives out work to whoever is free. So an exception
+Each process has a pipe of its own, and waiting for a result is what gives out work to free processes. So an exception
 can be raised anywhere, as Ctrl-C does, and the processes be ended at any moment: nothing that is locked, or half-way
 through a pipe, makes the program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results,
 and waits for the rest of one whose process is gone.
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 
 class Processes(Executor):
-    """Processes that work while somebody waits for a result, and that are replaced where some are lost.
+    """Processes that work while a result is awaited; lost ones are replaced.
 
     Args:
         jobs: How many.
@@ -61,7 +61,7 @@ class Processes(Executor):
         return future
 
     def proceed(self) -> None:
-        """Wait until somebody has done something, and give out more."""
+        """Wait until a piece of work is done, and give out more."""
         self._send()
         answering = connection.wait(list(self._busy))
         for line in [line for line in self._busy if line in answering]:
@@ -82,7 +82,7 @@ class Processes(Executor):
         self._send()
 
     def _send(self) -> None:
-        """Give work to whoever is free."""
+        """Give work to free processes."""
         for line in [line for line in self._processes if line not in self._busy]:
             while self._waiting and line not in self._busy:
                 future, work = self._waiting.popleft()
@@ -107,7 +107,7 @@ class Processes(Executor):
         return ProcessLookupError(f"a process ended with exit code {process.exitcode}")
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """End the processes, whatever they do; nobody waits for their results any more."""
+        """End the processes, whatever they do; their results are no longer awaited."""
         self.kill()
         for line, process in self._processes.items():
             process.join()
@@ -140,7 +140,7 @@ class _Awaited(Future[Result]):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside never hear Ctrl-C: whoever started them decides when they end.
+    """Let processes that are started inside never hear Ctrl-C: the program that started them decides when they end.
 
     They inherit that the signal is held back. Here it is heard at the end of the block.
     """
@@ -153,7 +153,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _work(line: Connection) -> None:
-    """Do what is asked, until nobody can ask any more."""
+    """Do what is asked, until no more can be asked."""
     _end_with_parent()
     while True:
         try:

@@ -1,4 +1,4 @@
-"""Functions of an object that are computed once for each: whoever asks again gets the answer of the first time.
+"""Functions of an object that are computed once for each object, and remembered.
 
 As `functools.cached_property`, for functions that stand outside the class, in rooms that the class must not know.
 Answers live in the object itself: they end with it, and go with it to other processes. `dataclasses.replace` makes a

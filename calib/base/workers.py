@@ -28,7 +28,7 @@ from calib.base.processes import Processes
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
-"""Is told how many pieces of work are done, and of how many."""
+"""Called with how many pieces of work are done, and of how many."""
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
@@ -131,7 +131,7 @@ class Steps:
         self._total += count
 
     def done(self, *_: int) -> None:
-        """Tell that one more is done; takes what a `Progress` is told, so that it can be one of a part of the steps."""
+        """Count one more as done; called like a `Progress`, so that it can be the one of a part of the steps."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)

@@ -42,7 +42,7 @@ from calib.judging.verdict import JudgedFit
 from calib.robots.robot import Robot
 
 PROVING = 5
-"""Folds where nobody asked for any, and only poses left out can prove the result."""
+"""Folds if none are asked for, and only poses left out can prove the result."""
 _OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
 _EXCLUSION_ROUNDS = 5
 
@@ -142,7 +142,7 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Ste
 
 
 def _require_measurements(data: object, validation: object) -> None:
-    """Say what was expected of a caller whose types nobody checked."""
+    """Say what was expected of a caller whose types were not checked."""
     for name, given in (("data", data), ("validation", validation)):
         if not isinstance(given, Measurements) and not (given is None and name == "validation"):
             raise InputError(

@@ -9,7 +9,7 @@ the description has it, until the rest is likely; beyond a quarter of the parame
 Where few readings leave that fit no degree of freedom, it has the fleet's prior, but several times as wide; either way
 what a prior says is taken out of the comparison.
 
-When it fails. Where neither fit finds an answer (too few readings for noise that nobody states), nothing is compared.
+When it fails. Where neither fit finds an answer (too few readings for unstated noise), nothing is compared.
 Poses that do not show a parameter cannot contradict it.
 """
 

@@ -1,4 +1,4 @@
-"""Long sequences whose items are made when somebody looks at them: as Python objects they take ten times the memory.
+"""Long sequences whose items are made when they are read: as Python objects they take ten times the memory.
 
 What is kept is what the items are made of: numbers, or text in one piece. A million poses of a file have names, labels
 for messages and rows of cells, and hardly any of them is looked at twice.

@@ -132,7 +132,7 @@ def _looks(
 ) -> Readings | None:
     """What an instrument is to read in the rows of a plan; None where nothing is said, or not what is touched."""
     if instrument.columns() and np.all(reading):
-        return None  # all that it can, as if nobody said anything
+        return None  # all that it can, as if nothing were said
     rows = np.flatnonzero(reading)
     if instrument.columns():
         pairs, details = instrument.looks()

@@ -319,7 +319,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
 
     Args:
         printer: The printer.
-        arm: Length of the arms as designed or measured [m], if somebody says.
+        arm: Length of the arms as designed or measured [m], if stated.
     """
     file = printer.geometry
 

@@ -2,7 +2,7 @@
 
 Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
 figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
-instrument reads positions and has no columns. A column needs its unit in the header for that, because nobody knows
+instrument reads positions and has no columns. A column needs its unit in the header for that, because it is not known
 whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
 a robot description says what files call their columns, and then nothing is guessed.
 """
@@ -32,7 +32,7 @@ def read_robot_table(
     Args:
         source: The file or the table in memory.
         robot: The robot.
-        growing: Of a file that somebody still writes, its lines so far.
+        growing: Of a file that is still written, its lines so far.
         any_size: As in `read_table`.
 
     Raises:

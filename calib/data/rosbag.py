@@ -69,7 +69,7 @@ def is_bag(path: Path | str) -> bool:
     """Whether a path is that of a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
     try:
         return Path(path).suffix in _SUFFIXES or (Path(path) / "metadata.yaml").is_file()
-    except OSError:  # whoever reads the file will say why
+    except OSError:  # reading the file will say why
         return False
 
 

@@ -259,7 +259,7 @@ def read_table(
     Args:
         path: The file, or the folder of a bag; or a table in memory.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
-        growing: Of a file that somebody still writes, its lines so far.
+        growing: Of a file that is still written, its lines so far.
         any_size: Whether a file on a disk may be as large as it is, beyond what `calib.base.files.read_bytes` allows.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Joint correction tables: what each joint really is when it is told a value, for controllers that know no model.
+"""Joint correction tables: where each joint is at each command, for controllers without a model.
 
 A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
 derivative of the joint's error, of which every term knows a bound; the step h is chosen so that this stays below
@@ -41,13 +41,13 @@ _SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
 _PYTHON = '''\
 import math
 
-# joint: (first command, step, what the joint then is) [rad or m]
+# joint: (first command, step, where the joint then is) [rad or m]
 TABLES = {
 %s}
 
 
 def actual(joint, command):
-    """What a joint is when it is told `command`; NaN outside its table."""
+    """Where a joint is at `command`; NaN outside its table."""
     start, step, values = TABLES[joint]
     x = (command - start) / step
     if not -1e-9 <= x <= len(values) - 1 + 1e-9:
@@ -56,12 +56,12 @@ def actual(joint, command):
     return values[k] + (x - k) * (values[k + 1] - values[k])
 
 
-def command(joint, wanted):
-    """What a joint must be told to be at `wanted`; NaN outside its table."""
-    told = wanted
+def command(joint, goal):
+    """The command that brings a joint to `goal`; NaN outside its table."""
+    value = goal
     for _ in range(20):
-        told -= actual(joint, told) - wanted
-    return told
+        value -= actual(joint, value) - goal
+    return value
 '''
 _C = """\
 #include <math.h>
@@ -73,7 +73,7 @@ static const double joint_start[] = {%s};
 static const double joint_step[] = {%s};
 static const int joint_count[] = {%s};
 
-/* What a joint is when it is told `command`; NaN outside its table. */
+/* Where a joint is at `command`; NaN outside its table. */
 static double joint_actual(int joint, double command) {
     const double *values = joint_values[joint];
     int n = joint_count[joint], k;
@@ -84,25 +84,25 @@ static double joint_actual(int joint, double command) {
     return values[k] + (x - k) * (values[k + 1] - values[k]);
 }
 
-/* What a joint must be told to be at `wanted`; NaN outside its table. */
-static double joint_command(int joint, double wanted) {
-    double told = wanted;
+/* The command that brings a joint to `goal`; NaN outside its table. */
+static double joint_command(int joint, double goal) {
+    double value = goal;
     int round;
-    for (round = 0; round < 20; round++) told -= joint_actual(joint, told) - wanted;
-    return told;
+    for (round = 0; round < 20; round++) value -= joint_actual(joint, value) - goal;
+    return value;
 }
 """
 
 
 @dataclass(frozen=True, eq=False)
 class JointTable(ReadOnlyArrays):
-    """What a joint is over what it is told.
+    """Where a joint is, by its command.
 
     Attributes:
         joint: The joint.
         dimension: Whether it slides or turns.
         commands: With equal steps, (n,) [rad or m].
-        actual: What it then is, (n,) [rad or m].
+        actual: Where it then is, (n,) [rad or m].
     """
 
     joint: str

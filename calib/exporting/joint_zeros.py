@@ -2,7 +2,7 @@
 
 Wanted are offsets o so that the nominal model, fed with sign * q + o, puts the targets where the robot has them at q,
 in least squares over poses. Where the description calls the base or a target unknown, they are placed anew for the
-nominal model as well, as whoever uses it would do; an error of the base is none of the zeros. The placing is linear to
+nominal model as well, as its user would do; an error of the base is none of the zeros. The placing is linear to
 first order and eliminated by projection, so that an offset that it could take over as well (of a first joint whose axis
 the base turns about, of a last joint that only moves an unknown target) stays where it was.
 

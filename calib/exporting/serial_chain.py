@@ -119,7 +119,7 @@ class Remainder:
 
     @property
     def exact(self) -> bool:
-        """Whether nothing is left that anyone could measure."""
+        """Whether nothing measurable is left."""
         return self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE
 
     def text(self) -> str:

@@ -48,7 +48,7 @@ class Nearby:
     """What a fit leaves to other fits of its visits, or of a part of them: second order, and how loops close.
 
     Attributes:
-        beyond_linear: `Statistics.beyond_linear` of parameters, by name; 0 where nobody asks for intervals.
+        beyond_linear: `Statistics.beyond_linear` of parameters, by name; 0 where no intervals are asked for.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
     """
@@ -66,7 +66,7 @@ class Nearby:
 
     @staticmethod
     def no_intervals(robot: Robot) -> Nearby:
-        """Return what a fit of this robot takes over of which nobody asks for intervals: no second order."""
+        """Return what a fit of this robot takes over that needs no intervals: no second order."""
         return Nearby({parameter.name: 0.0 for parameter in robot.parameters})
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:

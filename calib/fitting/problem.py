@@ -121,7 +121,7 @@ class Problem(ReadOnlyArrays):
 
     @property
     def unstated(self) -> BoolArray:
-        """Of which groups nobody states the noise, (n_groups,)."""
+        """Groups whose noise is not stated, (n_groups,)."""
         return _unstated(self.whitening)
 
     def contradicted(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:

@@ -20,7 +20,7 @@ How a camera stands to a body whose points it sees: poses from a few points each
 Each view is a least-squares problem in six unknowns: points of the body X_j, seen along rays m_j. It is solved from 24
 orientations of the body (those of a cube), with the depth that the spread of the rays suggests, by damped Gauss-Newton
 steps that all problems take together. Three points leave up to four answers and four in a plane sometimes two; views
-with fewer than four points are not solved, and whoever uses a pose must expect that some are the wrong answer
+with fewer than four points are not solved, and users of a pose must expect that some are the wrong answer
 (`calib.instruments.camera_places`).
 
 From many points in one frame (`resection`), the pose is found linearly instead: with rows [m]x (P X) = 0 for a matrix P
@@ -49,7 +49,7 @@ _FLAT = 1e-3  # thickness over width of points that lie in a plane
 _ROUNDS = 30
 _CELLS = 8  # of an image, across and down, in each of which the board should be seen
 LITTLE_COVERAGE = 0.4
-"""Part of the image below which the lens is told by what was not seen."""
+"""Part of the image below which the lens is guessed where nothing was seen."""
 
 
 def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

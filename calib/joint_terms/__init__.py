@@ -1,1 +1,1 @@
-"""What joints do beside what they are told: terms of their errors."""
+"""Errors of joints: where they are beside their commands."""

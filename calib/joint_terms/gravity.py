@@ -4,10 +4,10 @@ Compliance and bending need the direction of gravity in the root link of the URD
 says otherwise: of an arm that hangs from a ceiling, stands on a ramp, or is mounted differently in each setup. A sensor
 on any link reads it at each visit: an inclinometer, or an accelerometer at rest, which reads upwards.
 
-Sensors also say how far links are tilted: two joints that nobody commands, such as those between the ground and a base
-on tracks, or in a column that bends, take their values from what an inclinometer on the link behind them reads.
+Sensors also say how far links are tilted: two joints that are not commanded, such as those between the ground and a
+base on tracks, or in a column that bends, take their values from what an inclinometer on the link behind them reads.
 
-A direction d that nobody knows well is found: it is R_a(t_a) R_b(t_b) d, with turns t about two axes of the root link,
+A direction d that is not well known is found: it is R_a(t_a) R_b(t_b) d, with turns t about two axes of the root link,
 the two that are most nearly across what the description says. A turn about gravity itself would change nothing.
 """
 
@@ -87,7 +87,7 @@ class GravitySection(Section):
 
 
 class InclinometerSection(Section):
-    """A sensor that reads where gravity points, which says how far two joints are turned that nobody commands.
+    """A sensor that reads where gravity points, and so the angles of two joints that are not commanded.
 
     Attributes:
         frame: The link that it is on, in whose axes it reads.

@@ -59,7 +59,7 @@ class OneCoefficient(JointTerm):
 
 
 class Zero(OneCoefficient):
-    """dq = c: the joint's zero, where that alone is looked for. Joint origins have it already, so nobody lists it."""
+    """dq = c: the joint's zero, where that alone is looked for. Joint origins have it already, so it is not listed."""
 
     word = "zero"
     expected_angle, expected_length = 5e-3, 1e-3

@@ -112,7 +112,7 @@ class Harmonics(_Periodic):
 
     @classmethod
     def needs_more(cls, dimension: Dimension) -> str:
-        """Return the period of a joint that slides: after which length a screw repeats, nobody said."""
+        """Return the period of a joint that slides: the length after which a screw repeats is not known."""
         return "prismatic joints need a period, which only a description can state" if dimension == "length" else ""
 
 

@@ -167,7 +167,7 @@ class JointTerm(ABC):
         follows_command: Whether its columns change with the command of its joint, so that one that did not move does
             not show it (class attribute).
         counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
-        in_auto: Whether it is tried where nobody says which terms a robot has (class attribute).
+        in_auto: Whether it is tried if it is not named which terms a robot has (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -199,7 +199,7 @@ class JointTerm(ABC):
 
     @classmethod
     def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
-        """Return the entries that are tried where nobody says which terms a robot has.
+        """Return the entries that are tried if a robot's terms are not named.
 
         Args:
             term: Its name.

@@ -1,1 +1,1 @@
-"""What a fit is worth: what its residuals hide, the verdict, and new readings against what it promised."""
+"""What a fit is worth: what its residuals hide, the verdict, and new readings against what it predicts."""

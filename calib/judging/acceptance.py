@@ -1,4 +1,4 @@
-"""New measurements of a calibrated robot judge it: is it as accurate as promised, has it drifted, by what?
+"""New measurements of a calibrated robot judge it: is it as accurate as expected, has it drifted, by what?
 
 The promise. With r the whitened residuals of the new readings (prediction minus read), J their derivative by the scaled
 parameters u, C the covariance of u that the calibration left, and P the columns of base and targets, which are placed
@@ -60,10 +60,10 @@ class Acceptance(Worded):
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
-        ratio: Root mean square whitened residual, 1 as promised; it decides the verdict. It weights each direction by
+        ratio: Root mean square whitened residual, expected: 1; it decides the verdict. It weights each direction by
             its uncertainty.
-        low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as promised.
-        p_value: Chance of so large a ratio, if the robot is as promised.
+        low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
+        p_value: Chance of so large a ratio, if the robot is as calibrated.
         p_drift: The same of the largest single change.
         p_rest: The same of the rest, without the largest change.
         freedom: Degrees of freedom (m of the module docstring).
@@ -103,7 +103,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 
     Raises:
-        InputError: What is given promises nothing.
+        InputError: What is given is not a calibration.
         DataError: Too few readings to judge anything.
         UnreachablePoseError: A pose cannot be assembled.
     """
@@ -205,7 +205,7 @@ def poses_needed(
 
 
 def _is_noise(promise: Promise, system: System, level: float) -> bool:
-    """Whether repeats scatter more than promised, and the readings agree with as much noise."""
+    """Whether repeats scatter more than expected, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
     instruments = promise.robot.instruments
     positions = {

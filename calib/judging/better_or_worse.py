@@ -11,7 +11,7 @@ its own noise: the change is then positive, though nothing is wrong. With G = su
 
 The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
 each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. In the place of
-e, which nobody knows, stand the errors of the better state, where they are larger than the noise: that is what the
+e, which is not known, stand the errors of the better state, where they are larger than the noise: that is what the
 model leaves out. Where poses scatter by more than independent readings would (`calib.numerics.clusters`), the mixed
 part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 

@@ -17,7 +17,7 @@ from calib.judging.residual_patterns import PARTS_PER_MILLION, visible
 from calib.judging.rules_reach import terms_beyond
 
 NO_MATTER = 0.25
-"""Errors that a scale makes where it begins to show, over the noise, up to which nobody needs to know."""
+"""Errors that a scale makes where it begins to show, over the noise, below which they do not matter."""
 LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""
 LIKE_SHUFFLED = 0.8

@@ -20,7 +20,7 @@ readings that were used, noise was fitted too: with m rows, leverage h_k of the 
 rows of J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in
 the mean, and |e(1)|^2 as much too small; that is set right.
 
-What is left splits into noise and what nobody explains only if the noise is known from elsewhere: from repeats of poses
+What is left splits into noise and the unexplained rest only if the noise is known from elsewhere: from repeats of poses
 (which hold the robot's repeatability too), or as stated. Noise that was found from the residuals is all that is left.
 
 Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of

@@ -226,7 +226,7 @@ def _chance_of_gain(fit: Fit) -> float:
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:
     """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
-    if fit.reduced is None:  # nobody asked for files
+    if fit.reduced is None:  # no files were asked for
         return
     why = why_no_origins(fit)
     if why:

@@ -3,7 +3,7 @@
 Least squares with span U = J T (`calib.numerics.observability`: H = U U^T is the hat matrix, priors included) moves its
 solution, in the coordinates of T, by U^T e for errors e. Errors that are independent from row to row, with variance
 f^2, scatter it by f^2 U^T U. Where the rows of a block (the readings of a pose, the poses of a region) share errors, it
-scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. Nobody needs to know
+scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. One need not know
 V_b: the residuals of each block are one draw of its errors. The solution follows them a little, so that for independent
 errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
 

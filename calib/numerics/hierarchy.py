@@ -29,7 +29,7 @@ has the same two, and stands for it: many spreads, each roughly known, are toget
 has another value is tested by Student's t, scaled too, as an added variable is: with B = (D + V)^-1 and
 S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of B - B S B its variance, so that a parameter of
 which only sums are known is tested by these. Both ways of being unlike have half of the chance. The least likely result
-is left out, and all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together.
+is left out, and all is learned again, until no robot is unlike at a chance of one in a hundred for all tests together.
 So one wrong result changes nothing, and does not hide behind the spread that it makes.
 
 When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go

@@ -22,7 +22,7 @@ already there and new readings simply stack,
 
     R = [J; P] = U S V^T            covariance of u = V S^-2 V^T = T T^T,        T = V S^-1
 
-and every question is answered from T: directions outside V are determined by nobody. The error that remains at another
+and every question is answered from T: directions outside V are not determined. The error that remains at another
 place with scaled derivative B is normal with covariance (B T)(B T)^T; where B reaches outside V it has no bound. Only
 noise is counted, not what the model leaves out.
 
@@ -45,7 +45,7 @@ from calib.numerics.identifiability import Rank, numerical_rank, reduced
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
-"""A unit vector that leaves the determined directions by more than this depends on what nobody determines."""
+"""A unit vector that leaves the determined directions by more than this depends on what is not determined."""
 
 
 def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Where the measurement frame and the measured points are, where nobody measured that.
+"""Where the measurement frame and the measured points are, if they were not measured.
 
 Problem. A link has the poses (R_i, t_i) in the robot's base link, and one of its points p was seen at m_i from a frame
 X = (R, t). With other points of the same or other links, and w_i readings each,
@@ -16,7 +16,7 @@ of its point, one that turns about one axis does not tell the point's direction 
 (points on one line, or all in one place). For that the distances to both count, too little to move what is known, and
 the last steps leave them out.
 
-When it fails. It does not: what is undetermined is the guess, and whoever needs to know counts ranks
+When it fails. It does not: what is undetermined is the guess, and callers that need to know count ranks
 (`calib.numerics.identifiability`). Noise alone can seem to tell a direction that the poses hardly show.
 """
 

@@ -3,7 +3,7 @@
 Plain least squares (every point alike) is one choice; weights by the errors that the points of an image share
 (`calib.photographs.shared_errors`) are the other. Weights believe what differs within an image more than what differs
 between images: right where the robot errs, wrong where lens or board are not as modelled, and blind to robots whose
-errors follow the pose. So whoever asks takes weights only where they predict images that were left out better
+errors follow the pose. So callers take weights only where they predict images that were left out better
 (`calib.photographs.hand_eye_calibration`).
 
 Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. Counted as independent, intervals

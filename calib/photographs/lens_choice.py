@@ -25,7 +25,7 @@ def lens_prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
     Args:
         first: Intrinsics to begin with, (9,).
         scene: The images.
-        given: Whether somebody gave these.
+        given: Whether these were given.
     """
     width = float(max(scene.size))
     focal = (_FOCAL if given else 1.0) * first[0]

@@ -1,6 +1,6 @@
 """Where to begin, without any guess: closed forms on the poses, and which images do not fit the others.
 
-1. The focal length, where nobody states it: of a homography H = K [r1 r2 t] from board to pixels, counted from the
+1. The focal length, if not stated: of a homography H = K [r1 r2 t] from board to pixels, counted from the
    middle of the image, r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
 2. The board in the camera at each image (`calib.instruments.camera.view_poses`), and the hand-eye problem in closed
    form (`calib.instruments.hand_eye`): from all images; where that leaves much, from four at a time chosen at random,

@@ -140,7 +140,7 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
 
 
 def require_touches_said(robot: Robot, groups: Groups, poses: Poses) -> None:
-    """Raise `InputError` where an instrument touches, and the poses do not say what: nobody can tell from a pose."""
+    """Raise `InputError` where an instrument touches, and the poses do not say what: a pose alone does not show it."""
     for instrument in unsaid_touches(robot, poses):
         if any(instrument.name in members for members in groups.members):
             raise InputError(

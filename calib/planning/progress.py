@@ -46,9 +46,9 @@ from calib.rows.prediction import RootMeanSquare
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """Of a distance that nothing has told yet."""
 LAST = 20
-"""Poses that tell about the present fit while none has promised the goal yet."""
+"""Poses that tell about the present fit while no predicted error meets the goal."""
 MOST = 40
-"""Poses that tell about it at most once fits promise the goal."""
+"""Poses that tell about it at most once predicted errors meet the goal."""
 LEAST = 10
 """Fewer tell nothing."""
 _TOO_SMALL = 8.0
@@ -112,7 +112,7 @@ class Progress(ReadOnlyArrays):
         """About how many more poses the goal takes; None where that cannot be told.
 
         The predicted error falls like the inverse root of the number of poses, or faster if the next is chosen well;
-        then at least `LEAST` poses must be predicted by fits that promise the goal.
+        then at least `LEAST` poses must be predicted by fits whose predicted error meets the goal.
         """
         if self.stop:
             return 0

@@ -161,7 +161,7 @@ def prepare(
         )
     done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
-    keeps_distance = request.minimum_distance > 0 or request.off_grid  # nobody else asks where poses are
+    keeps_distance = request.minimum_distance > 0 or request.off_grid  # only these need to know where poses are
     pose_points = points_of(candidate_rows.positions) if keeps_distance else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)

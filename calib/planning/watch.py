@@ -9,7 +9,7 @@ intervals lies below it: that of the error predicted from the covariance of the 
 poses that were judged before they were fitted (`calib.planning.progress`). The second contains the noise of readings:
 a goal below that noise is never seen to hold.
 
-Where nobody reads positions, but distances or angles, their errors count as the errors of positions that they show.
+Where not positions are read, but distances or angles, their errors count as the errors of positions that they show.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class LoadedResult(ReadOnlyArrays):
 
     @property
     def promise(self) -> Promise:
-        """What its calibration promises of new readings, for `calib.verify`."""
+        """What its calibration predicts of new readings, for `calib.verify`."""
         return load_promise(self.path, self.robot)
 
     @property

@@ -1,6 +1,6 @@
 """What every reader of `result.json` may rely on: the shape of what is read back, checked in one place.
 
-Entries that nobody reads back are not looked at; null stands for a number that is not known.
+Entries that are not read back are not checked; null stands for a number that is not known.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reading back what `calib.reporting.results` wrote: a calibrated robot, its uncertainty, and what it promised."""
+"""Reading back what `calib.reporting.results` wrote: a calibrated robot, its uncertainty, and what it predicts."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
 
 
 def load_promise(folder: Path | str, robot: Robot) -> Promise:
-    """Return what the calibration in a result folder promises of its robot.
+    """Return what the calibration in a result folder predicts of its robot.
 
     Args:
         folder: Of `save`.

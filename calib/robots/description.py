@@ -104,7 +104,7 @@ class Description(Section):
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
     frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
-    `inclinometers` are sensors that say how far joints are turned that nobody commands.
+    `inclinometers` are sensors that say how far joints are turned that are not commanded.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """

@@ -303,7 +303,7 @@ def gravity_torque(
         where: What to call the robot in messages.
 
     Raises:
-        DescriptionError: The URDF has no masses, and nobody says that a payload alone loads the joints.
+        DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.
     """
     joints = mechanism.all_joints(q, passive)
     gravity = np.zeros_like(joints)

@@ -31,7 +31,7 @@ from calib.robots.robot_files import held_by, urdf_of_origins, write_description
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot(RobotData):
-    """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. Pickles.
+    """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. It can be pickled.
 
     Its data are those of `calib.robots.robot_data.RobotData`: `values`, (n_parameters,) [m or rad], of its
     `parameters`; `mechanism`, with the origins that they give, and `nominal`, with nominal ones; `description`, `urdf`,
@@ -309,7 +309,7 @@ def _flat(names: Sequence[str | Sequence[str]]) -> tuple[str, ...]:
 
 
 def require_robot(robot: object) -> None:
-    """Raise `InputError` for what is no robot, such as a fit, whose caller nobody checked."""
+    """Raise `InputError` if this is not a robot, but a fit, for example."""
     if not isinstance(robot, Robot):
         raise InputError(
             f"robot: expected a Robot, not {type(robot).__name__}; load one with calib.load; a fit has one as .robot"

@@ -73,7 +73,7 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def sensed_names(self) -> tuple[str, ...]:
-        """Names of the actuated joints that inclinometers read, which nobody commands."""
+        """Names of the actuated joints that inclinometers read, which are not commanded."""
         sensed = {name for section in self.description.inclinometers.values() for name in section.joints}
         return tuple(name for name in self.joint_names if name in sensed)
 

@@ -4,7 +4,7 @@ The frame of a program. Where the base is known, and some instrument looks from 
 the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
 point on its link counts too, since that place is no error of the robot.
 
-Where the base is unknown, a tracker stood anywhere, and nobody knows where the nominal robot's base frame is on the
+Where the base is unknown, a tracker stood anywhere, and it is not known where the nominal robot's base frame is on the
 real one. Then a program is meant in the robot's own base frame, and that is laid where the nominal and the calibrated
 robot agree best over the poses that were measured (`calib.rows.common_motion`). In the same way a measured
 point whose place on its link is unknown is laid on the nominal robot's link. So no error is corrected that base or tool
@@ -71,7 +71,7 @@ class Frame(ReadOnlyArrays):
         return self.known.nothing_to_correct
 
     def predict(self, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
-        """Predict positions of all targets in this frame, with their covariance; NaN where nobody says that.
+        """Predict positions of all targets in this frame, with their covariance; NaN where it is not known.
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].

@@ -1,4 +1,4 @@
-"""How well positions are known in the frame that means something, for all that is told of it.
+"""How well positions are known in the frame in which they are reported.
 
 Where some instrument looks from a known place, that is the measurement frame. Where none does, the base and all that
 measures stand anywhere, and readings may hardly tell where: distances from unknown points leave the base to its priors,
@@ -48,7 +48,7 @@ class ToldPositions(ReadOnlyArrays):
     @staticmethod
     @one_blas_thread
     def of(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ToldPositions:
-        """Return what is told of a calibrated robot.
+        """Return how well the positions of a calibrated robot are known.
 
         Args:
             robot: The robot.
@@ -68,7 +68,7 @@ class ToldPositions(ReadOnlyArrays):
         return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
 
     def at(self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None) -> PositionUncertainty:
-        """Predict positions in the measurement frame, with their covariance in the frame that is told.
+        """Predict positions in the measurement frame, with their covariance in the frame of the report.
 
         Args:
             q: Commands, (n_poses, n_actuated) [m or rad].

@@ -19,7 +19,7 @@ from calib.rows.rows import Group, Layout, Rows, Scales
 from calib.rows.unknowns import Unknowns
 
 ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
-"""Noise of one component where it is not stated and no residuals tell [SI]; whoever uses it must say so."""
+"""Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
 
 
 _AGAIN = 10  # readings beyond the first of their pose from which an offset that they share is looked for

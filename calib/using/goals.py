@@ -129,7 +129,7 @@ class Goals:
 
     @property
     def asks_for(self) -> str:
-        """What is wanted: `full pose`, `position and axis` or `position`."""
+        """What is asked for: `full pose`, `position and axis` or `position`."""
         if self.rotations is not None:
             return "full pose"
         return "position" if self.directions is None else "position and axis"

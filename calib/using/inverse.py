@@ -163,12 +163,12 @@ def problem(robot: Robot, goals: Goals) -> Reach:
 
     Raises:
         DataError: A target that it does not have.
-        InputError: It has joints that nobody commands, and the goals do not say what these are.
+        InputError: It has joints that are not commanded, and the goals do not say what these are.
     """
     lacking = [name for name in robot.sensed_names if name not in goals.stands]
     if lacking:
         raise InputError(
-            f"{robot.path}: inclinometers read {listed(lacking)}, which nobody commands; give their values at"
+            f"{robot.path}: inclinometers read {listed(lacking)}, so these are not commanded; give their values at"
             " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
             " program that has no such columns, make these joints fixed in the URDF, as they stand"
         )
@@ -185,7 +185,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
 
 
 def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
-    """Descend again until links are tilted, and joints that nobody commands are, as they are at the commands found.
+    """Descend again until links are tilted, and joints that are not commanded are, as they are at the commands found.
 
     They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
 

@@ -106,7 +106,7 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
 
 
 def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
-    """Return the task that goals set: where the nominal robot brings the tool that is told to go there.
+    """Return the task that goals set: where the nominal robot brings the tool.
 
     Args:
         nominal: The robot as its description has it, which is what a controller knows.

@@ -117,7 +117,7 @@ class Reach:
 
     @cached_property
     def held(self) -> BoolArray:
-        """Which driven joints stay: those that tilt links, and those that nobody commands, (n_driven,)."""
+        """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
     def told(self, index: IntArray, commands: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ class Reach:
         return commands
 
     def stood(self, index: IntArray, at: Configured) -> Configured:
-        """Return configurations in which joints that nobody commands are as these goals, (n,), say; loops closed."""
+        """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)

@@ -13,7 +13,7 @@ shares is computed once (`calib.planning.studies.many_calibrations`). A chunk wh
 (`calib.base.workers`).
 
 When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
-simulates what it is told: errors that nobody put into the truth or the noise are not in its figures.
+simulates what it is told: errors that are not in the truth or the noise are not in its figures.
 
 Reference: jcgm101.
 """

@@ -1,4 +1,4 @@
-"""Which chain of a URDF is the arm, where nobody said which link carries the measured point.
+"""Which chain of a URDF is the arm, if the link that carries the measured point is not named.
 
 The arm is the chain with the most motors, without the fingers of a gripper. Where several are as long, the first in the
 file is taken. Fingers are known by structure first: two or more joints on one link of which the longest two reach about

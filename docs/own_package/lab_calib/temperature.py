@@ -8,7 +8,7 @@ from calib.fitting.fitted import Fit
 from calib.judging.reasons import Reason
 
 MOST = 5.0
-"""Change of the temperature up to which nobody needs to know [K]."""
+"""Largest change of the temperature that is no reason [K]."""
 
 
 def warmed_up(fit: Fit) -> Iterator[Reason]:

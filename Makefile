@@ -44,10 +44,12 @@ bench: $(VENV)/.ready-dev
 	$(BIN)/python tests/benchmarks/performance.py $(if $(DATA),--data $(DATA)) --write docs/performance.md
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
-# The pictures of README and docs, from a fresh demo.
-pictures: demo
-	$(BIN)/calib view urdf/medrue.yaml --result out/demo --map 500 --html out/demo/map.html
-	$(BIN)/python -m viz.screenshots out/demo --out docs/figures --force
+# The pictures of README and docs: MedRUE as on the start page, and the map of the arm.
+pictures: $(VENV)/.ready
+	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/medrue --quiet
+	$(BIN)/calib fit docs/examples/arm.yaml docs/examples/arm_simulated.csv --validate 0.25 --out out/arm --quiet
+	$(BIN)/calib view docs/examples/arm.yaml --result out/arm --map --html out/medrue/map.html --quiet
+	$(BIN)/python -m viz.screenshots out/medrue --out docs/figures --force
 
 # Needs the extra `docs`: make ci-packages.
 docs: $(VENV)/.ready

@@ -24,6 +24,7 @@ PAPER = {"width": 688, "height": 890}
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
+_ELLIPSOIDS = "document.getElementById('show-ellipsoids').click();document.getElementById('map-block').scrollIntoView()"
 _MAP = "map.html"  # of `calib view --map --html`, taken where it is
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
@@ -32,7 +33,7 @@ PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer-dark", "viewer.html", DESKTOP, _DARK),
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
-    ("viewer-map", _MAP, DESKTOP, ""),
+    ("viewer-map", _MAP, DESKTOP, _ELLIPSOIDS),
 )
 """Name of the picture, page, size of the window [px], and what to do before taking it."""
 
@@ -112,7 +113,7 @@ def command(folder: Path, out: Path, output: Output) -> None:
     """Take pictures of the pages in the result FOLDER."""
     output.check(folders=(str(out),), names=[f"{name}.png" for name, *_ in PICTURES])
     with output.working("taking pictures"):
-        taken = take(folder)
+        taken = {name: small(picture) for name, picture in take(folder).items()}
     write_folder(out, taken, force=output.force)
     output.say("\n".join(str(out / name) for name in taken))
 

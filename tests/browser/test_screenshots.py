@@ -1,18 +1,19 @@
 """The command that takes the documentation's pictures."""
 
-import shutil
 import subprocess
 import sys
 
 from PIL import Image
 from viz_examples import medrue_fit
 
+import viz
 from viz.screenshots import PICTURES
 
 
 def test_pictures_of_a_result_folder_are_taken(chromium_path, tmp_path):
-    medrue_fit(validation=None).save(str(tmp_path / "result"))
-    shutil.copy(tmp_path / "result" / "report.html", tmp_path / "result" / "map.html")  # stands for a page with a map
+    fit = medrue_fit(validation=None)
+    fit.save(str(tmp_path / "result"))
+    viz.page(fit.nominal, fit, mapped=20).save(tmp_path / "result" / "map.html")
     done = subprocess.run(
         [sys.executable, "-m", "viz.screenshots", str(tmp_path / "result"), "--out", str(tmp_path / "pictures")],
         capture_output=True,

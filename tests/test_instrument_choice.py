@@ -208,7 +208,7 @@ def test_the_plan_says_for_every_pose_what_reads_and_what_is_touched(planned):
     for name, word in zip(table.text("instrument"), table.text("probe"), strict=True):
         assert bool(word) == (name == "probe")
     n = {name: content["instruments"].count(name) for name in ("tracker", "probe", "bar")}
-    assert ", ".join(f"{n[name]} with {name}" for name in n) + f"; {len(set(content['chosen']))} different" in out
+    assert ", ".join(f"{n[name]} with {name}" for name in n) + f"; at {len(set(content['chosen']))} of " in out
     assert n["probe"] > 2
     assert set(table.text("remark")) == {"as it was"}
     plan = read_plan(folder / "plan.csv", robot)

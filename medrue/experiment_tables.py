@@ -32,7 +32,7 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
     return (
         parameter_table(experiment),
         index_table(experiment),
-        ranking_table({"mean error": experiment_ranking(experiment)}, "mm"),
+        ranking_table({"mean error": experiment_ranking(experiment)}),
         axis_table(experiment),
         cause_table(experiment),
         *both_sides_tables(experiment.both_sides),

@@ -113,12 +113,11 @@ def _sure(luck: FloatArray) -> BoolArray:
     return sure
 
 
-def ranking_table(rankings: dict[str, Ranking], unit: str) -> ResultTable:
+def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
     """Every pair of sets.
 
     Args:
-        rankings: Rankings of the same sets over the same draws, by what was ranked.
-        unit: Of the errors.
+        rankings: Rankings of the same sets over the same draws, of errors in mm, by what was ranked.
     """
     first = next(iter(rankings.values()))
     names = sorted(first.names)
@@ -128,7 +127,7 @@ def ranking_table(rankings: dict[str, Ranking], unit: str) -> ResultTable:
         for k, name in enumerate(ranking.names):
             compared: list[Cell] = [ranking.compared(k, place[other]) for other in names]
             rows.append([f"{what}: {name}", float(ranking.means[k]), *compared])
-    headers = ["poses chosen by", f"mean over draws [{unit}]", *(f"against {name}" for name in names)]
+    headers = ["poses chosen by", "mean over draws [mm]", *(f"against {name}" for name in names)]
     cells = zip(headers, zip(*rows, strict=True), strict=True)
     return ResultTable(
         "ranking",

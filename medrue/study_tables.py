@@ -18,7 +18,7 @@ def study_tables(study: Study) -> tuple[ResultTable, ...]:
     return (
         parameter_table(study),
         error_tables(study),
-        ranking_table(_rankings(study.names, millimetres(study.validation_errors(study.outcome))), "mm"),
+        ranking_table(_rankings(study.names, millimetres(study.validation_errors(study.outcome)))),
         floor_table(study),
         observability_table(study),
     )

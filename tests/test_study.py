@@ -207,7 +207,7 @@ def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:
     noise = np.random.default_rng(2).normal(size=(40, 5)) * 1e-3
     ranking = rank(tuple("abcde"), noise + np.array([0.0, 0.0, 1.0, 2.0, 3.0]))
     assert "than c and all after it" in ranking.sure()
-    table = ranking_table({"mean error": ranking}, "mm")
+    table = ranking_table({"mean error": ranking})
     rows = {str(row[0]): row for row in zip(*(column.values for column in table.columns), strict=True)}
     assert rows["mean error: c"][2:] == ("worse", "worse", "", "better", "better")
 

@@ -16,15 +16,13 @@ _SHOWN = 60  # parameters in the figure
 _MARKS = "os^v<>Dph*"
 
 
-def fleet_page(fleet: Fleet, *, command: str = "", created: datetime | None = None) -> Page:
+def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
     """Return the page of a fleet.
 
     Args:
         fleet: The fleet.
         command: Command line that made it.
-        created: Time to print; now if not given.
     """
-    when = created if created is not None else datetime.now(UTC)
     scale = np.array([parameter.per_si for parameter in fleet.parameters])
     shown = {"values": fleet.values * scale, "stds": fleet.stds * scale}
     learned = {"offset": (fleet.mean - fleet.nominal) * scale, "mean_std": fleet.mean_std * scale}
@@ -39,7 +37,7 @@ def fleet_page(fleet: Fleet, *, command: str = "", created: datetime | None = No
             spread=fleet.spread * scale,
             program=PROGRAM,
             command=command,
-            created=when.strftime("%Y-%m-%d %H:%M UTC"),
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             **shown,
             **learned,
         )

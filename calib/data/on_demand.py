@@ -43,9 +43,6 @@ class OnDemand(Sequence[Item]):
     def __iter__(self) -> Iterator[Item]:
         return (self._made(k) for k in range(len(self)))
 
-    def __add__(self, other: Sequence[Item]) -> tuple[Item, ...]:
-        return (*self, *other)
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence) or len(self) != len(other):
             return False

@@ -35,9 +35,6 @@ class Prior(ReadOnlyArrays):
     together: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     correlations: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def __len__(self) -> int:
-        return int(np.sum(self.has))
-
     @cached_property
     def _alone(self) -> IntArray:
         """Parameters that have a prior of their own."""

@@ -96,11 +96,6 @@ class DhTable:
     convention: Convention
     rows: tuple[DhRow, ...]
 
-    @property
-    def moving(self) -> tuple[DhRow, ...]:
-        """The rows that move, in the order of q."""
-        return tuple(row for row in self.rows if row.kind != "fixed")
-
     def poses(self, q: FloatArray) -> FloatArray:
         """Return the pose of the last frame in the base frame, (n, 4, 4) [m], at joint values (n, n_moving)."""
         poses = np.tile(np.eye(4), (len(q), 1, 1))

@@ -69,7 +69,7 @@ def test_each_setup_is_predicted_by_a_fit_of_the_others_and_placed_anew(tmp_path
     np.testing.assert_allclose(fit.folds.rms, expected, rtol=1e-4)
     assert np.all(np.array(expected) > 2 * SIGMA)
     figures = ", ".join(f"{name} {1e3 * rms:.4f}" for name, rms in zip(PLACES, fit.folds.rms, strict=True))
-    assert f"Setups left out in turns, each placed anew: RMS of {figures} mm" in " ".join(
+    assert f"Setups left out in turn, each placed anew: RMS of {figures} mm" in " ".join(
         fit.report(verbose=True).split()
     )
     assert fit.folds.setups == (0, 1, 2)
@@ -122,5 +122,5 @@ def test_the_command_leaves_setups_out(tmp_path, measured, run_calib):
     run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "setups", "--no-pages", "--verbose",
                     "--out", tmp_path / "out")  # fmt: skip
     assert run.code == 0, run.err
-    assert "Setups left out in turns, each placed anew: RMS of left" in " ".join(run.out.split())
+    assert "Setups left out in turn, each placed anew: RMS of left" in " ".join(run.out.split())
     assert '"setups": [\n' in (tmp_path / "out" / "result.json").read_text()

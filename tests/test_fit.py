@@ -109,7 +109,7 @@ def test_asking_for_everything_at_once_works(arm):
     report = fit.report(verbose=True)
     for words in (
         "Verdict:",
-        "left out in turns, after",
+        "left out in turn, after",
         "Robust loss huber",
         "3 starts",
         "Cross-validation in 3 folds",

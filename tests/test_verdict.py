@@ -320,7 +320,7 @@ def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
     assert fit.verdict.grade == "PASS"
     text = reason(fit, "nothing_to_correct").text
     assert "on the validation poses RMS" in text
-    assert "on poses left out in turns RMS" in text
+    assert "on poses left out in turn RMS" in text
 
 
 def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_than_stated(arm, truth):

@@ -108,8 +108,8 @@ def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
 
 def test_cross_validation_is_shown_and_judged_by():
     html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
-    assert "left out in turns (84)" in html
-    assert "84 poses (left out in turns)" in text(html)[:700]
+    assert "left out in turn (84)" in html
+    assert "84 poses (left out in turn)" in text(html)[:700]
 
 
 def test_provenance_names_versions_files_command_and_seed(html, fit):

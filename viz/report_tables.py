@@ -19,7 +19,7 @@ from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 from viz.remarks import tolerance
 
-_JUDGED_BY = ("validation", "left out in turns", "identification")
+_JUDGED_BY = ("validation", "left out in turn", "identification")
 
 
 @dataclass(frozen=True)

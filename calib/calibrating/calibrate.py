@@ -2,7 +2,7 @@
 
 Order of work: (1) joint terms, if asked for: those that earn their place (`calib.fitting.terms.term_choice`); what a
 fleet says is left out where the readings contradict it (`calib.calibrating.fleet_contradicted`); (2) the fit
-(`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turns for
+(`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turn for
 cross-validation, if asked for; also where noise is so far above its statement that nothing else can prove the result.
 
 Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading

@@ -12,7 +12,7 @@ are not known, they are placed alone, near where they are expected if a sigma sa
 `before`; (3) all free parameters together, with unstated noise, from several starts if asked for
 (`calib.fitting.solving`); (4) with a robust loss, again with weights (`calib.fitting.robust`); (5) rank, statistics and
 error tables at the solution, places that only validation poses show placed by these. What is done around one fit
-(joint terms chosen, outliers left out, poses left out in turns) is said in `calib.calibrating.calibrate`.
+(joint terms chosen, outliers left out, poses left out in turn) is said in `calib.calibrating.calibrate`.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back, and says so.

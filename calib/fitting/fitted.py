@@ -215,7 +215,7 @@ class Fit(ReadOnlyArrays):
     def rms(self) -> float:
         """Root mean square error after calibration [m; rad or px where no positions are measured].
 
-        At poses that were not used, if there are any: those of the validation, else those left out in turns. With
+        At poses that were not used, if there are any: those of the validation, else those left out in turn. With
         neither, at the poses that were used, where it is smaller than elsewhere. `errors` has them all.
         """
         folds = None if self.folds is None else self.folds.errors
@@ -347,7 +347,7 @@ class Fit(ReadOnlyArrays):
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
 
         Args:
-            errors: Of visits that were not used, or that were left out in turns.
+            errors: Of visits that were not used, or that were left out in turn.
         """
         data = errors.data
         whitening = Whitening(self.robot, data, self.sigma_given)

@@ -6,7 +6,7 @@ from errors that were seen, at poses that had no part in the fit. They count bot
 its parameters are known only so well. The noise of the readings there counts, too. The poses are
 
 * those of the validation, if there are any; else
-* those left out in turns (cross-validation), each predicted by the fit of the other folds; else
+* those left out in turn (cross-validation), each predicted by the fit of the other folds; else
 * all that were used, each predicted by the fit of all others, by the linear model: with the whitened rows J_k and
   residuals r_k of a pose, H_k = J_k C J_k^T and C the inverse of what all rows and priors know, the parameters without
   it move by

@@ -71,7 +71,7 @@ class Comparison:
 
 
 def comparisons(fit: Fit) -> Iterator[Comparison]:
-    """Compare before and after on the validation poses and on poses left out in turns, as far as there are any."""
+    """Compare before and after on the validation poses and on poses left out in turn, as far as there are any."""
     if fit.computed:
         return
     if fit.validation is not None:
@@ -79,7 +79,7 @@ def comparisons(fit: Fit) -> Iterator[Comparison]:
     if fit.folds is not None:
         fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
         left_out = "setups" if fit.folds.setups else "poses"
-        yield _compare(fit, f"{left_out} left out in turns", fit.folds.errors, fewer)
+        yield _compare(fit, f"{left_out} left out in turn", fit.folds.errors, fewer)
 
 
 def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Comparison:

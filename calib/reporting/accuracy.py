@@ -13,7 +13,7 @@ from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
 from calib.fitting.fitted import Fit
 from calib.instruments.kind import Part
 
-NAMES = {"cross_validation": "left out in turns"}
+NAMES = {"cross_validation": "left out in turn"}
 """Sets of poses that people know by another name."""
 
 

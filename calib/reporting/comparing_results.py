@@ -50,7 +50,7 @@ from calib.robots.robot import Robot
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
 _ERRORS = {
     "validation": "readings that it did not use",
-    "cross_validation": "poses left out in turns",
+    "cross_validation": "poses left out in turn",
     "identification": "the readings that it used",
 }
 

@@ -211,7 +211,7 @@ def _options(fit: Fit) -> list[str]:
         if fit.folds.setups:
             names = list(fit.nominal.description.setups)
             each = [f"{names[k]} {value}" for k, value in zip(fit.folds.setups, rms, strict=True)]
-            lines.append(f"Setups left out in turns, each placed anew: RMS of {', '.join(each)} {unit}")
+            lines.append(f"Setups left out in turn, each placed anew: RMS of {', '.join(each)} {unit}")
         else:
             folds = f"{fit.folds.count} folds (seed {fit.folds.seed})"
             lines.append(f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}")

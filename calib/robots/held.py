@@ -38,7 +38,7 @@ class SeenAt(Enum):
     """At which poses errors were seen, in words."""
 
     VALIDATION = "validation"
-    FOLDS = "left out in turns"
+    FOLDS = "left out in turn"
     ONE_BY_ONE = "left out one by one"
     USED = "used"
 

@@ -61,7 +61,7 @@ class Panel {
   /** Errors of what is read beside positions, in their own units; the first as a headline where there are no positions. */
   others(first) {
     const parts = [];
-    const named = { identification: "identification", validation: "validation", cross_validation: "left out in turns" };
+    const named = { identification: "identification", validation: "validation", cross_validation: "left out in turn" };
     for (const { of, part, unit, sets, space } of this.scene.others) {
       if (first && !parts.length) {
         const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];

@@ -2,7 +2,7 @@
 
 The columns of all candidates stand beside those that the fit has anyway; a trial uses those of some terms. How large
 their coefficients are is one number for each kind (one for each joint, for a curve), found together with the noise by
-marginal likelihood. Blocks of neighbouring poses are then left out in turns, with sizes and noise of all poses: a
+marginal likelihood. Blocks of neighbouring poses are then left out in turn, with sizes and noise of all poses: a
 handful of numbers, and they stay the same in all blocks.
 
 When it fails. All of it is linear: joint errors of many milliradians look curved.
@@ -39,7 +39,7 @@ from calib.rows.rows import Rows
 from calib.rows.unknowns import Unknowns
 
 BLOCKS = 8
-"""Number of blocks that are left out in turns."""
+"""Number of blocks that are left out in turn."""
 _COMBINATIONS = 200
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
 _NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
@@ -52,7 +52,7 @@ class Prediction(ReadOnlyArrays):
 
     Attributes:
         squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
-        rms: Root mean square of the main part, blocks of the first partition left out in turns [SI].
+        rms: Root mean square of the main part, blocks of the first partition left out in turn [SI].
         unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
             part of the readings is no length, which nothing can be weighed against.
     """

@@ -119,6 +119,16 @@ def test_priors_hold_what_poses_do_not(tmp_path):
     assert np.isfinite(found.accuracy.rms)
 
 
+def test_a_place_that_nobody_expects_anywhere_has_no_expected_error_left():
+    """The tracker's place has no prior; that of the reflector has one, and three poses hardly say more."""
+    arm = calib.load(EXAMPLES / "arm.yaml")
+    found = check(arm, sample(arm, 4, np.random.default_rng(0)), sigma=1e-3)
+    parts = dict(zip([p.name for p in found.free_parameters], found.part_left, strict=True))
+    assert all(np.isnan(part) == name.startswith("base.") for name, part in parts.items())
+    assert max(part for name, part in parts.items() if name.startswith("reflector.")) <= 1 + 1e-9
+    assert not [name for name, _ in found.hardly_known() if name.startswith("base.")]
+
+
 def test_correlations_above_the_limit_are_listed_largest_first(found):
     pairs = found.correlated(0.9)
     sizes = [abs(r) for _, _, r in pairs]

@@ -239,6 +239,14 @@ def test_too_few_poses_are_a_check(arm, truth):
     assert words in reason(fit, "too_few_poses").text
 
 
+def test_too_few_poses_are_a_remark_only_where_poses_that_were_not_used_bear_the_claim_out(arm, truth):
+    """48 coordinates are fewer than twice 26 parameters, and poses left out one by one are as few."""
+    data = noisy(truth, joints(16), SIGMA, 1)
+    assert reason(calib.fit(arm, data), "too_few_poses").grade == "CHECK"
+    validated = calib.fit(arm, data, validation=noisy(truth, joints(60, seed=5), SIGMA, 2))
+    assert remark(validated, "too_few_poses").grade == "PASS"
+
+
 def test_parameters_far_from_nominal_are_named(prior_arm):
     moved = prior_arm.with_parameters({"j3.x": 0.02})
     fit = calib.fit(prior_arm, noisy(moved, joints(80), SIGMA, 1), sigma=SIGMA)

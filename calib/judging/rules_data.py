@@ -79,13 +79,13 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
 
 
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
-    """Count degrees of freedom."""
+    """Count degrees of freedom. Poses left out one by one are few as well: only poses that were not used count it."""
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
             f"too few poses: {rows} measured coordinates determine {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many poses",
-            counted=fit.statistics.freedom >= FEW,
+            counted=fit.statistics.freedom >= FEW and fit.validation is not None,
         )
 
 

@@ -145,10 +145,19 @@ class Assessment(ReadOnlyArrays):
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def hardly_known(self) -> list[tuple[str, float]]:
-        """Return free parameters with more than `HARDLY` of their sigma left, and std / sigma, largest first."""
-        ratios = self.std / np.array([parameter.sigma_si for parameter in self.free_parameters])
-        named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > HARDLY]
-        return sorted(named_ratios, key=lambda item: -item[1])
+        """Return free parameters with more than `HARDLY` of their expected error left, and that part, largest first."""
+        named = [(p.name, float(r)) for p, r in zip(self.free_parameters, self.part_left, strict=True) if r > HARDLY]
+        return sorted(named, key=lambda item: -item[1])
+
+    @property
+    def part_left(self) -> FloatArray:
+        """Standard deviation over expected error of each free parameter, (n_free,).
+
+        NaN of a determined place without a prior, such as that of a tracker: nobody expects it anywhere.
+        """
+        parts = self.std / np.array([p.sigma_si for p in self.free_parameters])
+        anywhere = np.array([p.placement and not p.prior for p in self.free_parameters], dtype=bool)
+        return np.where(anywhere & np.isfinite(parts), np.nan, parts)
 
 
 @worded

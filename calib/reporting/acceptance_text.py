@@ -117,8 +117,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
     """What was measured beside what was expected: the ratio that decides, and the same in millimetres."""
     lines = [
         f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty;"
-        f" 95 % interval {acceptance.low95:.3f} to {acceptance.high95:.3f} ({acceptance.freedom} degrees of freedom,"
-        f" p = {acceptance.p_value:.3g})"
+        f" if nothing has changed, {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases"
+        f" ({acceptance.freedom} degrees of freedom, p = {acceptance.p_value:.3g})"
     ]
     data = acceptance.errors.data
     if np.isfinite(acceptance.promised):

@@ -144,9 +144,10 @@ def _parameters(a: Assessment) -> Table:
     headers = ("name", "unit", "expected error", "std after fit", "part left")
     table = text_table(headers, headers[:2], "Predicted uncertainty of the free parameters")
     for row in _parameter_rows(a):
-        known = math.isfinite(row["part"])
-        shown = (f"{row['std']:.4f}", f"{row['part']:.3f}") if known else ("unbounded", "-")
-        table.add_row(str(row["name"]), str(row["unit"]), f"{row['sigma']:.4f}", *shown)
+        std = f"{row['std']:.4f}" if math.isfinite(row["std"]) else "unbounded"
+        expected = "-" if math.isnan(row["part"]) else f"{row['sigma']:.4f}"
+        part = f"{row['part']:.3f}" if math.isfinite(row["part"]) else "-"
+        table.add_row(str(row["name"]), str(row["unit"]), expected, std, part)
     return table
 
 
@@ -228,7 +229,7 @@ def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
             "sigma": parameter.sigma,
             "prior": parameter.prior,
             "std": float(std) * parameter.per_si,
-            "part": float(std) / parameter.sigma_si,
+            "part": float(part),
         }
-        for parameter, std in zip(a.free_parameters, a.std, strict=True)
+        for parameter, std, part in zip(a.free_parameters, a.std, a.part_left, strict=True)
     ]

@@ -1,6 +1,7 @@
 """Numbers that mean something else than they were read as: rotations in another order, lengths in another unit."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from test_kind_pose import YAML as POSES
 
 import calib
 
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ORDERS = {
     "qw qx qy qz": lambda q: q[:, [3, 0, 1, 2]],
     "of inverse rotations": lambda q: (q * [-1, -1, -1, 1])[:, [3, 0, 1, 2]],
@@ -85,6 +87,16 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
     found = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", text)
     assert float(found[1]) == pytest.approx(1.6, abs=0.3)
     assert found[2] == ("longer" if scale > 1 else "shorter")
+
+
+@pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
+def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
+    """An arm whose priors take most of the scale up: what is left of it is small beside the squares of noise."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, scale * data.points(robot)[:, 0]))
+    assert fit.verdict.grade == ("PASS" if scale == 1.0 else "FAIL")
+    assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
 
 
 def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):

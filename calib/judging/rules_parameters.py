@@ -28,7 +28,8 @@ SCALED = 2e-3
 SCALED_SIGMAS = 6.0
 """Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
 MOST = 0.5
-"""Part of squared residuals and deviations that a scale must explain to be the cause: others look a bit like it."""
+"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: others look a bit
+like it."""
 _NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
@@ -72,7 +73,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
     everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
-    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing.
+    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals are over
+    the noise found, so that without a scale the squares add up to about the rows less the places.
     """
     column = scale(findings.setting(fit))
     if fit.computed or not np.any(column):
@@ -91,8 +93,9 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         part = float(solution[0] / size[0]) if len(costs) else 0.0
         noise = max(abs(1.0 + part), _NOTHING) ** 2
         costs.append(float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])))
+    by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     gain = costs[0] - costs[1]
-    if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
+    if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * (costs[0] - by_noise)):
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than in the"
             " description: no robot is that far off. Look at the unit of the measurements, the scale of the"

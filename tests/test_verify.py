@@ -17,9 +17,9 @@ from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.data.tables import format_table
 from calib.judging.acceptance import poses_needed, verify, visible_changes
-from calib.judging.promise import Promise
+from calib.judging.promise import Change, Promise
 from calib.judging.repeatability import CONDITIONS, conditions, iso_figures
-from calib.reporting.acceptance_text import text_report
+from calib.reporting.acceptance_text import plan_report, text_report
 from calib.reporting.result_reading import load_promise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -182,6 +182,14 @@ def test_a_slip_of_one_reading_is_named_and_left_out(arm):
     found = verify(fit, calib.as_measurements(truth, q, positions))
     assert found.verdict == "agrees"
     assert found.outliers == ("pose 7",)
+
+
+def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_listed():
+    """The zero of a first joint looks like another place of the tracker: it would show from 828 deg on."""
+    changes = [Change(name, "angle", 0.1, size / 5, 0.5, size, 1.0) for name, size in (("elbow", 0.5), ("waist", 14.4))]
+    text = plan_report(changes, "data.csv", 10)
+    assert "elbow" in text
+    assert "waist" not in text
 
 
 def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):

@@ -16,6 +16,7 @@ from calib.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
+_LARGEST = 1.0  # detectable size from which no linear model can look for a change [m or rad]
 _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
@@ -176,7 +177,8 @@ def _heading(changes: Sequence[Change]) -> str:
 
 def _changes(changes: Sequence[Change]) -> Table:
     table = text_table(("change of", "unit", "found", "std", "detectable"), ("change of", "unit"), plain=True)
-    for change in changes[:_SHOWN]:
+    seen = [change for change in changes if change.significant or change.visible < _LARGEST]
+    for change in seen[:_SHOWN]:
         unit, scale = _unit(change)
         numbers = [x * scale for x in (change.value, change.std, change.visible)]
         table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))

@@ -99,6 +99,17 @@ def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
     assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
 
 
+def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():
+    """Larger arcs look like longer links: a gain of 1 % of all joints, which the model lacks, like lengths 1 % off."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    middle = np.mean(data.joints, axis=0)
+    points = calib.fit(robot, data).robot.positions(middle + 1.01 * (data.joints - middle))
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, points))
+    assert "lengths_scaled" not in fit.verdict.to_dict()["codes"]
+    assert fit.sigma > 1e-4  # which is not what the instrument leaves
+
+
 def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
     """A positioner with two axes that meet: its table could shrink to a point, and explain everything."""
     (tmp_path / "robot.urdf").write_text(

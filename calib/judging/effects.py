@@ -210,6 +210,12 @@ def scale(setting: EffectSetting) -> FloatArray:
     return setting.whitened({name: -lengths for name, lengths in _lengths(setting).items()})
 
 
+def gains(setting: EffectSetting) -> FloatArray:
+    """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
+    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
+    return by_joint * setting.per_visit(setting.data.joints - np.mean(setting.data.joints, axis=0))
+
+
 def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
     shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
     lengths = scale(setting)

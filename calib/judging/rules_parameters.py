@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.base.arrays import FloatArray
 from calib.base.parameter import Parameter
 from calib.base.units import PER_SI
 from calib.base.words import listed
 from calib.fitting.fitted import Fit
 from calib.judging import findings
-from calib.judging.effects import scale
+from calib.judging.effects import gains, scale
 from calib.judging.reasons import Code, Reason
 from calib.numerics.identifiability import reduced
 
@@ -74,33 +75,40 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
     everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
     scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals are over
-    the noise found, so that without a scale the squares add up to about the rows less the places.
+    the noise found, so that without a scale the squares add up to about the rows less the places. Joints that turn too
+    far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
     """
-    column = scale(findings.setting(fit))
-    if fit.computed or not np.any(column):
+    setting = findings.setting(fit)
+    lengths = scale(setting)
+    if fit.computed or not np.any(lengths):
         return
-    linear, inside = findings.linear(fit), ~fit.unknowns.placement
-    rows = np.hstack([column, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor
-    priors = np.hstack([np.zeros((len(inside), 1)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
-    measured = reduced(rows)
-    stacked = np.vstack([measured, priors])
-    costs, part = list[float](), 0.0
-    for kept in (slice(1, None), slice(None)):
-        matrix, right = stacked[:, kept][:, :-1], -stacked[:, -1]
-        size = np.linalg.norm(matrix, axis=0)
-        solution = np.linalg.lstsq(matrix / np.where(size > 0, size, 1.0), right, rcond=None)[0]
-        squares = (matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2
-        part = float(solution[0] / size[0]) if len(costs) else 0.0
-        noise = max(abs(1.0 + part), _NOTHING) ** 2
-        costs.append(float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])))
+    alone, _ = _cost_with(fit, lengths[:, :0])
+    scaled, part = _cost_with(fit, lengths, is_scale=True)
+    geared, _ = _cost_with(fit, gains(setting))
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
-    gain = costs[0] - costs[1]
-    if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * (costs[0] - by_noise)):
+    explained = alone - scaled
+    if abs(part) > SCALED and explained > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than in the"
             " description: no robot is that far off. Look at the unit of the measurements, the scale of the"
             " instrument and the size of the artefact"
         )
+
+
+def _cost_with(fit: Fit, columns: FloatArray, *, is_scale: bool = False) -> tuple[float, float]:
+    """Return the least cost if whitened `columns` (n_rows, k) are tried beside the parameters, and the first's size."""
+    linear, inside = findings.linear(fit), ~fit.unknowns.placement
+    k = columns.shape[1]
+    measured = reduced(np.hstack([columns, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor)
+    priors = np.hstack([np.zeros((len(inside), k)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
+    matrix, right = np.split(np.vstack([measured, priors]), [-1], axis=1)
+    size = np.linalg.norm(matrix, axis=0)
+    size[size == 0] = 1.0
+    solution = np.linalg.lstsq(matrix / size, -right[:, 0], rcond=None)[0]
+    squares = (matrix / size @ solution + right[:, 0]) ** 2
+    first = float(solution[0] / size[0]) if k else 0.0
+    noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0
+    return float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])), first
 
 
 def large_terms(fit: Fit) -> Iterator[Reason]:

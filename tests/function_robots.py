@@ -81,7 +81,7 @@ def six_axes(folder):
 
 
 def stewart_with_masses(folder):
-    """The Stewart platform, whose legs give way under its weight, and have gears."""
+    """The Stewart platform, with legs that are compliant under its weight, and have gears."""
     (folder / "stewart.urdf").write_text(with_masses((EXAMPLES / "stewart.urdf").read_text()))
     shutil.copy(EXAMPLES / "stewart.yaml", folder)
     return shaken(calib.load(folder / "stewart.yaml").with_terms(listed_terms("gain,curve,compliance,backlash")))

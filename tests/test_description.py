@@ -247,11 +247,11 @@ def test_a_loop_of_whole_frames_closes_rotations_too(tmp_path, axes):
 LOOP_MISTAKES = {
     "open": ("b: -90 deg", "b: -80 deg", "home: loop rocker_end-coupler_end is open by 174.311 mm"),
     "no value": (", c: 90 deg", "", "home: gives no value for joint 'c'; a robot with loops needs an assembled"),
-    "stretched": ("{a: 90 deg, b: -90 deg, c: 90 deg}", "{a: 0, b: 0, c: 0}", "home: the closures do not hold the"),
+    "stretched": ("{a: 90 deg, b: -90 deg, c: 90 deg}", "{a: 0, b: 0, c: 0}", "home: the closures do not determine"),
     "frame": ("rocker_end, coupler_end", "rocker_edn, coupler_end", "closed_loop[0]: no link or joint 'rocker_edn';"),
     "too many": ("[[x, y]]", "[[x, y, z]]", "the closures constrain 3 directions but leave 2 passive joints (c, b)"),
     "too few": ("[[x, y]]", "[[x]]", "the closures constrain 1 direction but leave 2 passive joints (c, b)"),
-    "unmoved direction": ("[[x, y]]", "[[x, z]]", "home: the closures do not hold the passive joints"),
+    "unmoved direction": ("[[x, y]]", "[[x, z]]", "home: the closures do not determine the passive joints"),
     "all axes of 3d": ("closed_loop_axes: [[x, y]]\n", "", "the closures constrain 3 directions but leave 2 passive"),
     "rotation of points": ("[[x, y]]", "[[x, rz]]", "closed_loop[0]: axis 'rz' is a rotation; that needs type 6d"),
     "axis twice": ("[[x, y]]", "[[x, x]]", "closed_loop[0]: closed_loop_axes ['x', 'x'] must name each direction once"),

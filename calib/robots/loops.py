@@ -228,8 +228,8 @@ def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where:
     if smallest < limit:
         loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
         raise DescriptionError(
-            f"{where}: home: the closures do not hold the passive joints (smallest singular value {smallest:.2g} of the"
-            f" scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
+            f"{where}: home: the closures do not determine the passive joints (smallest singular value {smallest:.2g}"
+            f" of the scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
             " closed_loop_axes names a direction that the mechanism does not constrain"
         )
 

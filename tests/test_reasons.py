@@ -125,3 +125,20 @@ def test_every_reason_has_a_test_and_a_row_of_the_page():
     texts = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")]
     for code in Code:
         assert any(f'"{code}"' in text or f"'{code}'" in text for text in texts), f"no test names {code}"
+
+
+@pytest.mark.parametrize("away", [0.0, 7e-5])
+def test_few_poses_show_a_gain_by_the_noise_that_is_stated(tmp_path, away):
+    """What few poses leave is no measure of chance: by that alone, origins that are 0.07 mm off each would be noise."""
+    (tmp_path / "arm.urdf").write_bytes((ROOT / "docs" / "examples" / "arm.urdf").read_bytes())
+    (tmp_path / "arm.yaml").write_text(
+        "urdf: arm.urdf\nname_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]\nbase: {frame: base_link}\n"
+        "targets: {tip: {frame: flange}}\nparametrisation: [{origin: all, components: [x, z], sigma: 1 mm}]\n"
+        "sigma: 0.05 mm\n"
+    )
+    arm, rng = calib.load(tmp_path / "arm.yaml"), np.random.default_rng(3)
+    true = arm.with_parameters(arm.values + away * arm.is_free)
+    q = rng.uniform(-1, 1, (4, 6))
+    fit = calib.fit(arm, calib.as_measurements(arm, q, true.positions(q)[:, 0] + 5e-5 * rng.standard_normal((4, 3))))
+    assert fit.statistics.freedom < 4
+    assert ("nothing_to_correct" in told(rules_model.nothing_to_correct, fit)) == (away == 0.0)

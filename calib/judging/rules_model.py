@@ -214,14 +214,26 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
 
 
 def _chance_of_gain(fit: Fit) -> float:
-    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone."""
-    root = np.sqrt(fit.weights)[fit.rows.layout.reading]
+    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone.
+
+    Few poses hardly show their noise, so that by it alone almost any gain may be chance. Where all noise is stated, and
+    what was found does not contradict it, the statement is a second measure: the gain is chi-square by it.
+    """
+    layout = fit.rows.layout
+    root = np.sqrt(fit.weights)[layout.reading]
     whitened, rows = fit.whitened(fit.identification)
-    before, after = float(np.sum((root * whitened) ** 2)), float(np.sum((root * rows.residuals) ** 2))
+    before, after = ((root * residuals) ** 2 for residuals in (whitened, rows.residuals))
     k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
-    if k < 0.5 or after <= 0:
+    if k < 0.5 or np.sum(after) <= 0:
         return 0.0
-    return float(scipy.special.fdtrc(k, fit.statistics.freedom, max((before - after) / k, 0.0)))
+    gained = max(float(np.sum(before - after)), 0.0)
+    chance = float(scipy.special.fdtrc(k, fit.statistics.freedom, gained / k))
+    over_stated = np.array([estimate.sigma / (estimate.stated or np.nan) for estimate in fit.noise])
+    freedoms = np.array([estimate.freedom for estimate in fit.noise])
+    if np.all(scipy.special.chdtrc(freedoms, freedoms * over_stated**2) >= UNLIKELY):
+        by_stated = float(np.sum((over_stated[layout.group] ** 2 * (before - after))[layout.group >= 0]))
+        chance = min(chance, float(scipy.special.chdtrc(k, max(by_stated, 0.0))))
+    return chance
 
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:

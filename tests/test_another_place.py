@@ -86,11 +86,11 @@ def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp
     origin = "base" if later == "left" else f"base@{later}"
     assert fit.placed_later == tuple(f"{origin}.{component}" for component in ("x", "y", "z", "rx", "ry", "rz"))
     q, points = measured[later]
-    found = np.sqrt(np.mean(np.sum(fit.validation.errors("after") ** 2, axis=1)))
-    assert found == pytest.approx(laid_through(fit.robot.positions(q)[:, 0], points), rel=1e-4)
+    rms = np.sqrt(np.mean(np.sum(fit.validation.errors("after") ** 2, axis=1)))
+    assert rms == pytest.approx(laid_through(fit.robot.positions(q)[:, 0], points), rel=1e-4)
     before = np.sqrt(np.mean(np.sum(fit.validation.errors("before") ** 2, axis=1)))
     assert before == pytest.approx(laid_through(robot.positions(q)[:, 0], points), rel=1e-4)
-    assert before > 3 * found
+    assert before > 3 * rms
     # the arm's base as the tracker reads it, from where the tracker stands on the arm
     where = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
     distance = np.linalg.norm([where[f"{origin}.{axis}"] for axis in "xyz"])

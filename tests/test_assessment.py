@@ -26,7 +26,7 @@ Q = target_workspace().q
 
 
 @pytest.fixture(scope="module")
-def found(medrue):
+def assessment(medrue):
     return check(medrue, as_poses(medrue, Q[::3]))
 
 
@@ -34,108 +34,110 @@ def with_held(robot, *held):
     return replace(robot, description=robot.description.model_copy(update={"held": held}))
 
 
-def test_medrue_is_determined_by_28_of_36(found):
-    assert (found.rank_all.rank, found.rank_all.n_columns) == (28, 36)
-    assert (found.rank_free.rank, found.rank_free.n_columns) == (28, 28)
-    assert found.open_groups == ()
-    assert len(found.groups) == 8
-    assert (found.n_poses, found.n_rows) == (140, 420)
-    assert not found.sigma_assumed
+def test_medrue_is_determined_by_28_of_36(assessment):
+    assert (assessment.rank_all.rank, assessment.rank_all.n_columns) == (28, 36)
+    assert (assessment.rank_free.rank, assessment.rank_free.n_columns) == (28, 28)
+    assert assessment.open_groups == ()
+    assert len(assessment.groups) == 8
+    assert (assessment.n_poses, assessment.n_rows) == (140, 420)
+    assert not assessment.sigma_assumed
 
 
-def test_observability_on_scaled_and_on_raw_columns(medrue, found):
+def test_observability_on_scaled_and_on_raw_columns(medrue, assessment):
     jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.is_free]
     free = [p for p, use in zip(medrue.parameters, medrue.is_free, strict=True) if use]
     raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
-    assert found.raw["O2"] == pytest.approx(raw[-1] / raw[0], rel=1e-9)
-    assert found.raw["O1"] == pytest.approx(np.exp(np.mean(np.log(raw))) / np.sqrt(140), rel=1e-9)
+    assert assessment.raw["O2"] == pytest.approx(raw[-1] / raw[0], rel=1e-9)
+    assert assessment.raw["O1"] == pytest.approx(np.exp(np.mean(np.log(raw))) / np.sqrt(140), rel=1e-9)
     # O1 changes by the same factor for every set of poses when units change
     other = check(medrue, as_poses(medrue, Q[1::3]))
-    assert found.raw["O1"] / found.scaled["O1"] == pytest.approx(other.raw["O1"] / other.scaled["O1"], rel=1e-9)
+    assert assessment.raw["O1"] / assessment.scaled["O1"] == pytest.approx(
+        other.raw["O1"] / other.scaled["O1"], rel=1e-9
+    )
 
 
 def test_where_nothing_measures_lengths_observability_is_in_noise(tmp_path):
     """One turn, read 20 times with a noise of 0.1 mrad per axis: sqrt(20) pi / 180 / 1e-4 per deg."""
     turned = "instruments: {level: {kind: orientation, target: ball, sigma: 0.1 mrad}}\nparametrisation:\n"
-    one = "  - {origin: j1, components: [rz], sigma: 5 mrad}\n"
-    robot = calib.load(write_six_axis(tmp_path, YAML.replace("parametrisation:\n", turned) + one))
-    found = check(robot, joints(20))
+    entry = "  - {origin: j1, components: [rz], sigma: 5 mrad}\n"
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("parametrisation:\n", turned) + entry))
+    assessment = check(robot, joints(20))
     expected = np.sqrt(20) * np.pi / 180 / 1e-4
-    assert found.raw["O3"] == pytest.approx(expected)
-    assert found.scaled["O3"] == pytest.approx(np.sqrt(20) * 5e-3 / 1e-4)
-    assert "raw, noise per deg" in text_report(found, "", verbose=True)
+    assert assessment.raw["O3"] == pytest.approx(expected)
+    assert assessment.scaled["O3"] == pytest.approx(np.sqrt(20) * 5e-3 / 1e-4)
+    assert "raw, noise per deg" in text_report(assessment, "", verbose=True)
     candidates = as_poses(robot, joints(40))
     selection = calib.select(robot, candidates, 20, index="O3")
     assert selection.raw["O3"] == pytest.approx(expected)
     assert "noise per unit" in told(selection, candidates)
 
 
-def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, found):
+def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, assessment):
     jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.is_free].reshape(-1, 28)
     covariance = 4e-5**2 * np.linalg.inv(jacobian.T @ jacobian)
-    np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-6)
+    np.testing.assert_allclose(assessment.std, np.sqrt(np.diag(covariance)), rtol=1e-6)
     rms = np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 140)
-    assert found.accuracy.rms == pytest.approx(rms, rel=1e-6)
-    assert found.accuracy.maximum >= found.accuracy.rms
+    assert assessment.accuracy.rms == pytest.approx(rms, rel=1e-6)
+    assert assessment.accuracy.maximum >= assessment.accuracy.rms
 
 
-def test_repeats_count_as_more_readings(medrue, found):
+def test_repeats_count_as_more_readings(medrue, assessment):
     names = np.repeat([f"p{k}" for k in range(140)], 4)
     data = calib.as_measurements(medrue, np.repeat(Q[::3], 4, axis=0), np.zeros((560, 3)), names)
-    np.testing.assert_allclose(check(medrue, data).std, found.std / 2, rtol=1e-9)
-    assert check(medrue, data).accuracy.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-9)
+    np.testing.assert_allclose(check(medrue, data).std, assessment.std / 2, rtol=1e-9)
+    assert check(medrue, data).accuracy.rms == pytest.approx(assessment.accuracy.rms / 2, rel=1e-9)
 
 
 def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
     freer = with_held(medrue, "A2y", "A2z", "d32", "d41", "d5", "zb", "phi_by")  # frees xb and d31
-    found = check(freer, as_poses(freer, Q[::6]))
-    assert [describe_group(group, found.free_parameters) for group in found.open_groups] == [
+    assessment = check(freer, as_poses(freer, Q[::6]))
+    assert [describe_group(group, assessment.free_parameters) for group in assessment.open_groups] == [
         "d31 has no effect",
         "dq1 +1 mm, xb -1 mm",
     ]
-    std = dict(zip([p.name for p in found.free_parameters], found.std, strict=True))
+    std = dict(zip([p.name for p in assessment.free_parameters], assessment.std, strict=True))
     assert {name for name, value in std.items() if np.isinf(value)} == {"xb", "dq1", "d31"}
-    assert np.isfinite(found.accuracy.rms)  # positions do not depend on what cannot be told apart
-    assert {name for name, _ in found.hardly_known()} == {"xb", "dq1", "d31"}
+    assert np.isfinite(assessment.accuracy.rms)  # positions do not depend on what cannot be told apart
+    assert {name for name, _ in assessment.hardly_known()} == {"xb", "dq1", "d31"}
 
 
 def test_accuracy_where_the_poses_say_nothing_is_infinite(medrue):
     """All poses with the probe in one direction leave directions open that other poses need."""
     few = as_poses(medrue, Q[:10])
-    found = check(medrue, few, task=as_poses(medrue, Q[::40]))
-    assert found.known.rank.rank < 28
-    assert np.isinf(found.accuracy.rms)
+    assessment = check(medrue, few, task=as_poses(medrue, Q[::40]))
+    assert assessment.known.rank.rank < 28
+    assert np.isinf(assessment.accuracy.rms)
 
 
 def test_priors_hold_what_poses_do_not(tmp_path):
     arm = small_arm(tmp_path)
     poses = sample(arm, 30, np.random.default_rng(0))
-    found = check(arm, poses, sigma=5e-5)
-    assert found.rank_free.rank < found.rank_free.n_columns
-    assert found.known.rank.rank == found.rank_free.n_columns
-    assert found.open_groups == ()
-    assert np.all(found.std <= np.array([p.sigma_si for p in found.free_parameters]) * (1 + 1e-9))
-    assert any(part > 0.99 for _, part in found.hardly_known())
-    assert np.isfinite(found.accuracy.rms)
+    assessment = check(arm, poses, sigma=5e-5)
+    assert assessment.rank_free.rank < assessment.rank_free.n_columns
+    assert assessment.known.rank.rank == assessment.rank_free.n_columns
+    assert assessment.open_groups == ()
+    assert np.all(assessment.std <= np.array([p.sigma_si for p in assessment.free_parameters]) * (1 + 1e-9))
+    assert any(part > 0.99 for _, part in assessment.hardly_known())
+    assert np.isfinite(assessment.accuracy.rms)
 
 
 def test_a_place_that_nobody_expects_anywhere_has_no_expected_error_left():
     """The tracker's place has no prior; that of the reflector has one, and three poses hardly say more."""
     arm = calib.load(EXAMPLES / "arm.yaml")
-    found = check(arm, sample(arm, 4, np.random.default_rng(0)), sigma=1e-3)
-    parts = dict(zip([p.name for p in found.free_parameters], found.part_left, strict=True))
+    assessment = check(arm, sample(arm, 4, np.random.default_rng(0)), sigma=1e-3)
+    parts = dict(zip([p.name for p in assessment.free_parameters], assessment.part_left, strict=True))
     assert all(np.isnan(part) == name.startswith("base.") for name, part in parts.items())
     assert max(part for name, part in parts.items() if name.startswith("reflector.")) <= 1 + 1e-9
-    assert not [name for name, _ in found.hardly_known() if name.startswith("base.")]
+    assert not [name for name, _ in assessment.hardly_known() if name.startswith("base.")]
 
 
-def test_correlations_above_the_limit_are_listed_largest_first(found):
-    pairs = found.correlated(0.9)
+def test_correlations_above_the_limit_are_listed_largest_first(assessment):
+    pairs = assessment.correlated(0.9)
     sizes = [abs(r) for _, _, r in pairs]
     assert sizes == sorted(sizes, reverse=True)
     assert min(sizes) > 0.9
-    matrix = found.known.correlations()
-    names = [p.name for p in found.free_parameters]
+    matrix = assessment.known.correlations()
+    names = [p.name for p in assessment.free_parameters]
     first, second, r = pairs[0]
     assert matrix[names.index(first), names.index(second)] == pytest.approx(r)
 
@@ -145,15 +147,15 @@ def test_fewer_coordinates_than_parameters_is_an_error(medrue):
         check(medrue, as_poses(medrue, Q[:9]))
 
 
-def test_more_poses_predict_better_and_the_best_beat_the_uniform_ones(found):
-    inside = [row for row in found.by_count if row.uniform is not None]
-    rms = [row.chosen.rms for row in found.by_count]
+def test_more_poses_predict_better_and_the_best_beat_the_uniform_ones(assessment):
+    inside = [row for row in assessment.by_count if row.uniform is not None]
+    rms = [row.chosen.rms for row in assessment.by_count]
     assert rms == sorted(rms, reverse=True)
     assert all(row.chosen.rms <= row.uniform.rms * (1 + 1e-9) for row in inside)
     assert inside[-1].count == 140
-    assert inside[-1].chosen.rms == pytest.approx(found.accuracy.rms, rel=1e-9)
-    assert found.by_count[-1].count == 560
-    assert found.by_count[-1].chosen.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-6)
+    assert inside[-1].chosen.rms == pytest.approx(assessment.accuracy.rms, rel=1e-9)
+    assert assessment.by_count[-1].count == 560
+    assert assessment.by_count[-1].chosen.rms == pytest.approx(assessment.accuracy.rms / 2, rel=1e-6)
 
 
 def test_counts_can_be_chosen(medrue):
@@ -234,7 +236,7 @@ def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
     arm = EXAMPLES / "arm.urdf"
     assert run_calib("init", arm, "--measure", "touch", "--out", "touch.yaml", cwd=tmp_path).code == 0
     robot = calib.load(tmp_path / "touch.yaml")
-    found = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
-    assert found.beside_common < 1e-4 < 1e-3 < found.accuracy.rms  # the plate stands anywhere
+    assessment = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
+    assert assessment.beside_common < 1e-4 < 1e-3 < assessment.accuracy.rms  # the plate stands anywhere
     told = run_calib("check", "touch.yaml", EXAMPLES / "arm_touches_simulated.csv", cwd=tmp_path).out
     assert "Without that part, positions are known to" in " ".join(told.split())

@@ -174,7 +174,7 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     assert run.code == 0
     assert result["verdict"]["forced"] is True
     assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
-    for file_format in (one for one in FORMATS if one not in ("ur-kinematics", *FIRMWARES)):  # of one make each
+    for file_format in (item for item in FORMATS if item not in ("ur-kinematics", *FIRMWARES)):  # of one make each
         target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
         run = run_calib(
             "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target

@@ -23,8 +23,8 @@ def bent(robot, q):
     return robot.positions(off)
 
 
-def found(fit):
-    return next((one for one in fit.verdict.reasons if one.code == "blocks_disagree"), None)
+def codes_of(fit):
+    return next((reason for reason in fit.verdict.reasons if reason.code == "blocks_disagree"), None)
 
 
 def too_sure(fit, q, truth):
@@ -37,13 +37,13 @@ def test_what_the_model_leaves_out_is_a_check_that_says_how_much_too_sure_the_fi
     q, other = joints(120), joints(400, 5)
     noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
     fit = calib.fit(arm, measurements(arm, q, bent(arm, q) + noise))
-    told = float(re.search(r"parameters move ([\d.]+) times", found(fit).text)[1])
-    assert found(fit).grade == "CHECK"
+    told = float(re.search(r"parameters move ([\d.]+) times", codes_of(fit).text)[1])
+    assert codes_of(fit).grade == "CHECK"
     assert 1.3 < told < too_sure(fit, other, bent(arm, other))
     assert float(f"{fit.widened:.2g}") == told
     healthy = calib.fit(arm, measurements(arm, q, arm.positions(q) + noise))
     assert healthy.widened == 1.0
-    assert found(healthy) is None
+    assert codes_of(healthy) is None
     assert too_sure(healthy, other, arm.positions(other)) < 1.3
 
 
@@ -57,8 +57,8 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
         seen = points(q)[:, 0] + SIGMA * np.random.default_rng(1).standard_normal((120, 3))
         seen[60:] = seen[60:] @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + [0.3, 2.0, 0.1]
         rows = [
-            ",".join([*map(repr, map(float, [*joint, *point])), "left" if one > 0 else "right"])
-            for joint, point, one in zip(q, seen, side, strict=True)
+            ",".join([*map(repr, map(float, [*joint, *point])), "left" if item > 0 else "right"])
+            for joint, point, item in zip(q, seen, side, strict=True)
         ]
         header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{a} [m]" for a in "xyz"), "setup"])
         (tmp_path / name).write_text("\n".join([header, *rows]) + "\n")
@@ -67,9 +67,9 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
     q = joints(120) * [0.5, 0.5, 1.0, 1.0, 1.0, 1.0]
     q[:, :2] += np.where(np.arange(120) < 60, 0.8, -0.8)[:, None]
     twisted = measured(lambda q: arm.positions(q + [[0, 0, 2e-4, 0, 0, 0]] * np.sin(q[:, :1])), "twisted.csv")
-    text = found(calib.fit(moving, twisted)).text
+    text = codes_of(calib.fit(moving, twisted)).text
     assert text.startswith("with whole setups left out in turn")
-    assert found(calib.fit(moving, measured(arm.positions, "good.csv"))) is None
+    assert codes_of(calib.fit(moving, measured(arm.positions, "good.csv"))) is None
 
 
 def test_intervals_of_parameters_are_as_wide_as_regions_disagree(arm, tmp_path):
@@ -80,12 +80,16 @@ def test_intervals_of_parameters_are_as_wide_as_regions_disagree(arm, tmp_path):
         calib.fit(arm, measurements(arm, q, points + SIGMA * np.random.default_rng(k).standard_normal((120, 1, 3))))
         for k in range(12)
     ]
-    values = np.array([[one.value_si for one in fit.parameters.values() if one.std_si > 0] for fit in draws])
-    told = np.array([[one.std_si for one in fit.parameters.values() if one.std_si > 0] for fit in draws])
+    values = np.array(
+        [[parameter.value_si for parameter in fit.parameters.values() if parameter.std_si > 0] for fit in draws]
+    )
+    told = np.array(
+        [[parameter.std_si for parameter in fit.parameters.values() if parameter.std_si > 0] for fit in draws]
+    )
     assert np.median(np.std(values, axis=0, ddof=1) / np.mean(told, axis=0)) < 0.8
     fit = draws[0]
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx(
-        [one.std_si for one in fit.parameters.values() if one.std_si > 0]
+        [parameter.std_si for parameter in fit.parameters.values() if parameter.std_si > 0]
     )
     fit.save(tmp_path / "out")
     saved = calib.load_result(tmp_path / "out")

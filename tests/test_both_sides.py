@@ -39,7 +39,7 @@ def extended() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def found(robot: Robot, extended: Robot) -> BothSides:
+def both_sides(robot: Robot, extended: Robot) -> BothSides:
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
@@ -105,18 +105,18 @@ def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot: Robot, extende
     assert np.abs(turns - np.outer(turns @ x, x)).max() < 1e-12
 
 
-def test_the_x_error_falls_to_the_noise_from_both_sides_and_only_with_the_extended_model(found: BothSides) -> None:
-    mean, rms = mean_x(found, EXTENDED)[0, 0], component_rms(found, EXTENDED)[0]
+def test_the_x_error_falls_to_the_noise_from_both_sides_and_only_with_the_extended_model(both_sides: BothSides) -> None:
+    mean, rms = mean_x(both_sides, EXTENDED)[0, 0], component_rms(both_sides, EXTENDED)[0]
     assert mean < GOAL / 2
     assert NOISE < rms[0] < 1.4 * NOISE
-    assert mean_x(found, PAPER)[0, 0] > 10 * mean
-    assert mean_x(found, ONE)[0, 0] > 10 * mean  # backlash cannot be seen from one side
-    assert mean < mean_x(found, EITHER)[0, 0] < 3 * mean  # half of the visits
+    assert mean_x(both_sides, PAPER)[0, 0] > 10 * mean
+    assert mean_x(both_sides, ONE)[0, 0] > 10 * mean  # backlash cannot be seen from one side
+    assert mean < mean_x(both_sides, EITHER)[0, 0] < 3 * mean  # half of the visits
 
 
-def test_the_truth_has_what_the_extended_model_has_not(found: BothSides) -> None:
+def test_the_truth_has_what_the_extended_model_has_not(both_sides: BothSides) -> None:
     """Backlash is found as it is on average over the poses: larger than at the rail's ends, where it is not worn."""
-    table = cells(extended_parameter_table(found))
+    table = cells(extended_parameter_table(both_sides))
     rows = {name: k for k, name in enumerate(table["parameter"])}
     worn = table["identified"][rows["q1.backlash"]] / table["actual"][rows["q1.backlash"]]
     assert 1.01 < worn < 1.05
@@ -129,16 +129,16 @@ def test_the_truth_has_what_the_extended_model_has_not(found: BothSides) -> None
     assert np.sqrt(np.mean(np.square(off))) < 2
 
 
-def test_too_few_readings_for_the_model_leave_the_cell_empty(found: BothSides) -> None:
+def test_too_few_readings_for_the_model_leave_the_cell_empty(both_sides: BothSides) -> None:
     """Ten poses from one side are 30 coordinates for 54 combinations."""
-    table = pose_count_table(found)
+    table = pose_count_table(both_sides)
     content = cells(table)
     assert content["poses"] == ("42, the paper's", "10")
     assert content["extended, either side, mean x error [mm]"][1] is None
     assert content["extended, both sides, mean x error [mm]"][1] > 0
     assert "nan" not in table.csv()
     assert "simulated" in table.csv()
-    text = " ".join(both_sides_findings(found))
+    text = " ".join(both_sides_findings(both_sides))
     assert "nan" not in text
     assert "Not even 10 are enough for" in text
     assert "extended, one side (no answer)" in text

@@ -131,8 +131,8 @@ def test_one_parameter_set_per_pose_equals_pose_by_pose() -> None:
 
 def test_inverse_undoes_forward_with_any_parameters() -> None:
     q, parameters = target_workspace().q, perturbed_parameters(420, seed=4)
-    found = inverse(forward(q, parameters).T_world_tool, parameters)
-    assert np.abs(found - q).max() < 1e-12  # rounding, grown where the inverse cosine is steep
+    result = inverse(forward(q, parameters).T_world_tool, parameters)
+    assert np.abs(result - q).max() < 1e-12  # rounding, grown where the inverse cosine is steep
 
 
 def test_inverse_finds_every_working_mode() -> None:

@@ -46,9 +46,9 @@ def test_core_and_ratio_are_those_of_dense_algebra(lengths):
     jacobian, root, _, block = problem(1, lengths)
     residuals = np.random.default_rng(2).standard_normal(len(block))
     core, square, mean = by_dense_algebra(jacobian, root, residuals, block)
-    one = scatter(jacobian, root, residuals, np.full(len(block), 0.5), block, 50.0)
-    np.testing.assert_allclose(one.core, core, rtol=1e-9, atol=1e-12)
-    assert one.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
+    spread = scatter(jacobian, root, residuals, np.full(len(block), 0.5), block, 50.0)
+    np.testing.assert_allclose(spread.core, core, rtol=1e-9, atol=1e-12)
+    assert spread.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
 
 
 def test_blocks_are_foretold_as_by_a_fit_of_all_others():
@@ -66,57 +66,57 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
 def draws(seed, lengths, shared, n=400):
     """Scatters of many fits whose rows share an error of a block, and the covariance of their solutions."""
     jacobian, root, has_prior, block = problem(seed, lengths)
-    rng, found, solutions = np.random.default_rng(seed + 1), [], []
+    rng, results, solutions = np.random.default_rng(seed + 1), [], []
     for _ in range(n):
         errors = rng.standard_normal(len(block)) + shared * rng.standard_normal(len(lengths))[block]
         pulled = jacobian[:, has_prior] @ rng.standard_normal(int(has_prior.sum()))  # what priors say is true
         residuals, _ = fitted(jacobian, root, has_prior, errors + pulled)
         noise = np.full(len(block), np.sqrt(1.0 + shared**2))
-        found.append(scatter(jacobian, root, residuals, noise, block, 1e6))
+        results.append(scatter(jacobian, root, residuals, noise, block, 1e6))
         solutions.append(root.T @ jacobian.T @ errors)
-    return found, np.cov(np.array(solutions).T, bias=True)
+    return results, np.cov(np.array(solutions).T, bias=True)
 
 
 def test_by_independent_rows_the_chance_is_what_it_says():
-    found, _ = draws(5, [4] * 40, 0.0)
-    assert np.mean([one.ratio**2 for one in found]) == pytest.approx(1.0, abs=0.03)  # its standard error is 0.01
-    assert 0.02 < np.mean([one.chance < 0.05 for one in found]) < 0.09  # of 400, 0.05 +- 0.011
+    result, _ = draws(5, [4] * 40, 0.0)
+    assert np.mean([item.ratio**2 for item in result]) == pytest.approx(1.0, abs=0.03)  # its standard error is 0.01
+    assert 0.02 < np.mean([item.chance < 0.05 for item in result]) < 0.09  # of 400, 0.05 +- 0.011
 
 
 @pytest.mark.parametrize("shared", [0.0, 2.0])
 def test_the_core_is_how_solutions_scatter(shared):
-    found, truth = draws(7, [4] * 40, shared)
-    mean = np.mean([one.core for one in found], axis=0)
+    result, truth = draws(7, [4] * 40, shared)
+    mean = np.mean([item.core for item in result], axis=0)
     assert np.trace(mean) == pytest.approx(np.trace(truth), rel=0.1)  # of 400 draws of 7 squares: +- 3 %
     if shared:
-        assert np.mean([one.chance < 1e-3 for one in found]) > 0.9
+        assert np.mean([item.chance < 1e-3 for item in result]) > 0.9
 
 
 def test_the_freedom_is_how_well_a_direction_of_the_core_is_known():
     """Of squares of normal numbers: twice the squared mean over the variance."""
-    found, _ = draws(9, [4] * 40, 0.0)
-    cores = np.array([np.diag(one.core) for one in found])
+    result, _ = draws(9, [4] * 40, 0.0)
+    cores = np.array([np.diag(item.core) for item in result])
     known = 2.0 * np.mean(cores, axis=0) ** 2 / np.var(cores, axis=0)
-    assert found[0].freedom == pytest.approx(np.mean(known), rel=0.25)
+    assert result[0].freedom == pytest.approx(np.mean(known), rel=0.25)
 
 
 def test_a_block_that_decides_all_by_itself_says_nothing_and_keeps_its_noise():
     jacobian, root, _, block = problem(11, [60], priors=0)
     residuals = np.random.default_rng(12).standard_normal(60)
-    one = scatter(jacobian, root, residuals, np.full(60, 0.5), block, 53.0)
-    assert np.isnan(one.ratio)
-    assert one.chance == 1.0
-    np.testing.assert_allclose(one.core, 0.25 * np.eye(N_FREE), atol=1e-9)
+    spread = scatter(jacobian, root, residuals, np.full(60, 0.5), block, 53.0)
+    assert np.isnan(spread.ratio)
+    assert spread.chance == 1.0
+    np.testing.assert_allclose(spread.core, 0.25 * np.eye(N_FREE), atol=1e-9)
 
 
 def test_rows_of_no_block_are_left_aside():
     jacobian, root, _, block = problem(13, [3] * 20)
     residuals = np.random.default_rng(14).standard_normal(60)
     some = np.where(block < 15, block, -1)
-    one = scatter(jacobian, root, residuals, np.ones(60), some, 50.0)
+    spread = scatter(jacobian, root, residuals, np.ones(60), some, 50.0)
     rows = some >= 0
     np.testing.assert_allclose(
-        one.core, by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])[0], rtol=1e-9
+        spread.core, by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])[0], rtol=1e-9
     )
 
 

@@ -81,7 +81,7 @@ def printer(common):
         head += ["rotation_distance: 40", "microsteps: 16"]
     spots = [(0, 0), *((r * np.cos(a), r * np.sin(a)) for r in (45, 85) for a in np.radians(np.arange(30, 360, 60)))]
     down = [top - 0.3 - np.sqrt(215**2 - np.sum((towers - spot) ** 2, axis=1)) for spot in spots]
-    rows = tuple(Row(0.3, (", ".join(f"{one:.1f}" for one in 80 * steps),)) for steps in down)
+    rows = tuple(Row(0.3, (", ".join(f"{item:.1f}" for item in 80 * steps),)) for steps in down)
     folds = tuple(left_out("\n".join([*head, "[delta_calibrate]", "radius: 90"]), rows))[:2]
     names = ("robot", "instrument", "origin", "licence", "columns", "folder", "files")
     split = Split("random", "two of 13 rows", *(Folds(folds, fitted, False) for fitted in (True, False)))
@@ -105,7 +105,7 @@ def stand_ins(tmp_path_factory):
 
     q = rng.uniform(-2, 2, (140, 6))
     base = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 2.0), np.array([1.0, -2.0, 0.3]))
-    read = np.array([base.act(tip(one)) for one in q]) + NOISE * rng.standard_normal((140, 3))
+    read = np.array([base.act(tip(row)) for row in q]) + NOISE * rng.standard_normal((140, 3))
     points = Rows(q, read)
     touched, sockets = [], []
     for place, middle in enumerate(((0.6, 0.1, 0.5), (0.2, 0.6, 0.6), (0.1, -0.6, 0.4))):
@@ -167,8 +167,8 @@ def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran):
 def test_codes_find_a_simulated_camera(ran):
     _, rows = ran
     # two coordinates, and what eight images of 35 corners leave unknown of 18 numbers: a few per cent
-    found = [rms(rows["shots", name]) / (np.sqrt(2) * PIXEL) for name in (HAND_EYE, "SciPy, lens found")]
-    assert found == pytest.approx([1.0, 1.0], abs=0.1)
+    results = [rms(rows["shots", name]) / (np.sqrt(2) * PIXEL) for name in (HAND_EYE, "SciPy, lens found")]
+    assert results == pytest.approx([1.0, 1.0], abs=0.1)
     assert rms(rows["shots", "SciPy, lens as published"]) > 5 * PIXEL
     assert rows["shots", HAND_EYE]["claimed_rms"] == pytest.approx(rms(rows["shots", HAND_EYE]), rel=0.2)
 
@@ -184,14 +184,14 @@ def test_a_shift_of_another_day_does_not_count(stand_ins):
     unseen = next(iter(data.splits(None))).unseen
     off = 3e-4 + np.array([1e-3, 4e-3])
     assert data.errors(unseen, off) == pytest.approx([1e-3, 4e-3])
-    one = Folds((unseen.folds[0],) * 2, False, True)
-    assert data.errors(one, off) == pytest.approx([0.0, 0.0])  # one row in a fold is its own mean
+    single = Folds((unseen.folds[0],) * 2, False, True)
+    assert data.errors(single, off) == pytest.approx([0.0, 0.0])  # one row in a fold is its own mean
 
 
 def test_heights_of_another_day_are_in_the_steps_of_the_file_that_is_fitted():
     rows = (Row(0.3, ("8,16,24",)), Row(64.7, ("1,2,3", "4,5,6")))
-    (found,) = heights("microsteps: 16", rows, "x: 1\nmicrosteps: 64\n")
-    assert found == Row(0.3, ("32.0,64.0,96.0",))
+    (result,) = heights("microsteps: 16", rows, "x: 1\nmicrosteps: 64\n")
+    assert result == Row(0.3, ("32.0,64.0,96.0",))
 
 
 @pytest.mark.parametrize("code", CODES, ids=lambda code: f"{code.problem}: {code.name}")

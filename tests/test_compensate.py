@@ -75,17 +75,17 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     noise = 4e-5 * np.random.default_rng(1).standard_normal((84, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, used, forward(used, actual).p_world_tool + noise))
     held_out = rms(np.linalg.norm(fit.robot.positions(program)[:, 0] - forward(program, actual).p_world_tool, axis=1))
-    found = compensate(fit, program)
-    meant, did = forward(program, nominal), forward(found.q, actual)  # shares no code with the engine
+    compensation = compensate(fit, program)
+    meant, did = forward(program, nominal), forward(compensation.q, actual)  # shares no code with the engine
     error = np.linalg.norm(did.p_world_tool - meant.p_world_tool, axis=1)
     before = np.linalg.norm(forward(program, actual).p_world_tool - meant.p_world_tool, axis=1)
-    assert found.ok.all()
-    assert found.keep == "pose"
+    assert compensation.ok.all()
+    assert compensation.keep == "pose"
     assert rms(error) < 1.1 * held_out  # 0.019 mm; other rows of the same workspace
     assert rms(before) > 500 * held_out
-    assert rms(found.before) == pytest.approx(rms(before), rel=1e-3)
+    assert rms(compensation.before) == pytest.approx(rms(before), rel=1e-3)
     assert turned(did.R_world_tool, meant.R_world_tool).max() < 3e-3  # the reflector alone was measured
-    assert rms(found.expected) == pytest.approx(rms(error), rel=1.0)
+    assert rms(compensation.expected) == pytest.approx(rms(error), rel=1.0)
 
 
 def test_the_temperature_of_a_program_counts(tmp_path):
@@ -105,10 +105,10 @@ def test_the_side_that_a_program_states_counts_and_not_the_order_of_its_rows(tmp
     robot = six_axis(tmp_path, "  - {joint: j2, term: backlash}\n").with_parameters({"j2.backlash": 3e-4})
     program = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
     side = np.tile([1, 1, -1, -1], 5)
-    rows = "\n".join(f"{','.join(map(repr, q.tolist()))},{one}" for q, one in zip(program, side, strict=True))
+    rows = "\n".join(f"{','.join(map(repr, q.tolist()))},{item}" for q, item in zip(program, side, strict=True))
     (tmp_path / "program.csv").write_text(f"j1,j2,j3,j4,j5,j6,approach_j2\n{rows}\n")
-    found = compensate(robot, calib.read_poses(tmp_path / "program.csv", robot))
-    np.testing.assert_allclose(found.q - program, np.outer(-3e-4 * side, np.eye(6)[1]), atol=1e-9)
+    compensation = compensate(robot, calib.read_poses(tmp_path / "program.csv", robot))
+    np.testing.assert_allclose(compensation.q - program, np.outer(-3e-4 * side, np.eye(6)[1]), atol=1e-9)
 
 
 def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
@@ -117,9 +117,9 @@ def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
     yaml = (tmp_path / "arm.yaml").read_text()
     (tmp_path / "arm.yaml").write_text(yaml.replace("targets:\n", "targets:\n  board: {frame: l0, xyz: [1, 0, 0]}\n"))
     program = np.random.default_rng(3).uniform(-0.7, 0.7, (5, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
-    found = compensate(perturbed(calib.load(tmp_path / "arm.yaml"), 1), program)
-    assert found.target == "ball"
-    np.testing.assert_allclose(found.q, compensate(perturbed(robot, 1), program).q, atol=1e-9)
+    compensation = compensate(perturbed(calib.load(tmp_path / "arm.yaml"), 1), program)
+    assert compensation.target == "ball"
+    np.testing.assert_allclose(compensation.q, compensate(perturbed(robot, 1), program).q, atol=1e-9)
     (tmp_path / "arm.yaml").write_text(yaml.replace("{frame: l6, ", "{frame: l0, "))
     with pytest.raises(calib.InputError, match="its motors move none of its targets; add the tool to `targets`"):
         compensate(calib.load(tmp_path / "arm.yaml"), program)
@@ -133,20 +133,20 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     program[:, [1, 2, 4]] += [0.6, 0.3, 1.1]  # away from the singular poses of shoulder, elbow and wrist
     measured = truth.positions(q)[:, 0] + 3e-5 * rng.standard_normal((90, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
-    found = compensate(fit, program)
-    meant, wanted = TrueFrame(truth, robot, q).meant(program)
-    (did, turns), (plain, _) = (poses_of(truth, joints) for joints in (found.q, program))
+    compensation = compensate(fit, program)
+    meant, expected = TrueFrame(truth, robot, q).meant(program)
+    (did, turns), (plain, _) = (poses_of(truth, joints) for joints in (compensation.q, program))
     error, before = (np.linalg.norm(x - meant, axis=2)[:, 0] for x in (did, plain))
     held_out = rms(np.linalg.norm(truth.positions(program) - fit.robot.positions(program), axis=2))
     assert rms(error) < 1.1 * held_out
     assert rms(before) > 30 * held_out
-    assert rms(found.before) == pytest.approx(rms(before), rel=0.01)
-    inside = np.mean((error > found.low95) & (error < found.high95))
+    assert rms(compensation.before) == pytest.approx(rms(before), rel=0.01)
+    inside = np.mean((error > compensation.low95) & (error < compensation.high95))
     assert inside > 0.85  # one calibration: its errors are the same for all rows
     assert (
-        turned(turns[:, 0], wanted[:, 0]).max() < 3 * found.expected_angle.max()
+        turned(turns[:, 0], expected[:, 0]).max() < 3 * compensation.expected_angle.max()
     )  # most of it about the flange's axis
-    assert "the robot's own base frame" in found.frame
+    assert "the robot's own base frame" in compensation.frame
 
 
 def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
@@ -180,12 +180,12 @@ def test_joint_terms_limits_and_full_poses_are_kept(tmp_path):
     truth = perturbed(nominal, 5)
     program = np.random.default_rng(6).uniform(-0.8, 0.8, (40, 6))
     program[:, 4] += 1.2
-    found = compensate(truth, program)
-    assert found.ok.all()
+    compensation = compensate(truth, program)
+    assert compensation.ok.all()
     context = calib.as_measurements(
         nominal, program, np.zeros((40, 3))
     ).conditions  # it is approached as the program is
-    did = truth.assemble(found.q, context=context)
+    did = truth.assemble(compensation.q, context=context)
     chain = truth.mechanism.targets[0]
     position, rotation, _ = actuated_jacobian(truth.mechanism, chain, did.actuated, did.passive)
     meant = nominal.forward(program)  # of the target's link l6 or the target itself: positions are compared below
@@ -206,21 +206,21 @@ def test_an_arm_of_seven_joints_stays_near_the_program(tmp_path):
     truth = perturbed(nominal, 7, share=0.2)
     program = np.random.default_rng(8).uniform(-0.5, 0.5, (30, 7))
     program[:, 4] += 1.0
-    found = compensate(truth, program)
+    compensation = compensate(truth, program)
     frame = program_frame(known_robot(truth))
     truth = frame.robot
-    assert found.ok.all()
-    assert np.abs(truth.forward(found.q) - frame.meant.forward(program)).max() < 1e-8
+    assert compensation.ok.all()
+    assert np.abs(truth.forward(compensation.q) - frame.meant.forward(program)).max() < 1e-8
     for k in range(3):  # no other joints that do it are nearer: the way left has no part along the null space
         step = 1e-6
         columns = []
         for j in range(7):
-            moved = found.q[k] + step * np.eye(7)[j]
-            T, T0 = truth.forward(moved), truth.forward(found.q[k])
+            moved = compensation.q[k] + step * np.eye(7)[j]
+            T, T0 = truth.forward(moved), truth.forward(compensation.q[k])
             spin = (T[:3, :3] @ T0[:3, :3].T - np.eye(3)) / step
             columns.append([*(T[:3, 3] - T0[:3, 3]) / step, spin[2, 1], spin[0, 2], spin[1, 0]])
         null = np.linalg.svd(np.array(columns).T)[2][6]
-        assert abs(null @ (program[k] - found.q[k])) < 1e-5
+        assert abs(null @ (program[k] - compensation.q[k])) < 1e-5
 
 
 def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
@@ -229,13 +229,13 @@ def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
     truth = nominal.with_parameters({"a.rz": 0.02, "c.x": 0.253, "b.rx": 0.002})
     rng = np.random.default_rng(9)
     program = rng.uniform([-1.5, 0.5, 0.03, -1.0], [1.5, 2.0, 0.15, 1.0], (25, 4))
-    found = compensate(truth, program)
+    compensation = compensate(truth, program)
     frame = program_frame(known_robot(truth))
-    assert found.keep == "position"
-    assert found.ok.all()
-    wanted, did, naive = frame.meant.forward(program), frame.robot.forward(found.q), frame.robot.forward(program)
-    assert np.abs(did[:, :3, 3] - wanted[:, :3, 3]).max() < 1e-9
-    after, before = (turned(T[:, :3, :3], wanted[:, :3, :3]) for T in (did, naive))
+    assert compensation.keep == "position"
+    assert compensation.ok.all()
+    meant, did, naive = frame.meant.forward(program), frame.robot.forward(compensation.q), frame.robot.forward(program)
+    assert np.abs(did[:, :3, 3] - meant[:, :3, 3]).max() < 1e-9
+    after, before = (turned(T[:, :3, :3], meant[:, :3, :3]) for T in (did, naive))
     assert (after <= before + 1e-9).all()
     assert after.max() < 2.5e-3  # the tilt of 2 mrad that four joints cannot take out
 
@@ -248,14 +248,14 @@ def test_goals_are_on_one_branch_and_tell_a_nominal_controller_what_to_be_told(t
     T = nominal.forward(joints)
     T[:, :3, 3] = nominal.positions(joints)[:, 0]
     program = calib.Goals(T[:, :3, 3], T[:, :3, :3], target="ball")
-    found = compensate(truth, program)
-    assert found.ok.all()
-    assert np.abs(truth.positions(found.q)[:, 0] - T[:, :3, 3]).max() < 1e-9
-    assert np.abs(np.diff(found.q, axis=0)).max() < 0.1
-    positions, rotations = found.told(nominal)
-    again = solve(nominal, calib.Goals(positions, rotations, target="ball"), near=found.q)
-    assert np.abs(nominal.positions(again.q)[:, 0] - nominal.positions(found.q)[:, 0]).max() < 1e-9
-    assert np.abs(positions - nominal.positions(found.q)[:, 0]).max() < 1e-12
+    compensation = compensate(truth, program)
+    assert compensation.ok.all()
+    assert np.abs(truth.positions(compensation.q)[:, 0] - T[:, :3, 3]).max() < 1e-9
+    assert np.abs(np.diff(compensation.q, axis=0)).max() < 0.1
+    positions, rotations = compensation.told(nominal)
+    again = solve(nominal, calib.Goals(positions, rotations, target="ball"), near=compensation.q)
+    assert np.abs(nominal.positions(again.q)[:, 0] - nominal.positions(compensation.q)[:, 0]).max() < 1e-9
+    assert np.abs(positions - nominal.positions(compensation.q)[:, 0]).max() < 1e-12
 
 
 def test_goals_are_in_the_frame_of_the_description_wherever_the_tracker_stands(tmp_path):
@@ -286,13 +286,13 @@ def test_what_cannot_be_is_not_clipped_but_said(tmp_path):
         [[0.1, 0.2, 0.3, 0.4, 0.8, 0.1], [0.1, 0.2, 0.3, 3.2, 0.8, 0.1], [2.9999, 0.2, 0.3, 0.4, 0.8, 0.1]]
     )
     robot = robot.with_parameters({"j1.rz": -5e-3})
-    found = compensate(robot, program)
-    assert found.ok.tolist() == [True, False, False]
-    assert np.isnan(found.q[1:]).all()
-    assert "joint 'j4': 183.346 deg in the program, 171.887 deg allowed" in found.reasons[1]
-    assert "joint 'j1': 17" in found.reasons[2]
-    assert "deg needed" in found.reasons[2]
-    assert len(found.misses()) == 2
+    compensation = compensate(robot, program)
+    assert compensation.ok.tolist() == [True, False, False]
+    assert np.isnan(compensation.q[1:]).all()
+    assert "joint 'j4': 183.346 deg in the program, 171.887 deg allowed" in compensation.reasons[1]
+    assert "joint 'j1': 17" in compensation.reasons[2]
+    assert "deg needed" in compensation.reasons[2]
+    assert len(compensation.misses()) == 2
 
 
 def test_out_of_reach_is_said_with_the_distance(tmp_path):
@@ -300,9 +300,9 @@ def test_out_of_reach_is_said_with_the_distance(tmp_path):
     nominal = six_axis(tmp_path)
     short = nominal.with_parameters({"j3.z": 0.597})
     straight = [0.0, 0.3, -float(np.arctan2(0.6, 0.05)), 0.0, 0.02, 0.0]
-    found = compensate(short, np.array([straight, [0.1, 0.3, 0.4, 0.1, 0.7, 0.0]]))
-    assert found.ok.tolist() == [False, True]
-    assert re.match(r"is out of reach by [23]\.\d+ mm", found.reasons[0])
+    compensation = compensate(short, np.array([straight, [0.1, 0.3, 0.4, 0.1, 0.7, 0.0]]))
+    assert compensation.ok.tolist() == [False, True]
+    assert re.match(r"is out of reach by [23]\.\d+ mm", compensation.reasons[0])
     far = compensate(short, calib.Goals(np.array([[5.0, 0.0, 0.5]])))
     assert "by the nominal robot misses by" in far.reasons[0]
 
@@ -311,10 +311,10 @@ def test_poses_that_do_not_close_are_listed():
     robot = calib.load(robot_file())
     q = np.array([target_workspace().q[0], target_workspace().q[0]])
     q[1, 1] += 2.0
-    found = compensate(robot, q)
-    assert found.ok.tolist() == [True, False]
-    assert "cannot be assembled" in found.reasons[1]
-    assert np.isnan(found.before[1])
+    compensation = compensate(robot, q)
+    assert compensation.ok.tolist() == [True, False]
+    assert "cannot be assembled" in compensation.reasons[1]
+    assert np.isnan(compensation.before[1])
 
 
 def test_distances_lie_within_their_limits_as_often_as_stated():
@@ -351,31 +351,37 @@ def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
     )
     fit = calib.fit(nominal, calib.read_measurements(tmp_path / "poses.csv", nominal))
     program = rng.uniform(-0.8, 0.8, (6, 6)) + np.array([0, 0, 0, 0, 1.2, 0])
-    found = compensate(fit, program, keep=keep)
-    assert found.ok.all()
+    compensation = compensate(fit, program, keep=keep)
+    assert compensation.ok.all()
     meant = nominal.forward(program)[:, :3, :3]
     root = np.linalg.cholesky(fit.covariance.values + 1e-30 * np.eye(len(fit.statistics.covariance)))
     errors = []
     for _ in range(300):
         values = fit.robot.values.copy()
         values[fit.unknowns.index] += root @ rng.standard_normal(len(root))
-        did = nominal.with_parameters(values).forward(found.q)[:, :3, :3]
+        did = nominal.with_parameters(values).forward(compensation.q)[:, :3, :3]
         cosine = np.sum(did[:, :, 2] * meant[:, :, 2], axis=1)
         errors.append(turned(did, meant) if keep == "pose" else np.arccos(np.clip(cosine, -1, 1)))
     errors = np.array(errors)
-    assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(found.expected_angle, rel=0.15)  # of 300 draws
-    inside = (errors > found.low95_angle) & (errors < found.high95_angle)
+    assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(compensation.expected_angle, rel=0.15)  # of 300 draws
+    inside = (errors > compensation.low95_angle) & (errors < compensation.high95_angle)
     assert np.mean(inside) == pytest.approx(0.96, abs=0.025)
-    really = turned(truth.forward(found.q)[:, :3, :3], meant)
-    assert keep != "pose" or really.max() < 3 * found.expected_angle.max() < 0.3 * found.before_angle.max()
-    assert found.before_angle == pytest.approx(
-        turned(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else found.before_angle, rel=1e-4
+    really = turned(truth.forward(compensation.q)[:, :3, :3], meant)
+    assert (
+        keep != "pose" or really.max() < 3 * compensation.expected_angle.max() < 0.3 * compensation.before_angle.max()
+    )
+    assert compensation.before_angle == pytest.approx(
+        turned(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else compensation.before_angle, rel=1e-4
     )
 
 
 def test_angles_are_not_known_where_the_position_alone_is_kept(tmp_path):
-    found = compensate(perturbed(six_axis(tmp_path), 5), np.array([[0.1, 0.2, 0.3, 0.4, 0.8, 0.1]]), keep="position")
-    assert np.isnan([found.before_angle, found.expected_angle, found.low95_angle, found.high95_angle]).all()
+    compensation = compensate(
+        perturbed(six_axis(tmp_path), 5), np.array([[0.1, 0.2, 0.3, 0.4, 0.8, 0.1]]), keep="position"
+    )
+    assert np.isnan(
+        [compensation.before_angle, compensation.expected_angle, compensation.low95_angle, compensation.high95_angle]
+    ).all()
 
 
 @pytest.mark.parametrize(
@@ -417,8 +423,8 @@ def test_command_writes_a_program_with_marks_and_figures(tmp_path, calibrated):
     assert "line 3 (pose B) is past the limit of joint 'joint_3'" in refused.output
     assert not (tmp_path / "out.csv").exists()
     target = tmp_path / "out.json"
-    found = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
-    assert found.exit_code == 0, found.output
+    outcome = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
+    assert outcome.exit_code == 0, outcome.output
     lines = (tmp_path / "out.csv").read_text().splitlines()
     angles = "before_angle [mrad],expected_angle [mrad],low95_angle [mrad],high95_angle [mrad]"
     assert lines[1].endswith(f"before [mm],expected [mm],low95 [mm],high95 [mm],{angles},status")
@@ -468,10 +474,10 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
     ],
 )
 def test_wrong_programs_are_refused_in_one_line(tmp_path, calibrated, text, options, code, message):
-    found = run(tmp_path, text, *options, result=calibrated)
-    assert found.exit_code == code
-    assert message in found.output
-    assert found.output.startswith("Usage") or found.output.count("\n") == 1
+    outcome = run(tmp_path, text, *options, result=calibrated)
+    assert outcome.exit_code == code
+    assert message in outcome.output
+    assert outcome.output.startswith("Usage") or outcome.output.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
 
 
@@ -481,13 +487,13 @@ def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calib
     for robot, options in ((EXAMPLES / "arm.yaml", ["--result", str(calibrated)]), (calibrated, [])):
         (tmp_path / "program.csv").write_text(text)
         out = tmp_path / f"{len(files)}.csv"
-        found = CliRunner().invoke(command, [str(robot), str(tmp_path / "program.csv"), "--out", str(out), *options])
-        assert found.exit_code == 0, found.output
+        outcome = CliRunner().invoke(command, [str(robot), str(tmp_path / "program.csv"), "--out", str(out), *options])
+        assert outcome.exit_code == 0, outcome.output
         files.append(out.read_text())
     assert files[0] == files[1]
-    found = CliRunner().invoke(command, [str(EXAMPLES / "arm.yaml"), str(tmp_path / "program.csv"), "--out", "x.csv"])
-    assert found.exit_code == 2
-    assert "is not a result folder; give that as ROBOT, or with --result DIR" in found.output
+    outcome = CliRunner().invoke(command, [str(EXAMPLES / "arm.yaml"), str(tmp_path / "program.csv"), "--out", "x.csv"])
+    assert outcome.exit_code == 2
+    assert "is not a result folder; give that as ROBOT, or with --result DIR" in outcome.output
 
 
 @pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without covariance"])
@@ -507,14 +513,14 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
     if what == "without covariance":
         (folder / "covariance.csv").unlink()
     joints = "j1,j2,j3,j4,j5,j6" if what == "of another robot" else JOINTS
-    found = run(tmp_path, f"{joints}\n0,0,0.3,0,0.5,0\n", robot=robot, result=folder)
+    outcome = run(tmp_path, f"{joints}\n0,0,0.3,0,0.5,0\n", robot=robot, result=folder)
     message = {
         "missing": "holds no result",
         "of another robot": "result of another robot",
         "failed": "it was wrong",
         "without covariance": "no such file; run the fit again",
     }[what]
-    assert (found.exit_code, message in found.output) == (code, True), found.output
+    assert (outcome.exit_code, message in outcome.output) == (code, True), outcome.output
 
 
 def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
@@ -540,16 +546,18 @@ def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calib
         rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 100)
     )
     measured = did(q) + 2e-5 * rng.standard_normal((400, 3))
-    with_curves, without = (calib.fit(one, calib.as_measurements(one, q, measured)) for one in (described, nominal))
+    with_curves, without = (
+        calib.fit(robot, calib.as_measurements(robot, q, measured)) for robot in (described, nominal)
+    )
     held_out = rms(np.linalg.norm(did(program) - with_curves.robot.positions(program)[:, 0], axis=1))
-    found, without_curves = compensate(with_curves, program), compensate(without, program)
-    assert found.ok.all()
+    compensation, without_curves = compensate(with_curves, program), compensate(without, program)
+    assert compensation.ok.all()
     meant = TrueFrame(Wavy(truth, waves), nominal, q).meant(program)[0][:, 0]
-    error, plain = (np.linalg.norm(did(one.q) - meant, axis=1) for one in (found, without_curves))
+    error, plain = (np.linalg.norm(did(robot.q) - meant, axis=1) for robot in (compensation, without_curves))
     assert rms(error) < 1.1 * held_out  # 0.011 mm, from 7.4 mm
-    assert rms(found.before) > 100 * held_out
+    assert rms(compensation.before) > 100 * held_out
     assert rms(plain) > 5 * held_out  # the same without curves
-    assert np.mean((error > found.low95) & (error < found.high95)) > 0.85  # one calibration
+    assert np.mean((error > compensation.low95) & (error < compensation.high95)) > 0.85  # one calibration
 
 
 class Wavy:

@@ -121,10 +121,10 @@ def poses(robot, n, seed):
 def test_torques_are_the_slope_of_the_potential_energy(machine):
     robot, at = machine
     q = poses(robot, 12, 0)
-    found = np.concatenate(term_columns(robot, q), axis=2)[:, 0]
+    columns = np.concatenate(term_columns(robot, q), axis=2)[:, 0]
     # differences of some 10 J by 1e-5 rad are good to 1e-9 N m, and their curvature to as much
-    assert np.allclose(found, torques(at, q), rtol=0, atol=1e-6)
-    assert np.abs(found).max() > 0.3
+    assert np.allclose(columns, torques(at, q), rtol=0, atol=1e-6)
+    assert np.abs(columns).max() > 0.3
 
 
 def test_columns_agree_with_central_differences(machine):
@@ -154,8 +154,8 @@ def test_compliance_is_recovered_from_data_of_other_code(machine):
     fit = calib.fit(robot, calib.as_measurements(robot, q, measured), sigma=1e-5)
     assert fit.converged
     index = [k for k, name in enumerate(fit.free_names) if name.endswith(".compliance")]
-    found, std = fit.robot.values[robot.coefficients], fit.statistics.std[index]
-    assert np.all(np.abs(found - given)[given > 0] < 4 * std[given > 0])
+    values, std = fit.robot.values[robot.coefficients], fit.statistics.std[index]
+    assert np.all(np.abs(values - given)[given > 0] < 4 * std[given > 0])
     assert np.all(std[given > 0] < 0.05 * given[given > 0])
 
 
@@ -239,25 +239,25 @@ def test_a_payload_loads_the_joints_as_a_body_there_would(tmp_path):
     robot, at = arm(tmp_path)
     q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
     loaded_robot, context = loaded(robot, load)
-    found = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
+    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
     by_height = lifted(at, lambda row: at(row)[0][2], q)  # at the first target
-    assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     frame = model.frames[model.getFrameId("tool")]
     for k, row in enumerate(q):
         carrying = model.copy()
         place = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
         carrying.appendBodyToJoint(frame.parentJoint, pin.Inertia(load[k], np.zeros(3), np.zeros((3, 3))), place)
-        assert np.allclose(found[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
+        assert np.allclose(columns[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
 
 
 def test_a_payload_loads_joints_through_a_loop(tmp_path):
     robot, at = upright_five_bar(tmp_path)
     q, load = poses(robot, 12, 5), np.linspace(0.0, 2.0, 12)
     loaded_robot, context = loaded(robot, load)
-    found = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
+    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
     by_height = lifted(at, lambda row: at(row)[0][1], q)
-    assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
     assert np.abs(by_height).max() > 0.3
 
 
@@ -265,9 +265,9 @@ def test_a_payload_hangs_where_the_description_says(tmp_path):
     robot, at = arm(tmp_path)
     q = poses(robot, 5, 6)
     elbow, context = loaded(robot, np.full(5, 3.0), payload="fore")
-    found = np.concatenate(term_columns(elbow, q, context), axis=2)[:, 0] - torques(at, q)
+    result = np.concatenate(term_columns(elbow, q, context), axis=2)[:, 0] - torques(at, q)
     by_height = lifted(at, lambda row: 0.5 - 0.5 * np.sin(row[1]), q)
-    assert np.allclose(found, 3.0 * by_height, rtol=0, atol=1e-6)
+    assert np.allclose(result, 3.0 * by_height, rtol=0, atol=1e-6)
     (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")
     with pytest.raises(calib.DescriptionError, match="payload: no link, joint or target 'fare'; did you mean 'fore'"):
         calib.load(tmp_path / "arm.yaml")

@@ -65,7 +65,7 @@ def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
     q = rng.uniform(*limits, (120, 6))
     together = medrue.close(q)
     assert 3 < together.ok.sum() < 115
-    alone = np.array([medrue.close(one).ok[0] for one in q[together.ok]])
+    alone = np.array([medrue.close(row).ok[0] for row in q[together.ok]])
     assert alone.all()
 
 
@@ -93,8 +93,8 @@ def test_robots_in_use_are_pickled_and_shared_by_threads(medrue):
     expected = medrue.positions(q)
     assert np.allclose(pickle.loads(pickle.dumps(medrue)).positions(q), expected, rtol=0, atol=1e-12)
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lambda _: medrue.positions(q), range(8)))
-    assert np.allclose(found, [expected] * 8, rtol=0, atol=1e-12)
+        result = list(threads.map(lambda _: medrue.positions(q), range(8)))
+    assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)
 
 
 def test_limits_that_lie_a_turn_away_are_the_same_limits(tmp_path):

@@ -85,7 +85,7 @@ def ur_product(content: bytes, behind: np.ndarray, q: np.ndarray) -> np.ndarray:
     kinematics = yaml.safe_load(content)["kinematics"]
     assert isinstance(kinematics.pop("hash"), str)
     assert list(kinematics) == ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"]
-    found = []
+    results = []
     for row in q:
         pose = np.diag([-1.0, -1.0, 1.0, 1.0])  # base_link to base_link_inertia: half a turn
         for entry, value in zip(kinematics.values(), row, strict=True):
@@ -97,8 +97,8 @@ def ur_product(content: bytes, behind: np.ndarray, q: np.ndarray) -> np.ndarray:
             turn = np.eye(4)
             turn[:3, :3] = pin.utils.rotate("z", float(value))
             pose = pose @ origin @ turn
-        found.append(pose @ behind)
-    return np.array(found)
+        results.append(pose @ behind)
+    return np.array(results)
 
 
 def tool_behind_wrist(robot: calib.Robot) -> np.ndarray:
@@ -126,8 +126,8 @@ def test_a_turn_and_a_shift_about_the_last_axis_have_a_place(tmp_path: Path) -> 
     robot = ur_robot(tmp_path, {"left_wrist_3-flange.z": 2e-3, "left_wrist_3-flange.rx": 5e-3})  # its x is the axis
     made = ur_kinematics(robot)
     q = np.random.default_rng(2).uniform(-3, 3, (20, 6))
-    found = ur_product(made.content, tool_behind_wrist(nominal), q)
-    assert np.abs(found - robot.forward(q, "left_tool")).max() < 1e-12
+    result = ur_product(made.content, tool_behind_wrist(nominal), q)
+    assert np.abs(result - robot.forward(q, "left_tool")).max() < 1e-12
 
 
 def test_what_ur_kinematics_leave_is_stated(tmp_path: Path) -> None:
@@ -179,9 +179,9 @@ def test_joint_zeros_that_are_all_that_is_wrong_are_found(tmp_path: Path) -> Non
     robot = calib.load(write_arm(tmp_path))
     wrong = robot.with_parameters({"turn.rz": 2e-3, "slide.x": 0.25 + 3e-4, "wrist.ry": -4e-3})
     made = joint_offsets(wrong)
-    found = read_offsets(made.content)
-    assert {name: sign for name, (sign, _) in found.items()} == {"turn": 1, "slide": 1, "wrist": 1}
-    assert [offset for _, offset in found.values()] == pytest.approx([2e-3, 3e-4, -4e-3], abs=1e-12)
+    result = read_offsets(made.content)
+    assert {name: sign for name, (sign, _) in result.items()} == {"turn": 1, "slide": 1, "wrist": 1}
+    assert [offset for _, offset in result.values()] == pytest.approx([2e-3, 3e-4, -4e-3], abs=1e-12)
     assert made.left.exact
 
 
@@ -194,9 +194,9 @@ def test_a_joint_that_counts_the_other_way_gets_its_sign(tmp_path: Path) -> None
 def test_zeros_that_no_target_shows_stay_zero(tmp_path: Path) -> None:
     on_axis = ARM_YAML.replace("tool, xyz: [10 mm, 20 mm, 30 mm]", "hand")  # the origin of the wrist
     robot = calib.load(write_arm(tmp_path, on_axis)).with_parameters({"turn.rz": 2e-3, "wrist.ry": -4e-3})
-    found = read_offsets(joint_offsets(robot).content)
-    assert found["turn"][1] == pytest.approx(2e-3, abs=1e-12)
-    assert abs(found["wrist"][1]) < 1e-9
+    result = read_offsets(joint_offsets(robot).content)
+    assert result["turn"][1] == pytest.approx(2e-3, abs=1e-12)
+    assert abs(result["wrist"][1]) < 1e-9
 
 
 def test_what_joint_zeros_leave_is_stated() -> None:
@@ -211,11 +211,11 @@ def test_what_joint_zeros_leave_is_stated() -> None:
     q = np.random.default_rng(6).uniform(lower, upper, (N_RANDOM, 6))
     target = robot.mechanism.targets[0]
     point = np.append(robot.mechanism.model.jointPlacements[target.b].translation, 1.0)
-    wanted, frames = (flange_poses(robot, q) @ point)[:, :3], flange_poses(nominal, q + offsets)
+    expected, frames = (flange_poses(robot, q) @ point)[:, :3], flange_poses(nominal, q + offsets)
 
     def error(x: np.ndarray) -> np.ndarray:
         points = (frames @ np.add(point, [*x[6:], 0]))[:, :3]
-        return (Rotation.from_rotvec(x[:3]).apply(points) + x[3:6] - wanted).ravel()
+        return (Rotation.from_rotvec(x[:3]).apply(points) + x[3:6] - expected).ravel()
 
     distance = np.linalg.norm(least_squares(error, np.zeros(9)).fun.reshape(-1, 3), axis=1)
     assert offsets[0] == pytest.approx(0, abs=1e-9)  # the base can do it
@@ -255,7 +255,7 @@ def test_what_a_table_leaves_of_joint_terms_is_stated(tmp_path: Path) -> None:
 
 def test_xacro_origins_are_those_of_the_calibrated_urdf() -> None:
     robot = changed_arm()
-    found = {
+    by_name = {
         element.get("name"): [float(part) for part in element.get("value").split()]
         for element in ElementTree.fromstring(xacro_origins(robot).content)
     }
@@ -263,7 +263,7 @@ def test_xacro_origins_are_those_of_the_calibrated_urdf() -> None:
         name, origin = joint.get("name"), joint.find("origin")
         for key in ("xyz", "rpy"):
             written = [float(part) for part in origin.get(key, "0 0 0").split()]
-            assert found[f"{name}_{key}"] == pytest.approx(written, abs=1e-14)
+            assert by_name[f"{name}_{key}"] == pytest.approx(written, abs=1e-14)
 
 
 XACRO = """\

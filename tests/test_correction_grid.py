@@ -43,13 +43,13 @@ def test_a_gantry_gets_the_corrections_of_its_scale_and_squareness(gantry: calib
     a = 2e-3
     robot = gantry.with_parameters({"y.rz": a, "x.gain": 1e-3})
     corners = calib.Goals(np.array([[-0.3, -0.2, 0.1], [0.5, 0.4, 0.1]]))
-    found = correction_grid(robot, corners, (3, 4, 1))
-    x, y, z = found.nodes.T
+    grid = correction_grid(robot, corners, (3, 4, 1))
+    x, y, z = grid.nodes.T
     told = np.stack([(x + np.tan(a) * y) / 1.001, y / np.cos(a), z], axis=1)
-    assert len(found.nodes) == 12
-    assert np.abs(found.nodes + found.shift - told).max() < 1e-9
-    assert found.position_errors.max() < 1e-9  # linear in the position
-    assert not found.turn.any()
+    assert len(grid.nodes) == 12
+    assert np.abs(grid.nodes + grid.shift - told).max() < 1e-9
+    assert grid.position_errors.max() < 1e-9  # linear in the position
+    assert not grid.turn.any()
 
 
 def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path: Path) -> None:
@@ -60,18 +60,18 @@ def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path: Path) -> No
     truth = robot.with_parameters({p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters})
     R = pin.rpy.rpyToMatrix(0.2, 0.4, 0.1)
     box = calib.Goals(np.array([[0.5, -0.1, 0.6], [0.7, 0.1, 0.8]]), np.tile(R, (2, 1, 1)))
-    found = correction_grid(truth, box, (5, 5, 5))
-    assert found.angle_errors.max() < 1e-3
-    axes = [np.unique(found.nodes[:, k]) for k in range(3)]
-    wanted = rng.uniform([0.5, -0.1, 0.6], [0.7, 0.1, 0.8], (30, 3))
-    table = np.hstack([found.shift, found.turn]).reshape(5, 5, 5, 6)
-    add = np.stack([interpn(axes, table[..., k], wanted) for k in range(6)], axis=1)
+    grid = correction_grid(truth, box, (5, 5, 5))
+    assert grid.angle_errors.max() < 1e-3
+    axes = [np.unique(grid.nodes[:, k]) for k in range(3)]
+    goals = rng.uniform([0.5, -0.1, 0.6], [0.7, 0.1, 0.8], (30, 3))
+    table = np.hstack([grid.shift, grid.turn]).reshape(5, 5, 5, 6)
+    add = np.stack([interpn(axes, table[..., k], goals) for k in range(6)], axis=1)
     turned = np.array([pin.exp3(turn) @ R for turn in add[:, 3:]])
-    q = solve(robot, calib.Goals(wanted + add[:, :3], turned)).q  # what the nominal controller makes of it
-    off = np.linalg.norm(truth.positions(q)[:, 0] - wanted, axis=1)
-    plain = solve(robot, calib.Goals(wanted, np.tile(R, (30, 1, 1)))).q
-    before = np.linalg.norm(truth.positions(plain)[:, 0] - wanted, axis=1)
-    assert off.max() < 1.5 * found.position_errors.max()
+    q = solve(robot, calib.Goals(goals + add[:, :3], turned)).q  # what the nominal controller makes of it
+    off = np.linalg.norm(truth.positions(q)[:, 0] - goals, axis=1)
+    plain = solve(robot, calib.Goals(goals, np.tile(R, (30, 1, 1)))).q
+    before = np.linalg.norm(truth.positions(plain)[:, 0] - goals, axis=1)
+    assert off.max() < 1.5 * grid.position_errors.max()
     assert off.max() < 0.05 * before.max()
 
 

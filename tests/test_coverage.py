@@ -75,15 +75,15 @@ def coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, see
     """
     how = {"sigma": SIGMA, "truth": "priors"} if prior else {}
     noise = partial(with_gross_errors, gross)
-    found = calib.study(robot, q, draws=n, noise=noise, loss=loss, elsewhere=elsewhere, seed=seed, **how)
-    assert not found.failures
-    sigma = found.draws.sigma[:, 0] / SIGMA
+    studied = calib.study(robot, q, draws=n, noise=noise, loss=loss, elsewhere=elsewhere, seed=seed, **how)
+    assert not studied.failures
+    sigma = studied.draws.sigma[:, 0] / SIGMA
     return Coverage(
-        np.array([one.coverage for one in found.parameters]),
-        found.position_coverage,
+        np.array([parameter.coverage for parameter in studied.parameters]),
+        studied.position_coverage,
         float(np.mean(sigma)),
         float(np.mean(sigma**2)),
-        found.outliers,
+        studied.outliers,
     )
 
 
@@ -97,39 +97,39 @@ def arm(tmp_path_factory):
     return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
-def assert_between(found, low, high, n):
+def assert_between(result, low, high, n):
     """Every coverage of n fits lies between these limits, and as far beyond them as chance takes one of 10000."""
-    values = np.concatenate([found.parameters.ravel(), found.positions.ravel()])
+    values = np.concatenate([result.parameters.ravel(), result.positions.ravel()])
     tail = 1e-4 / len(values)
     assert np.min(values) >= min(low, binom.ppf(tail, n, 0.95) / n)
     assert np.max(values) <= max(high, binom.isf(tail, n, 0.95) / n)
 
 
-def assert_mean(found, expected, n, limit, scatter):
+def assert_mean(result, expected, n, limit, scatter):
     """A mean over n fits is as expected: within `limit`, or four standard deviations where few fits know it less well.
 
     `scatter` is the standard deviation of a single fit.
     """
-    assert found == pytest.approx(expected, abs=limit if n >= 400 else max(limit, 4 * scatter / np.sqrt(n)))
+    assert result == pytest.approx(expected, abs=limit if n >= 400 else max(limit, 4 * scatter / np.sqrt(n)))
 
 
 @pytest.mark.amount(100, 1000)
 def test_intervals_of_a_serial_arm_hold_the_truth_in_95_percent(arm, amount):
-    found = coverage(arm, joints(40), joints(10, 5), amount)
-    assert_between(found, 0.925, 0.975, amount)
-    assert_mean(np.mean(found.parameters), 0.95, amount, 0.01, 0.06)
-    assert_mean(found.sigma, 1.0, amount, 0.02, 0.07)
-    assert_mean(found.squared, 1.0, amount, 0.02, 0.15)
-    assert found.outliers <= binom.isf(1e-3, amount, 0.01) / amount  # 0.01 is what is stated
+    covered = coverage(arm, joints(40), joints(10, 5), amount)
+    assert_between(covered, 0.925, 0.975, amount)
+    assert_mean(np.mean(covered.parameters), 0.95, amount, 0.01, 0.06)
+    assert_mean(covered.sigma, 1.0, amount, 0.02, 0.07)
+    assert_mean(covered.squared, 1.0, amount, 0.02, 0.15)
+    assert covered.outliers <= binom.isf(1e-3, amount, 0.01) / amount  # 0.01 is what is stated
 
 
 @pytest.mark.amount(60, 500)
 def test_intervals_of_medrue_hold_the_truth_in_95_percent(amount):
-    found = coverage(*medrue_case(), amount)
-    assert_between(found, 0.915, 0.98, amount)
-    assert_mean(np.mean(found.parameters), 0.95, amount, 0.01, 0.06)
-    assert_mean(found.sigma, 1.0, amount, 0.02, 0.07)
-    assert_mean(found.squared, 1.0, amount, 0.02, 0.15)
+    covered = coverage(*medrue_case(), amount)
+    assert_between(covered, 0.915, 0.98, amount)
+    assert_mean(np.mean(covered.parameters), 0.95, amount, 0.01, 0.06)
+    assert_mean(covered.sigma, 1.0, amount, 0.02, 0.07)
+    assert_mean(covered.squared, 1.0, amount, 0.02, 0.15)
 
 
 @pytest.mark.amount(60, 500)
@@ -137,19 +137,19 @@ def test_with_priors_intervals_hold_truths_drawn_from_them(tmp_path, amount):
     # small priors: with large ones, what no measurement sees bends into what it sees, which linear statistics miss
     small = FREE.replace("2 mm", "0.4 mm").replace("5 mrad", "1 mrad")
     robot = calib.load(write_six_axis(tmp_path, YAML + small))
-    found = coverage(robot, joints(20), joints(10, 5), amount, prior=True)
+    covered = coverage(robot, joints(20), joints(10, 5), amount, prior=True)
     # an interval that the prior holds uses Student's t of the data: slightly wide
-    assert_between(found, 0.915, 0.985, amount)
-    assert_mean(found.squared, 1.0, amount, 0.02, 0.24)
+    assert_between(covered, 0.915, 0.985, amount)
+    assert_mean(covered.squared, 1.0, amount, 0.02, 0.24)
 
 
 @pytest.mark.amount(60, 400)
 def test_with_five_percent_gross_errors_tukey_keeps_the_coverage_of_a_serial_arm(arm, amount):
-    found = coverage(arm, joints(40), joints(10, 5), amount, loss="tukey", gross=0.05)
-    assert_between(found, 0.9, 0.985, amount)  # docs/uncertainty.md: 0.92 to 0.97 of 1000
-    assert_mean(np.mean(found.parameters), 0.945, amount, 0.015, 0.06)
-    assert_mean(found.sigma, 1.0, amount, 0.02, 0.07)
-    assert found.outliers > 0.99
+    covered = coverage(arm, joints(40), joints(10, 5), amount, loss="tukey", gross=0.05)
+    assert_between(covered, 0.9, 0.985, amount)  # docs/uncertainty.md: 0.92 to 0.97 of 1000
+    assert_mean(np.mean(covered.parameters), 0.945, amount, 0.015, 0.06)
+    assert_mean(covered.sigma, 1.0, amount, 0.02, 0.07)
+    assert covered.outliers > 0.99
 
 
 def main(n):
@@ -158,8 +158,8 @@ def main(n):
         for name, case in (("six-axis arm, 40 poses", serial), ("MedRUE, 42 poses", medrue_case())):
             for gross in (0.0, 0.05):
                 for loss in LOSSES:
-                    found = coverage(*case, n, loss=loss, gross=gross)
-                    print(f"| {name} | {gross:.0%} | {loss} {found}", flush=True)
+                    covered = coverage(*case, n, loss=loss, gross=gross)
+                    print(f"| {name} | {gross:.0%} | {loss} {covered}", flush=True)
 
 
 if __name__ == "__main__":

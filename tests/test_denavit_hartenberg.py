@@ -87,11 +87,11 @@ def flange_poses(robot: calib.Robot, q: np.ndarray) -> np.ndarray:
     model = pin.buildModelFromXML(urdf_of_origins(robot).decode().replace("continuous", "revolute"))
     assert list(model.names)[1:] == list(robot.joint_names)
     data, tip = model.createData(), model.getFrameId("flange")
-    found = np.empty((len(q), 4, 4))
-    for pose, row in zip(found, q, strict=True):
+    result = np.empty((len(q), 4, 4))
+    for pose, row in zip(result, q, strict=True):
         pin.framesForwardKinematics(model, data, row)
         pose[:] = data.oMf[tip].homogeneous
-    return found
+    return result
 
 
 def poses(n: int, table: str) -> np.ndarray:
@@ -123,8 +123,8 @@ def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path) ->
     q = poses(50, name)
     assert np.abs(again.forward(q, "flange") - robot.forward(q, "flange")).max() < ROUNDING
     limits = [(joint.lower, joint.upper) for joint in robot.urdf.joints if joint.name in robot.joint_names]
-    found = [(joint.lower, joint.upper) for joint in again.urdf.joints if joint.name in robot.joint_names]
-    assert np.allclose(found, limits, rtol=0, atol=1e-15)
+    results = [(joint.lower, joint.upper) for joint in again.urdf.joints if joint.name in robot.joint_names]
+    assert np.allclose(results, limits, rtol=0, atol=1e-15)
 
 
 def test_published_poses(tmp_path: Path) -> None:
@@ -142,10 +142,10 @@ def test_a_published_table_comes_back_with_its_numbers(tmp_path: Path) -> None:
         out = tmp_path / f"{name}_out.csv"
         CliRunner().invoke(export_command, [str(tmp_path / f"{name}.yaml"), "--format", "dh", "--out", str(out)])
         rows = read_dh(out).rows[1:-1]
-        found = np.array([(row.a, row.d, np.sin(row.alpha), np.cos(row.alpha), row.beta) for row in rows])
-        wanted = np.array([(a, d, np.sin(alpha), np.cos(alpha), 0.0) for a, d, alpha, _ in TABLES[name][1]])
-        wanted[-1, 1] = 0.0  # along the last axis: in the row of the tool
-        assert np.abs(found - wanted).max() < 1e-9, name
+        values = np.array([(row.a, row.d, np.sin(row.alpha), np.cos(row.alpha), row.beta) for row in rows])
+        expected = np.array([(a, d, np.sin(alpha), np.cos(alpha), 0.0) for a, d, alpha, _ in TABLES[name][1]])
+        expected[-1, 1] = 0.0  # along the last axis: in the row of the tool
+        assert np.abs(values - expected).max() < 1e-9, name
 
 
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
@@ -155,7 +155,7 @@ def test_a_calibrated_robot_is_held_exactly(file_format: str, name: str, tmp_pat
     robot = robot_of(write_table(tmp_path, name), tmp_path / "robot.yaml")
     generator = np.random.default_rng(8)
     names = [parameter.name for parameter in robot.parameters if not parameter.name.startswith(("base", "flange."))]
-    robot = robot.with_parameters({one: robot_value(robot, one) + generator.normal(0, 2e-3) for one in names})
+    robot = robot.with_parameters({item: robot_value(robot, item) + generator.normal(0, 2e-3) for item in names})
     (tmp_path / "values.csv").write_text(
         "parameter,value,unit\n"
         + "".join(f"{p.name},{v!r},\n" for p, v in zip(robot.parameters, robot.values.tolist(), strict=True))
@@ -196,11 +196,11 @@ def test_parallel_axes_keep_the_table_inside_the_robot(tilt: float) -> None:
     table = dh_table(links, [DhRow(name) for name in "abc"], "standard")
     assert max(abs(row.d) for row in table.rows) < 25
     q = np.random.default_rng(1).uniform(-3, 3, (20, 3))
-    for found, row in zip(table.poses(q), q, strict=True):
+    for result, row in zip(table.poses(q), q, strict=True):
         pose = links[0]
         for angle, after in zip(row, links[1:], strict=True):
             pose = pose * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3)) * after
-        assert np.abs(found - pose.homogeneous).max() < ROUNDING
+        assert np.abs(result - pose.homogeneous).max() < ROUNDING
 
 
 def test_signs_and_offsets_of_a_table(tmp_path: Path) -> None:

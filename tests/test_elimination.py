@@ -34,17 +34,17 @@ def test_the_papers_eight_do_not_hang_on_the_poses_or_on_rounding(medrue, scaled
 
 
 def test_the_rest_has_full_rank_and_the_condition_number_that_is_told(scaled):
-    found = eliminate(scaled, [NAMES.index(name) for name in PAPER])
-    rest = np.delete(scaled, found.dropped, axis=1)
+    elimination = eliminate(scaled, [NAMES.index(name) for name in PAPER])
+    rest = np.delete(scaled, elimination.dropped, axis=1)
     assert numerical_rank(rest).rank == rest.shape[1] == 28
     values = np.linalg.svd(rest, compute_uv=False)
-    assert found.conditions[-1] == pytest.approx(values[0] / values[-1], rel=1e-9)
+    assert elimination.conditions[-1] == pytest.approx(values[0] / values[-1], rel=1e-9)
 
 
 def test_without_an_order_every_step_takes_the_smallest_condition_number(scaled):
-    found = eliminate(scaled)
+    elimination = eliminate(scaled)
     left, scaled = list(range(36)), np.linalg.qr(scaled, mode="r")
-    for column, condition in zip(found.dropped, found.conditions, strict=True):
+    for column, condition in zip(elimination.dropped, elimination.conditions, strict=True):
         for other in left:
             rest = scaled[:, [k for k in left if k != other]]
             values = np.linalg.svd(rest, compute_uv=False)

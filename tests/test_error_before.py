@@ -26,16 +26,16 @@ def test_a_best_fit_of_the_base_does_not_explain_it() -> None:
 
 
 def test_signs_and_orders_of_rotation_do_not_explain_it() -> None:
-    found = list(signs(Q[::5]))
-    assert len(found) == 256
-    assert min(fourth.mean for _, fourth in found) > 2 * PRINTED
+    result = list(signs(Q[::5]))
+    assert len(result) == 256
+    assert min(fourth.mean for _, fourth in result) > 2 * PRINTED
     first = errors_of(differences(table3().identified, Q[::5]))
-    assert found[0][1] == first  # all signs as they are
+    assert result[0][1] == first  # all signs as they are
     assert all(fourth.mean > 2 * PRINTED for _, fourth in rotation_orders(Q[::5]).values())
 
 
 def test_other_places_explain_table_2_and_not_table_4() -> None:
     """A coarse part of the places that the module tries."""
-    found = list(placements(step=0.2, turns=4))
-    assert any(second.is_near(error_table(2)["before"]) for second, _ in found)
-    assert min(fourth.mean for _, fourth in found) > 1.5 * PRINTED
+    result = list(placements(step=0.2, turns=4))
+    assert any(second.is_near(error_table(2)["before"]) for second, _ in result)
+    assert min(fourth.mean for _, fourth in result) > 1.5 * PRINTED

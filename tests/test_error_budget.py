@@ -52,17 +52,17 @@ def by_all_orders(before, after, data, members):
     for size in range(k + 1):
         for chosen in combinations(range(k), size):
             values = before.values.copy()
-            for one in chosen:
-                values[members[one]] = after.values[members[one]]
+            for row in chosen:
+                values[members[row]] = after.values[members[row]]
             e = errors_of(before.with_parameters(values), data)
             brings[frozenset(chosen)] = np.mean(np.sum(e**2, axis=1))
-    found = np.zeros(k)
-    for one in range(k):
+    result = np.zeros(k)
+    for row in range(k):
         for chosen, left in brings.items():
-            if one not in chosen:
+            if row not in chosen:
                 weight = factorial(len(chosen)) * factorial(k - len(chosen) - 1) / factorial(k)
-                found[one] += weight * (left - brings[chosen | {one}])
-    return found
+                result[row] += weight * (left - brings[chosen | {row}])
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +80,11 @@ def shares(budget):
 
 
 def test_every_parameter_has_its_cause(mixed):
-    found = dict(zip([p.name for p in mixed[0].nominal.parameters], causes_of(mixed[0].nominal), strict=True))
-    assert found["wrist.rx"] == GEOMETRY
-    assert found["turn.gain"] == found["wrist.sin3"] == GAIN
-    assert found["slide.backlash"] == BACKLASH
-    assert found["turn.curve_sin2"] == CURVES
+    by_name = dict(zip([p.name for p in mixed[0].nominal.parameters], causes_of(mixed[0].nominal), strict=True))
+    assert by_name["wrist.rx"] == GEOMETRY
+    assert by_name["turn.gain"] == by_name["wrist.sin3"] == GAIN
+    assert by_name["slide.backlash"] == BACKLASH
+    assert by_name["turn.curve_sin2"] == CURVES
 
 
 def test_the_parts_add_up_and_are_those_of_all_orders(mixed):
@@ -97,8 +97,8 @@ def test_the_parts_add_up_and_are_those_of_all_orders(mixed):
     causes = [GEOMETRY, GAIN, CURVES, BACKLASH]
     members = [np.array(causes_of(fit.nominal)) == cause for cause in causes]
     expected = by_all_orders(fit.nominal, fit.robot, data, members)
-    found = [shares(budget)[cause].mean_square for cause in causes]
-    np.testing.assert_allclose(found, expected, atol=2e-3 * budget.before)  # errors are not quite linear
+    results = [shares(budget)[cause].mean_square for cause in causes]
+    np.testing.assert_allclose(results, expected, atol=2e-3 * budget.before)  # errors are not quite linear
 
 
 def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
@@ -127,9 +127,9 @@ def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):
     data = fit.validation.data
     radius = np.linalg.norm(nominal.positions(data.joints)[:, 0, :2], axis=1)
     expected = np.mean((radius * 2e-3 * data.joints[:, 0]) ** 2)
-    found = shares(fit.budget)
-    assert found[GAIN].mean_square == pytest.approx(expected, rel=0.03)  # noise: 0.02 of 0.7 mm
-    assert abs(found[GEOMETRY].mean_square) < 0.01 * expected
+    parts = shares(fit.budget)
+    assert parts[GAIN].mean_square == pytest.approx(expected, rel=0.03)  # noise: 0.02 of 0.7 mm
+    assert abs(parts[GEOMETRY].mean_square) < 0.01 * expected
 
 
 def test_on_readings_that_were_used_noise_that_was_fitted_is_set_right(tmp_path):
@@ -137,8 +137,8 @@ def test_on_readings_that_were_used_noise_that_was_fitted_is_set_right(tmp_path)
     geometry, left = [], []
     for seed in range(30):  # nothing is wrong with this robot
         fit = calib.fit(nominal, measured(nominal, 15, seed))
-        found = shares(fit.budget)
-        geometry.append(found[GEOMETRY].mean_square / (3 * SIGMA**2))
+        parts = shares(fit.budget)
+        geometry.append(parts[GEOMETRY].mean_square / (3 * SIGMA**2))
         left.append(fit.budget.after / (3 * SIGMA**2))
         assert fit.budget.used
     fitted = int(np.sum(fit.free)) / 45
@@ -153,23 +153,23 @@ def test_the_advice_is_only_as_sure_as_the_noise_is_known(tmp_path, stated, repe
     nominal = arm(tmp_path, "", sigma="20 um" if stated else "")
     truth = nominal.with_parameters({"slide.y": 1e-3, "wrist.rx": 2e-3})
     fit = calib.fit(nominal, measured(truth, 80, 5, repeats=repeats))
-    found = shares(fit.budget)
+    parts = shares(fit.budget)
     if repeats == 1 and not stated:
-        assert set(found) == {GEOMETRY, REST}
+        assert set(parts) == {GEOMETRY, REST}
         assert "cannot be known" in fit.budget.advice
         assert to_dict(fit)["error_budget"]["noise_from"] is None
     else:
         known = "repeatability" if repeats > 1 else "the stated noise"
         assert f"The rest is as large as {known}" in fit.budget.advice
-        assert found[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=0.2 if repeats > 1 else 1e-9)
+        assert parts[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=0.2 if repeats > 1 else 1e-9)
 
 
 def test_what_no_parameter_can_explain_is_found_as_such(tmp_path):
     truth = arm(tmp_path, "  - {joint: wrist, term: harmonics, orders: [7]}\n").with_parameters({"wrist.sin7": 2e-3})
     fit = calib.fit(arm(tmp_path, ""), measured(truth, 100, 6), validation=measured(truth, 200, 7))
-    found = shares(fit.budget)[UNEXPLAINED]
-    assert found.mean_square > 5 * found.std
-    assert found.mean_square > 5 * shares(fit.budget)[NOISE].mean_square
+    parts = shares(fit.budget)[UNEXPLAINED]
+    assert parts.mean_square > 5 * parts.std
+    assert parts.mean_square > 5 * shares(fit.budget)[NOISE].mean_square
     assert "more modelling may help" in fit.budget.advice
 
 
@@ -177,8 +177,8 @@ def test_a_base_that_was_placed_before_explains_nothing_more(tmp_path):
     nominal = arm(tmp_path, "", ARM_YAML.replace("{frame: ground}", "{frame: ground, pose: unknown}"))
     truth = nominal.with_parameters({"base.x": 0.02, "base.rz": 0.3, "slide.y": 1e-3, "wrist.rx": 2e-3})
     fit = calib.fit(nominal, measured(truth, 80, 5))
-    found = shares(fit.budget)
-    assert abs(found[PLACES].mean_square) < 0.02 * fit.budget.before
+    parts = shares(fit.budget)
+    assert abs(parts[PLACES].mean_square) < 0.02 * fit.budget.before
 
 
 def test_what_an_unknown_base_and_the_first_joint_share_does_not_move_the_split(tmp_path):
@@ -188,8 +188,8 @@ def test_what_an_unknown_base_and_the_first_joint_share_does_not_move_the_split(
         nominal = arm(tmp_path, "", unknown + held)
         truth = nominal.with_parameters({"turn.z": 3e-3, "turn.ry": 2e-3, "slide.y": 1e-3, "wrist.rx": 2e-3})
         fit = calib.fit(nominal, measured(truth, 100, 5), validation=measured(truth, 100, 6))
-        found = shares(fit.budget)
-        parts.append([found[GEOMETRY].mean_square, found[PLACES].mean_square, found[GEOMETRY].std])
+        result = shares(fit.budget)
+        parts.append([result[GEOMETRY].mean_square, result[PLACES].mean_square, result[GEOMETRY].std])
     np.testing.assert_allclose(parts[0], parts[1], rtol=0.05, atol=0.01 * fit.budget.before)
 
 

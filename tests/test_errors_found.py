@@ -61,32 +61,32 @@ def test_a_row_of_a_table_is_mean_max_rms_std_95_percent_and_the_axes():
 
 
 def test_readings_that_repeat_a_pose_count_once_by_their_mean(tmp_path):
-    found = errors_of(small_arm(tmp_path), ["a", "b", "a"], tip=[[1e-3, 0, 0], [0, 2e-3, 0], [3e-3, 0, 4e-3]])
-    np.testing.assert_allclose(found.errors("after"), [[2e-3, 0, 2e-3], [0, 2e-3, 0]])
-    assert found.errors("after", single=True).shape == (3, 3)
-    table = found.table()
+    errors = errors_of(small_arm(tmp_path), ["a", "b", "a"], tip=[[1e-3, 0, 0], [0, 2e-3, 0], [3e-3, 0, 4e-3]])
+    np.testing.assert_allclose(errors.errors("after"), [[2e-3, 0, 2e-3], [0, 2e-3, 0]])
+    assert errors.errors("after", single=True).shape == (3, 3)
+    table = errors.table()
     assert table["after"]["max"] == pytest.approx(2 * np.sqrt(2))
     assert table["before"]["max"] == pytest.approx(20 * np.sqrt(2))
 
 
 def test_every_instrument_has_a_table_of_its_own(tmp_path):
     robot = calib.load(write_arm(tmp_path, TWO))
-    found = errors_of(robot, ["a", "b"], tracker=[[1e-3, 0, 0], GAP], arm=[[0, 2e-3, 0], [0, 0, 4e-3]])
-    tables = found.tables()
+    errors = errors_of(robot, ["a", "b"], tracker=[[1e-3, 0, 0], GAP], arm=[[0, 2e-3, 0], [0, 0, 4e-3]])
+    tables = errors.tables()
     assert list(tables) == ["tracker", "arm"]
     assert tables["tracker"]["position"]["after"]["max"] == pytest.approx(1.0)
     assert tables["arm"]["position"]["after"]["mean"] == pytest.approx(3.0)
-    assert found.table()["after"]["mean"] == pytest.approx((1 + 2 + 4) / 3)  # all three readings
-    assert found.errors("after", "orientation").shape == (0, 3)
+    assert errors.table()["after"]["mean"] == pytest.approx((1 + 2 + 4) / 3)  # all three readings
+    assert errors.errors("after", "orientation").shape == (0, 3)
 
 
 def test_an_instrument_that_read_nothing_has_no_table(tmp_path):
     robot = calib.load(write_arm(tmp_path, TWO))
-    found = errors_of(robot, ["a", "b"], arm=[[0, 2e-3, 0], [0, 0, 4e-3]])
-    assert list(found.tables()) == ["arm"]
+    errors = errors_of(robot, ["a", "b"], arm=[[0, 2e-3, 0], [0, 0, 4e-3]])
+    assert list(errors.tables()) == ["arm"]
 
 
 def test_errors_are_copies_that_nobody_can_write_to(tmp_path):
-    found = errors_of(small_arm(tmp_path), ["a"], tip=[[1e-3, 0, 0]])
+    errors = errors_of(small_arm(tmp_path), ["a"], tip=[[1e-3, 0, 0]])
     with pytest.raises(ValueError, match="read-only"):
-        found.after["tip"][0] = 1
+        errors.after["tip"][0] = 1

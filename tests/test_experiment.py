@@ -122,9 +122,9 @@ def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame() -> None:
     far = np.array([[0.6, 0.5, 0.1]])
     errors = [measure(far, 4e-5, 5, np.random.default_rng(k)).positions[0] - far[0] for k in range(400)]
     own = 4e-5 / np.sqrt(5)
-    found = np.sqrt(np.var(errors, axis=0, ddof=1) - own**2)
+    scatter = np.sqrt(np.var(errors, axis=0, ddof=1) - own**2)
     stated = measure(far, 4e-5, 5, np.random.default_rng(0)).frame_sigma
-    assert abs(found.max() / stated - 1) < 0.2  # 400 draws of a sum of two variances: about 5 percent
+    assert abs(scatter.max() / stated - 1) < 0.2  # 400 draws of a sum of two variances: about 5 percent
 
 
 def test_the_tracker_s_frame_is_not_the_world() -> None:
@@ -189,8 +189,8 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Exp
 def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
     """Without imperfections nothing is mostly along x, and no size was chosen for anything."""
     noise = experiment.causes["tracker noise alone"][:1]
-    one = tuple(replace(draw, after=np.tile(draw.after, (2, 1, 1))) for draw in noise)
-    nothing = replace(experiment, imperfections=NONE, draws=one, causes={"tracker noise alone": one})
+    single = tuple(replace(draw, after=np.tile(draw.after, (2, 1, 1))) for draw in noise)
+    nothing = replace(experiment, imperfections=NONE, draws=single, causes={"tracker noise alone": single})
     text = " ".join(experiment_findings(nothing))
     assert "mostly" not in text
     assert "What the paper's model leaves: x 3" in text
@@ -226,10 +226,10 @@ def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None
 def test_the_command_writes_every_table_and_figure_and_one_page(
     experiment: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    asked = []
+    requests = []
 
     def known(_robot, _extended, draws, seed, _executor, _progress, imperfections, counts):
-        asked.append((draws, seed, imperfections.backlash, counts))
+        requests.append((draws, seed, imperfections.backlash, counts))
         return experiment
 
     monkeypatch.setattr("medrue.experiment.run_experiment", known)
@@ -237,7 +237,7 @@ def test_the_command_writes_every_table_and_figure_and_one_page(
     arguments = ("experiment", "--quick", "--jobs", "1", "--out", str(out), "--seed", "5", "--backlash-mm", "0.8")
     run = CliRunner().invoke(group, arguments)
     assert run.exit_code == 0, run.output
-    assert asked == [(QUICK_DRAWS, 5, pytest.approx(0.8e-3), QUICK_COUNTS)]
+    assert requests == [(QUICK_DRAWS, 5, pytest.approx(0.8e-3), QUICK_COUNTS)]
     assert "Table IV" in run.output
     assert "mostly along x" in run.output
     tables = {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}

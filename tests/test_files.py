@@ -182,7 +182,7 @@ def test_a_folder_whose_writing_fails_is_left_as_it_was(tmp_path, monkeypatch, f
     write_folder(out, {"result.json": b"old", "other": b"mine"})
     renames, moments = [], {"taking the place": 1, "setting aside": 2, "replacing": 3}
     rename, write_bytes = Path.rename, Path.write_bytes
-    monkeypatch.setattr(replacing, "exchange", lambda one, other: False)
+    monkeypatch.setattr(replacing, "exchange", lambda item, other: False)
 
     def failing_rename(self, target):
         renames.append(self)
@@ -228,8 +228,8 @@ def test_writing_that_is_ended_before_any_of_its_lines_leaves_the_old_or_the_new
     assert done.returncode == 0, done.stdout + done.stderr
     counted = json.loads(done.stdout)
     assert len(counted) == 8
-    for found in counted.values():
-        assert min(found["old"], found["new"]) >= 3 / amount  # it was ended before and after the one step that counts
+    for item in counted.values():
+        assert min(item["old"], item["new"]) >= 3 / amount  # it was ended before and after the one step that counts
 
 
 WRITERS = """

@@ -43,11 +43,11 @@ pytestmark = pytest.mark.usefixtures("without_pages")
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):
     data = noisy(arm, joints(60), SIGMA, 1)
-    found, stated = calib.fit(arm, data), calib.fit(arm, data, sigma=3e-4)
-    np.testing.assert_allclose(found.robot.values, stated.robot.values, atol=1e-9)
-    assert found.sigma == pytest.approx(stated.sigma)
-    assert found.sigma_stated is None
-    assert found.chi_square is None
+    fitted, stated = calib.fit(arm, data), calib.fit(arm, data, sigma=3e-4)
+    np.testing.assert_allclose(fitted.robot.values, stated.robot.values, atol=1e-9)
+    assert fitted.sigma == pytest.approx(stated.sigma)
+    assert fitted.sigma_stated is None
+    assert fitted.chi_square is None
     assert stated.chi_square.value == pytest.approx(154 * (stated.sigma / 3e-4) ** 2)
 
 
@@ -73,10 +73,10 @@ def test_the_noise_of_a_weighted_mean_is_that_of_its_readings(arm):
     by_covariance = replace(data.readings["ball"], covariance=np.tile(1e-10 * np.eye(3), (40, 1, 1)))
     lighter = by_covariance.covariance.copy()
     lighter[3] /= 9
-    one = calib.fit(arm, replace(data, readings={"ball": replace(by_covariance, covariance=lighter)}))
+    fitted = calib.fit(arm, replace(data, readings={"ball": replace(by_covariance, covariance=lighter)}))
     nine = calib.fit(arm, measurements(arm, q_repeated, repeated))  # names differ: nine poses that look alike
-    np.testing.assert_allclose(one.robot.values, nine.robot.values, atol=1e-8)
-    assert nine.statistics.freedom == pytest.approx(one.statistics.freedom + 24)
+    np.testing.assert_allclose(fitted.robot.values, nine.robot.values, atol=1e-8)
+    assert nine.statistics.freedom == pytest.approx(fitted.statistics.freedom + 24)
 
 
 def test_rotating_the_frame_of_a_robust_fit_changes_nothing(tmp_path):

@@ -72,7 +72,7 @@ def folder(fit, tmp_path_factory):
 
 
 def rms_of(fit, tip):
-    data = [(one.data.joints, one.data.points(fit.nominal)[:, 0]) for one in (fit.identification, fit.validation)]
+    data = [(item.data.joints, item.data.points(fit.nominal)[:, 0]) for item in (fit.identification, fit.validation)]
     return held_out(tip, fit.nominal, *data)
 
 
@@ -94,7 +94,7 @@ def test_files_that_hold_more_get_more(fit, folder, tmp_path):
     for file_format in ("joint-tables", "joint-offsets"):
         calib.export(robot, file_format, tmp_path / file_format)
         errors[file_format] = rms_of(fit, in_file(robot, file_format, tmp_path / file_format))
-    known = {holds: one.accuracy.rms for holds, one in robot.files.items()}
+    known = {holds: file.accuracy.rms for holds, file in robot.files.items()}
     assert errors["joint-tables"] == pytest.approx(known[Holds.TABLES], rel=0.03)
     assert errors["joint-offsets"] == pytest.approx(known[Holds.ZEROS], rel=0.03)
     assert known[Holds.EVERYTHING] < known[Holds.TABLES] < known[Holds.ORIGINS] < known[Holds.ZEROS]
@@ -132,11 +132,11 @@ def test_the_result_holds_these_robots_and_how_sure_they_are(fit, folder):
         np.testing.assert_allclose(uncertainty.covariance, own.covariance.values, rtol=1e-12)
         assert uncertainty.coverage_factor == pytest.approx(own.statistics.coverage_factor, rel=1e-12)
     assert list(loaded.robot.files) == list(read_names(folder)) == [h for h in Holds if h is not Holds.TO_LAST_AXIS]
-    for holds, one in loaded.robot.files.items():
-        stated, found = one.accuracy, fit.robot.files[holds].accuracy
+    for holds, file in loaded.robot.files.items():
+        stated, result = file.accuracy, fit.robot.files[holds].accuracy
         assert (stated.poses, stated.n_poses, stated.part) == (SeenAt.VALIDATION, 40, "position")
-        assert (stated.rms, stated.limit95, stated.before) == pytest.approx((found.rms, found.limit95, found.before))
-        np.testing.assert_allclose(one.offsets, fit.robot.files[holds].offsets, rtol=1e-14, atol=1e-17)
+        assert (stated.rms, stated.limit95, stated.before) == pytest.approx((result.rms, result.limit95, result.before))
+        np.testing.assert_allclose(file.offsets, fit.robot.files[holds].offsets, rtol=1e-14, atol=1e-17)
 
 
 def read_names(folder):
@@ -176,8 +176,8 @@ def test_a_fit_without_terms_follows_the_choices_of_the_one_with_them(tmp_path, 
     assert (own.loss, own.sigma_given, own.seed, own.starts.total, own.folds.count) == ("huber", 3e-5, 4, 2, 3)
     assert own.identification.data.names == fit.identification.data.names
     assert "7" not in own.identification.data.names
-    judged = fit.robot.files[Holds.ORIGINS].accuracy
-    assert (judged.poses, judged.n_poses) == (SeenAt.FOLDS, own.identification.data.n_poses)
+    accuracy = fit.robot.files[Holds.ORIGINS].accuracy
+    assert (accuracy.poses, accuracy.n_poses) == (SeenAt.FOLDS, own.identification.data.n_poses)
 
 
 def test_a_robot_whose_joints_are_only_off_by_zeros_gets_them_back(tmp_path, true_tip):
@@ -222,10 +222,10 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     assert [values[name] for name in behind] == [held.parameters[name].nominal_si for name in behind]
     calib.export(robot, "ur-kinematics", tmp_path / "kinematics.yaml")
     q = test[:5]
-    found = in_file(nominal, "ur-kinematics", tmp_path / "kinematics.yaml")(q)
+    result = in_file(nominal, "ur-kinematics", tmp_path / "kinematics.yaml")(q)
     base = nominal.description.base.frame
     expected = np.linalg.inv(held.forward(q, base)) @ held.forward(q, "left_tool")
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(result, expected, atol=1e-9)
     dropped = fit.robot.with_parameters({name: nominal.parameters[name].nominal_si for name in behind})
     left = np.sqrt(np.mean(np.sum((dropped.positions(test) - true.positions(test)) ** 2, axis=2)))
     assert robot.files[Holds.TO_LAST_AXIS].accuracy.rms < 0.9 * left
@@ -297,21 +297,21 @@ def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):
     calib.export(fit.robot, "urdf", tmp_path / "x.urdf", force=True)
     tip = in_file(arm, "urdf", tmp_path / "x.urdf")
     file, nominal = (
-        np.sqrt(np.mean(np.sum(((one(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - test.points(arm)[:, 0]) ** 2, 1)))
-        for one in (tip, tip_of(urdf_links(arm.urdf.source), arm))
+        np.sqrt(np.mean(np.sum(((item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - test.points(arm)[:, 0]) ** 2, 1)))
+        for item in (tip, tip_of(urdf_links(arm.urdf.source), arm))
     )
-    judged = fit.robot.files[Holds.ORIGINS].accuracy
-    assert (judged.rms, judged.before) == pytest.approx((file, nominal), rel=1e-6)
+    accuracy = fit.robot.files[Holds.ORIGINS].accuracy
+    assert (accuracy.rms, accuracy.before) == pytest.approx((file, nominal), rel=1e-6)
     assert file > nominal
 
 
 def test_a_larger_error_is_enough_and_rounding_is_not():
-    def judged(rms, before):
+    def judgement(rms, before):
         return Accuracy(SeenAt.VALIDATION, 20, "position", "length", before, rms, np.nan)
 
-    assert why_withheld(judged(1.01e-4, 1e-4)).startswith("it is worse than the nominal robot: 0.1010 mm RMS")
-    assert why_withheld(judged(1e-4, 1e-4)) == why_withheld(judged(1e-4 * (1 + 1e-9), 1e-4)) == ""
-    assert why_withheld(judged(1e-12, 0.0)) == ""  # computed without noise
+    assert why_withheld(judgement(1.01e-4, 1e-4)).startswith("it is worse than the nominal robot: 0.1010 mm RMS")
+    assert why_withheld(judgement(1e-4, 1e-4)) == why_withheld(judgement(1e-4 * (1 + 1e-9), 1e-4)) == ""
+    assert why_withheld(judgement(1e-12, 0.0)) == ""  # computed without noise
 
 
 def test_a_result_of_an_earlier_version_loads_and_says_what_it_lacks(folder, run_calib, tmp_path):
@@ -390,9 +390,9 @@ def test_terms_that_stay_at_zero_are_no_loss(tmp_path, true_tip):
 def test_a_fit_that_starts_from_a_result_is_held_against_the_nominal_robot(fit, folder):
     again = calib.fit(calib.load(folder), fit.identification.data, validation=fit.validation.data)
     assert again.validation.rms("before") < 3 * SIGMA  # the robot of the result
-    judged = again.robot.files[Holds.ORIGINS].accuracy
-    assert judged.before == pytest.approx(fit.validation.rms("before"), rel=1e-6)
-    assert judged.rms == pytest.approx(fit.robot.files[Holds.ORIGINS].accuracy.rms, rel=1e-3)
+    accuracy = again.robot.files[Holds.ORIGINS].accuracy
+    assert accuracy.before == pytest.approx(fit.validation.rms("before"), rel=1e-6)
+    assert accuracy.rms == pytest.approx(fit.robot.files[Holds.ORIGINS].accuracy.rms, rel=1e-3)
 
 
 def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
@@ -410,9 +410,9 @@ def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
     fit = calib.fit(robot, train, validation=test)
     fit.save(tmp_path / "out", pages=False)
     alone = calib.fit(medrue, train, validation=test)
-    judged = {holds: one.accuracy.rms for holds, one in calib.load(tmp_path / "out").files.items()}
-    assert judged[Holds.ORIGINS] == pytest.approx(alone.validation.rms("after"), rel=1e-4)
-    assert judged[Holds.EVERYTHING] < judged[Holds.ORIGINS] < judged[Holds.ZEROS]
+    by_name = {holds: file.accuracy.rms for holds, file in calib.load(tmp_path / "out").files.items()}
+    assert by_name[Holds.ORIGINS] == pytest.approx(alone.validation.rms("after"), rel=1e-4)
+    assert by_name[Holds.EVERYTHING] < by_name[Holds.ORIGINS] < by_name[Holds.ZEROS]
     (tmp_path / "again").mkdir()
     shutil.copy(tmp_path / "out" / "calibrated.urdf", tmp_path / "again" / "medrue.urdf")
     (tmp_path / "again" / "medrue.yaml").write_text(text)

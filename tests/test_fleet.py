@@ -22,13 +22,13 @@ def told_exactly(u, sure=1e10):
 
 def test_mean_and_spread_of_robots_that_are_known_exactly():
     u = np.random.default_rng(0).standard_normal((R, N)) * [0.1, 0.1, 0.1, 0.4, 0.4, 0.4]
-    found = learn([told_exactly(one) for one in u], np.array([0, 0, 0, 1, 1, 1]))
-    variance = found.variance * (found.freedom - 2) / found.freedom
+    learned = learn([told_exactly(values) for values in u], np.array([0, 0, 0, 1, 1, 1]))
+    variance = learned.variance * (learned.freedom - 2) / learned.freedom
     precision = 1 + R / variance  # of a mean that is expected to be N(0, 1)
-    np.testing.assert_allclose(found.mean, u.sum(axis=0) / variance / precision, rtol=1e-3)
-    np.testing.assert_allclose(np.diag(found.covariance), 1 / precision, rtol=1e-3)
+    np.testing.assert_allclose(learned.mean, u.sum(axis=0) / variance / precision, rtol=1e-3)
+    np.testing.assert_allclose(np.diag(learned.covariance), 1 / precision, rtol=1e-3)
     typical = np.repeat([np.exp(np.mean(np.log(variance[:3]))), np.exp(np.mean(np.log(variance[3:])))], 3)
-    squares = np.sum((u - found.mean) ** 2, axis=0)
+    squares = np.sum((u - learned.mean) ** 2, axis=0)
     np.testing.assert_allclose(variance, (4 * typical + squares) / (4 + R - R / variance / R / precision * R), rtol=0.1)
 
 
@@ -36,13 +36,13 @@ def test_given_the_spreads_mean_and_covariance_are_those_of_the_dense_normal_mod
     rng = np.random.default_rng(1)
     jacobians = [rng.standard_normal((4, N)) for _ in range(3)]  # each shows four directions of six
     data = [rng.standard_normal(4) for _ in jacobians]
-    found = learn([Told(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)], np.zeros(N, dtype=int))
-    variance = found.variance * (found.freedom - 2) / found.freedom
+    learned = learn([Told(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)], np.zeros(N, dtype=int))
+    variance = learned.variance * (learned.freedom - 2) / learned.freedom
     blocks = [np.linalg.inv(j @ np.diag(variance) @ j.T + np.eye(4)) for j in jacobians]
     dense = np.linalg.inv(np.eye(N) + sum(j.T @ b @ j for j, b in zip(jacobians, blocks, strict=True)))
-    np.testing.assert_allclose(found.covariance, dense, rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(learned.covariance, dense, rtol=2e-3, atol=1e-6)
     pulled = sum(j.T @ b @ y for j, b, y in zip(jacobians, blocks, data, strict=True))
-    np.testing.assert_allclose(found.mean, dense @ pulled, rtol=5e-3, atol=1e-4)
+    np.testing.assert_allclose(learned.mean, dense @ pulled, rtol=5e-3, atol=1e-4)
 
 
 def test_what_the_data_say_alone_is_what_is_left_of_an_estimate_without_its_prior():
@@ -50,18 +50,18 @@ def test_what_the_data_say_alone_is_what_is_left_of_an_estimate_without_its_prio
     j, y, mean = rng.standard_normal((4, N)), rng.standard_normal(4), rng.standard_normal(N)
     covariance = np.linalg.inv(j.T @ j + 2 * np.eye(N))
     estimate = covariance @ (j.T @ y + 2 * mean)
-    found = told_by(covariance, estimate, 2 * np.eye(N), mean, 1e9)
-    np.testing.assert_allclose(found.precision, j.T @ j, atol=1e-7)
-    np.testing.assert_allclose(found.pull, j.T @ y, atol=1e-7)
+    result = told_by(covariance, estimate, 2 * np.eye(N), mean, 1e9)
+    np.testing.assert_allclose(result.precision, j.T @ j, atol=1e-7)
+    np.testing.assert_allclose(result.pull, j.T @ y, atol=1e-7)
 
 
 def test_one_wrong_result_is_left_out_and_changes_nothing():
     u = 0.2 * np.random.default_rng(3).standard_normal((R, 12)) + 0.5
     wrong = np.vstack([u, u[0] + 3.0 * np.eye(12)[4]])  # fifteen spreads, in one parameter
-    whole, odd, _ = learn_without_odd([told_exactly(one, 1e6) for one in wrong], np.zeros(12, dtype=int))
+    whole, odd, _ = learn_without_odd([told_exactly(values, 1e6) for values in wrong], np.zeros(12, dtype=int))
     assert odd == (R,)
     np.testing.assert_allclose(whole.mean, learn([told_exactly(o, 1e6) for o in u], np.zeros(12, dtype=int)).mean)
-    assert learn_without_odd([told_exactly(one, 1e6) for one in u], np.zeros(12, dtype=int))[1] == ()
+    assert learn_without_odd([told_exactly(values, 1e6) for values in u], np.zeros(12, dtype=int))[1] == ()
 
 
 def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody_else():
@@ -70,7 +70,7 @@ def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody
     for _ in range(20):
         u = 0.05 * rng.standard_normal((5, 12)) + rng.standard_normal(12)
         scatter = 0.05 * np.exp(0.5 * rng.standard_normal(12)) / np.sqrt(1000.0)  # noise, of other sizes
-        told = [Told(np.diag(scatter**-2), (one + scatter * rng.standard_normal(12)) / scatter**2) for one in u]
+        told = [Told(np.diag(scatter**-2), (values + scatter * rng.standard_normal(12)) / scatter**2) for values in u]
         alarms += bool(learn_without_odd(told, np.zeros(12, dtype=int))[1])
         far = u[0] + 10 * (u[0] - u.mean(axis=0))
         told[0] = Told(told[0].precision, far / scatter**2)
@@ -127,9 +127,9 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
     done = run(*folders, "--out", files[0], "--html", files[1], "--json", files[2])
     assert done.exit_code == 0, done.output
     told = json.loads(files[2].read_text())
-    assert [one["odd"] for one in told["robots"]] == [True, False, False, False]
+    assert [member["odd"] for member in told["robots"]] == [True, False, False, False]
     assert [robot["name"] for robot in told["robots"]] == ["robot_1", "robot_2", "robot_3", "robot_4"]
-    assert [robot["folder"] for robot in told["robots"]] == [str(one) for one in folders]
+    assert [robot["folder"] for robot in told["robots"]] == [str(member) for member in folders]
     page = files[1].read_text().partition('<h2 id="provenance"')[0]
     assert str(folder) not in page
     assert "UNLIKE the others" in page
@@ -148,12 +148,12 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
 def check_minimum(fit, known, data):
     """The fit is where readings and the joint normal prior of the file, multiplied, are most likely."""
     fleet = known.description.fleet
-    spreads = np.array([float(one.spread) for one in fleet.parameters.values()])
-    unsure = np.array([one.unsure for one in fleet.parameters.values()])
+    spreads = np.array([float(parameter.spread) for parameter in fleet.parameters.values()])
+    unsure = np.array([parameter.unsure for parameter in fleet.parameters.values()])
     inverse = np.linalg.inv(np.outer(spreads, spreads) * (np.eye(len(spreads)) + unsure @ unsure.T))
     place = [known.parameters.index(known.parameters[name]) for name in fleet.parameters]
     mean = np.array([known.parameters[k].nominal_si for k in place])
-    mean += [float(one.offset) for one in fleet.parameters.values()]
+    mean += [float(parameter.offset) for parameter in fleet.parameters.values()]
     target = [(k, p) for k, p in enumerate(known.parameters) if p.placement and p.prior]
     read = data.readings["reflector"].values
 

@@ -52,12 +52,12 @@ class Gradients:
         return rates
 
     def _of_casadi(self, q, given):
-        one = self.library.MX.sym("q", q.shape[1])
+        symbol = self.library.MX.sym("q", q.shape[1])
         rates = []
         for k, commands in enumerate(q):
             here = {name: self.library.DM(np.atleast_1d(value[k])) for name, value in given.items()}
-            pose = self.library.vec(self.module.forward(one, **here))
-            slope = self.library.Function("slope", [one], [self.library.jacobian(pose, one)])
+            pose = self.library.vec(self.module.forward(symbol, **here))
+            slope = self.library.Function("slope", [symbol], [self.library.jacobian(pose, symbol)])
             rates.append(np.array(slope(commands)).reshape(4, 4, -1).swapaxes(0, 1))
         return np.array(rates)
 

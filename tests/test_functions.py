@@ -89,10 +89,10 @@ def distance(case):
     columns = term_columns(case.robot, case.q, case.context)
     at = configured(case.robot, case.q, case.robot.close(case.q, columns=columns), columns)
     known = np.isfinite(at.slope).all(axis=(1, 2))
-    found = np.zeros(len(known))
+    values = np.zeros(len(known))
     if known.any():
-        found[known] = calib.robots.closure.singular_values(case.robot.mechanism, at.slope[known])
-    return found
+        values[known] = calib.robots.closure.singular_values(case.robot.mechanism, at.slope[known])
+    return values
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
@@ -123,12 +123,12 @@ def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     some = some[((case.q[some] >= lower) & (case.q[some] <= upper)).all(axis=1)]
     goals, context = case.truth[0][some], case.context.at(some)
     q = case.of(language).inverse(goals, near(case.robot, case.q[some]), context)
-    found = np.isfinite(q).all(axis=1)
-    assert np.array_equal(np.isnan(q).all(axis=1), ~found)
-    assert found.mean() > 0.9
-    assert ((q[found] >= lower) & (q[found] <= upper)).all()
-    there = poses_of_engine(case.robot, q[found], context.at(np.flatnonzero(found)))
-    assert np.abs(there - goals[found]).max() < 2e-10
+    result = np.isfinite(q).all(axis=1)
+    assert np.array_equal(np.isnan(q).all(axis=1), ~result)
+    assert result.mean() > 0.9
+    assert ((q[result] >= lower) & (q[result] <= upper)).all()
+    there = poses_of_engine(case.robot, q[result], context.at(np.flatnonzero(result)))
+    assert np.abs(there - goals[result]).max() < 2e-10
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

@@ -47,8 +47,8 @@ def test_blocks_do_not_depend_on_the_order_of_rows_and_columns():
     for _ in range(20):
         row, column = rng.permutation(10), rng.permutation(10)
         rows, columns = blocks(pattern[row][:, column])
-        found = {
+        result = {
             (frozenset(row[r].tolist()), frozenset(column[c].tolist())) for r, c in zip(rows, columns, strict=True)
         }
-        wanted = {frozenset(range(end - size, end)) for end, size in zip(ends, sizes, strict=True)}
-        assert found == {(part, part) for part in wanted}
+        expected = {frozenset(range(end - size, end)) for end, size in zip(ends, sizes, strict=True)}
+        assert result == {(part, part) for part in expected}

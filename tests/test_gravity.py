@@ -67,9 +67,9 @@ def unit(vectors):
 def sensor_axes(q):
     """How the link `upper` is turned in the base, (n, 3, 3): about z, then y."""
     c, s = np.cos(q), np.sin(q)
-    zero, one = np.zeros(len(q)), np.ones(len(q))
-    turn = np.array([[c[:, 0], -s[:, 0], zero], [s[:, 0], c[:, 0], zero], [zero, zero, one]])
-    lift = np.array([[c[:, 1], zero, s[:, 1]], [zero, one, zero], [-s[:, 1], zero, c[:, 1]]])
+    zero, ones = np.zeros(len(q)), np.ones(len(q))
+    turn = np.array([[c[:, 0], -s[:, 0], zero], [s[:, 0], c[:, 0], zero], [zero, zero, ones]])
+    lift = np.array([[c[:, 1], zero, s[:, 1]], [zero, ones, zero], [-s[:, 1], zero, c[:, 1]]])
     return np.einsum("abn,bcn->nac", turn, lift)
 
 
@@ -171,8 +171,8 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     assert fit.converged
     known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
     (x, y), std = fit.robot.values[-2:], np.array([known["gravity.rx"], known["gravity.ry"]])
-    found = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]) @ [-np.sin(y), 0, -np.cos(y)]
-    assert np.linalg.norm(found - down) < 4 * np.linalg.norm(std) < 0.05
+    result = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]) @ [-np.sin(y), 0, -np.cos(y)]
+    assert np.linalg.norm(result - down) < 4 * np.linalg.norm(std) < 0.05
     assert fit.robot.values[robot.coefficients][:3] == pytest.approx(given, rel=0.1)
     fit.save(tmp_path / "out", pages=False)
     again = calib.load(tmp_path / "out")

@@ -17,7 +17,7 @@ from calib.photographs.shared_errors import Noise
 
 
 def codes(result):
-    return [one.code for one in result.mistakes]
+    return [mistake.code for mistake in result.mistakes]
 
 
 @pytest.mark.parametrize("mount", ["tool", "base"])
@@ -25,75 +25,75 @@ def test_camera_board_and_mount_are_found_without_any_guess(mount):
     exact = scene(8, mount, noise=0.0)
     begin = starts.start(exact, INTRINSICS)
     assert begin.scene.mount == mount
-    found = solve(begin.scene, begin.placed, (), Noise())
-    assert np.allclose(found.camera, CAMERA[mount], atol=1e-9)
-    assert np.allclose(found.board, BOARD[mount], atol=1e-9)
+    solution = solve(begin.scene, begin.placed, (), Noise())
+    assert np.allclose(solution.camera, CAMERA[mount], atol=1e-9)
+    assert np.allclose(solution.board, BOARD[mount], atol=1e-9)
 
 
 def test_derivatives_agree_with_central_differences():
     for mount in ("tool", "base"):
-        one = scene(3, mount, noise=0.5, shift=1e-3)
+        view = scene(3, mount, noise=0.5, shift=1e-3)
         placed = Placed(CAMERA[mount], BOARD[mount], INTRINSICS, 1.01)
         free, h = (0, 1, 2, 3, 4, 5), 1e-6
-        _, by_unknown, by_error = rows(one, placed, free, scaled=True)
+        _, by_unknown, by_error = rows(view, placed, free, scaled=True)
         for k in range(19):
             step = np.zeros(19)
             step[k] = h
-            ahead, back = (residuals(one, placed.moved(sign * step, free)) for sign in (1, -1))
+            ahead, back = (residuals(view, placed.moved(sign * step, free)) for sign in (1, -1))
             assert np.allclose(by_unknown[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
         for k in range(6):
             twist = np.zeros(6)
             twist[k] = h
-            turned = [one.tool @ pose(sign * twist[:3], np.rad2deg(sign * twist[3:])) for sign in (1, -1)]
-            ahead, back = (residuals(replace(one, tool=tool), placed) for tool in turned)
+            turned = [view.tool @ pose(sign * twist[:3], np.rad2deg(sign * twist[3:])) for sign in (1, -1)]
+            ahead, back = (residuals(replace(view, tool=tool), placed) for tool in turned)
             assert np.allclose(by_error[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
 
 
 def test_plain_least_squares_is_that_of_scipy():
-    one = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
+    view = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
     begin = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    ours = estimate(one, begin, ())
+    ours = estimate(view, begin, ())
 
     def errors(x):
         camera, board = (pose(x[k : k + 3], np.rad2deg(x[k + 3 : k + 6])) for k in (0, 6))
-        at = np.linalg.inv(CAMERA["tool"] @ camera) @ np.linalg.inv(one.tool) @ BOARD["tool"] @ board
-        points = np.einsum("kab,kb->ka", at[one.image, :3, :3], one.body) + at[one.image, :3, 3]
-        return (pixels_of(points) - one.pixels).ravel()
+        at = np.linalg.inv(CAMERA["tool"] @ camera) @ np.linalg.inv(view.tool) @ BOARD["tool"] @ board
+        points = np.einsum("kab,kb->ka", at[view.image, :3, :3], view.body) + at[view.image, :3, 3]
+        return (pixels_of(points) - view.pixels).ravel()
 
     other = least_squares(errors, np.zeros(12), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    assert rms(residuals(one, ours.placed)) == pytest.approx(np.sqrt(2 * other.cost / len(one.pixels)), rel=1e-9)
+    assert rms(residuals(view, ours.placed)) == pytest.approx(np.sqrt(2 * other.cost / len(view.pixels)), rel=1e-9)
 
 
 def test_an_image_left_out_is_predicted_by_a_fit_of_the_others():
-    one = scene(6, "tool", noise=0.4, shift=5e-4)
-    whole = estimate(one, Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
+    view = scene(6, "tool", noise=0.4, shift=5e-4)
+    whole = estimate(view, Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
     others = np.arange(6) != 2
-    alone = estimate(one.only(others), whole.placed, ())
-    without = left_out(one, whole.placed, (), whole.weights)[2]
+    alone = estimate(view.only(others), whole.placed, ())
+    without = left_out(view, whole.placed, (), whole.weights)[2]
     assert np.allclose(without.camera, alone.placed.camera, atol=1e-9)
 
 
 def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
-    one = scene(2, "tool", noise=0.0)
+    view = scene(2, "tool", noise=0.0)
     placed = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    assert np.max(np.abs(on_board(one, placed))) < 1e-9
-    moved = replace(one, body=one.body + np.array([1e-3, -2e-3, 0.0]))
+    assert np.max(np.abs(on_board(view, placed))) < 1e-9
+    moved = replace(view, body=view.body + np.array([1e-3, -2e-3, 0.0]))
     assert np.allclose(on_board(moved, placed), [-1e-3, 2e-3], atol=1e-9)
 
 
 def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong():
-    one = scene(10, "base", noise=0.2)
+    view = scene(10, "base", noise=0.2)
     wrong = INTRINSICS.copy()
     wrong[2:6] += [25.0, -15.0, 0.1, 0.0]
     for given in (None, wrong):
-        result = calibrate(one, given, mounts=("base",))
+        result = calibrate(view, given, mounts=("base",))
         assert result.lens_found
         assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
         assert rms(result.pixels) < 0.3
-    kept = calibrate(one, wrong, lens="given", mounts=("base",))
+    kept = calibrate(view, wrong, lens="given", mounts=("base",))
     assert "lens_given" in codes(kept)
     assert judge(kept).grade != "PASS"
-    assert not calibrate(one, INTRINSICS, mounts=("base",)).lens_found
+    assert not calibrate(view, INTRINSICS, mounts=("base",)).lens_found
 
 
 def test_the_robots_part_is_told_from_the_cameras():
@@ -122,31 +122,31 @@ def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares():
 
 
 def test_order_names_and_the_boards_origin_do_not_matter():
-    one = scene(7, "tool", noise=0.3, shift=3e-4)
-    result = calibrate(one, INTRINSICS, mounts=("tool",))
-    order = np.random.default_rng(1).permutation(len(one.image))
-    order = order[np.argsort(one.image[order], kind="stable")]
-    shuffled = replace(one, names=tuple("abcdefg"), body=one.body[order], pixels=one.pixels[order])
+    view = scene(7, "tool", noise=0.3, shift=3e-4)
+    result = calibrate(view, INTRINSICS, mounts=("tool",))
+    order = np.random.default_rng(1).permutation(len(view.image))
+    order = order[np.argsort(view.image[order], kind="stable")]
+    shuffled = replace(view, names=tuple("abcdefg"), body=view.body[order], pixels=view.pixels[order])
     again = calibrate(shuffled, INTRINSICS, mounts=("tool",))
     assert np.allclose(again.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
-    moved = calibrate(replace(one, body=one.body - [0.09, 0.12, 0.0]), INTRINSICS, mounts=("tool",))
+    moved = calibrate(replace(view, body=view.body - [0.09, 0.12, 0.0]), INTRINSICS, mounts=("tool",))
     back = moved.fitted.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
     assert np.allclose(moved.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
     assert np.allclose(back, result.fitted.placed.board, atol=1e-9)
 
 
 def test_each_mistake_is_named_and_none_passes():
-    one = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
-    n = len(one)
-    shifted = replace(one, tool=np.roll(one.tool, 1, axis=0))
-    larger = replace(one, body=one.body / 1.02)
+    view = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    n = len(view)
+    shifted = replace(view, tool=np.roll(view.tool, 1, axis=0))
+    larger = replace(view, body=view.body / 1.02)
     swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
     late = np.arange(n) >= 5
-    moved = replace(one, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ one.tool, one.tool))
+    moved = replace(view, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ view.tool, view.tool))
     cases = {
         "pairs_shifted": (shifted, INTRINSICS),
         "square_size": (larger, INTRINSICS),
-        "principal_point": (one, swapped),
+        "principal_point": (view, swapped),
         "moved": (moved, INTRINSICS),
     }
     for code, (case, intrinsics) in cases.items():
@@ -156,10 +156,10 @@ def test_each_mistake_is_named_and_none_passes():
 
 
 def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
-    one = scene(9, "base", noise=0.2, shift=2e-4)
-    tool = one.tool.copy()
+    view = scene(9, "base", noise=0.2, shift=2e-4)
+    tool = view.tool.copy()
     tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
-    result = calibrate(replace(one, tool=tool), INTRINSICS)
+    result = calibrate(replace(view, tool=tool), INTRINSICS)
     assert [image.name for image in result.off] == ["shot_05"]
     assert result.off[0].shift == pytest.approx(0.012, rel=0.15)
     assert judge(result).grade == "CHECK"
@@ -167,13 +167,13 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
 
 
 def test_turning_about_one_axis_alone_is_refused_or_said():
-    one = scene(8, "tool", noise=0.1)
-    spin = [one.tool[0] @ pose((0, 0, 0), (0, 0, 10 * k)) for k in range(8)]
+    item = scene(8, "tool", noise=0.1)
+    spin = [item.tool[0] @ pose((0, 0, 0), (0, 0, 10 * k)) for k in range(8)]
     view = np.linalg.inv(CAMERA["tool"]) @ np.linalg.inv(np.array(spin)) @ BOARD["tool"]
     body = board_points()
     pixels = np.concatenate([pixels_of(body @ at[:3, :3].T + at[:3, 3]) for at in view])
     with pytest.raises(NotIdentifiableError, match="about two axes or more"):
-        calibrate(replace(one, tool=np.array(spin), pixels=pixels), INTRINSICS, mounts=("tool",), lens="given")
+        calibrate(replace(item, tool=np.array(spin), pixels=pixels), INTRINSICS, mounts=("tool",), lens="given")
 
 
 def test_too_few_images_are_an_error():

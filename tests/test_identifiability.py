@@ -70,10 +70,10 @@ def test_columns_that_nearly_depend_are_told_wherever_the_rank_is(tmp_path):
     columns = rng.standard_normal((60, 5))
     columns[:, 4] = columns[:, 3] + 6e-9 * rng.standard_normal(60)
     parameters = [Parameter(f"p{k}", "length", 0.0, 1e-3, "mm", prior=False) for k in range(5)]
-    found = determination(columns, parameters, np.ones(5, dtype=bool))
-    assert found.together.unclear
-    assert found.together.smallest_kept == pytest.approx(6e-9 / np.sqrt(2), rel=0.3)
-    assert sum("No clear gap" in line for line in found.lines()) == 1
+    result = determination(columns, parameters, np.ones(5, dtype=bool))
+    assert result.together.unclear
+    assert result.together.smallest_kept == pytest.approx(6e-9 / np.sqrt(2), rel=0.3)
+    assert sum("No clear gap" in line for line in result.lines()) == 1
 
 
 def test_reduced_keeps_singular_values():
@@ -104,8 +104,8 @@ def test_position_errors_are_the_spread_of_many_simulated_fits():
     estimates = np.linalg.lstsq(rows, 0.2 * rng.standard_normal((12, 20_000)), rcond=None)[0]
     errors = np.einsum("nki,id->nkd", elsewhere, estimates).reshape(3, 2, 3, -1)
     expected = np.sqrt(np.mean(np.sum(errors**2, axis=2), axis=2))
-    found = information(rows / 0.2).position_errors(elsewhere)
-    np.testing.assert_allclose(found, expected, rtol=0.03)  # 20 000 draws give the spread to 0.5 %; six sigma
+    result = information(rows / 0.2).position_errors(elsewhere)
+    np.testing.assert_allclose(result, expected, rtol=0.03)  # 20 000 draws give the spread to 0.5 %; six sigma
 
 
 def test_a_direction_that_nothing_determines_is_infinite_and_never_a_number():

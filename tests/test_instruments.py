@@ -106,12 +106,12 @@ def two_instruments(robot, q, tip, elbow, seed=1):
 def test_every_instrument_has_its_own_noise_found(tmp_path):
     robot, q = calib.load(write_arm(tmp_path, BOTH)), joints(80)
     fit = calib.fit(robot, calib.as_measurements(robot, q, two_instruments(robot, q, 2e-5, 4e-4)))
-    found = {one.group.name: one for one in fit.noise}
+    by_name = {noise.group.name: noise for noise in fit.noise}
     # 240 rows each: 4.6 %
-    assert found["tracker"].sigma == pytest.approx(2e-5, rel=0.15)
-    assert found["arm"].sigma == pytest.approx(4e-4, rel=0.15)
-    assert found["tracker"].stated is None
-    assert sum(one.freedom for one in fit.noise) == pytest.approx(480 - 9)
+    assert by_name["tracker"].sigma == pytest.approx(2e-5, rel=0.15)
+    assert by_name["arm"].sigma == pytest.approx(4e-4, rel=0.15)
+    assert by_name["tracker"].stated is None
+    assert sum(noise.freedom for noise in fit.noise) == pytest.approx(480 - 9)
     assert fit.chi_square is None
     # the arm tells hardly anything beside a tracker twenty times as good: alone, that gives the same
     alone = calib.fit(
@@ -129,9 +129,9 @@ def test_a_wrongly_stated_instrument_does_not_spoil_the_factor_of_the_other(tmp_
     )
     robot, q = calib.load(write_arm(tmp_path, yaml)), joints(80)
     fit = calib.fit(robot, calib.as_measurements(robot, q, two_instruments(robot, q, 2e-5, 2e-4)))
-    found = {one.group.name: one.sigma / one.stated for one in fit.noise}
-    assert found["tracker"] == pytest.approx(1.0, rel=0.15)
-    assert found["arm"] == pytest.approx(2.0, rel=0.15)
+    by_name = {noise.group.name: noise.sigma / noise.stated for noise in fit.noise}
+    assert by_name["tracker"] == pytest.approx(1.0, rel=0.15)
+    assert by_name["arm"] == pytest.approx(2.0, rel=0.15)
 
 
 def test_a_hidden_target_costs_its_rows_and_nothing_else(tmp_path):
@@ -148,13 +148,13 @@ def test_a_hidden_target_costs_its_rows_and_nothing_else(tmp_path):
     for row, (visit, t) in enumerate(order):
         alone[row, t] = measured[visit, t]
     written_out = calib.as_measurements(robot, q[[visit for visit, _ in order]], alone)
-    one, other = calib.fit(robot, gaps), calib.fit(robot, written_out)
-    np.testing.assert_allclose(one.robot.values, other.robot.values, atol=1e-9)
-    np.testing.assert_allclose(one.statistics.std, other.statistics.std, rtol=1e-5)
-    assert one.statistics.freedom == pytest.approx(3 * gaps.n_readings - 9)
-    assert np.all(np.abs(one.robot.values - robot.with_parameters(OFF).values) < 4 * one.statistics.std)
-    assert np.all(np.isfinite(one.identification.errors("after", single=True)))
-    seen = np.isfinite(one.identification.data.points(robot)[..., 0])
+    fitted, other = calib.fit(robot, gaps), calib.fit(robot, written_out)
+    np.testing.assert_allclose(fitted.robot.values, other.robot.values, atol=1e-9)
+    np.testing.assert_allclose(fitted.statistics.std, other.statistics.std, rtol=1e-5)
+    assert fitted.statistics.freedom == pytest.approx(3 * gaps.n_readings - 9)
+    assert np.all(np.abs(fitted.robot.values - robot.with_parameters(OFF).values) < 4 * fitted.statistics.std)
+    assert np.all(np.isfinite(fitted.identification.errors("after", single=True)))
+    seen = np.isfinite(fitted.identification.data.points(robot)[..., 0])
     np.testing.assert_array_equal(seen, ~hidden[~hidden.all(axis=1)])  # poses without a reading are no part of a fit
 
 
@@ -175,10 +175,10 @@ def test_files_of_two_instruments_joined_by_the_pose_fit_like_one_file(tmp_path)
         write("arm.csv", "pose,arm_x,arm_y,arm_z", reversed(list(zip(poses, read["arm"], strict=True)))),
         write("tracker.csv", "pose,tracker_x,tracker_y,tracker_z", zip(poses, read["tracker"], strict=True)),
     ]
-    one = calib.fit(robot, whole)
+    fitted = calib.fit(robot, whole)
     other = calib.fit(robot, calib.read_measurements(paths, robot))
-    np.testing.assert_allclose(one.robot.values, other.robot.values, atol=1e-9)
-    np.testing.assert_allclose(one.statistics.std, other.statistics.std, rtol=1e-5)
+    np.testing.assert_allclose(fitted.robot.values, other.robot.values, atol=1e-9)
+    np.testing.assert_allclose(fitted.statistics.std, other.statistics.std, rtol=1e-5)
     assert other.identification.data.n_readings == 40 + 26
 
 
@@ -190,10 +190,10 @@ MOVED = YAML.replace("frame: ground", "frame: ground, pose: unknown").replace(
 def in_setups(robot, q, setup, values, sigma=2e-5, seed=3):
     """What the tracker reads at these joint values while it stands where it does in each setup (n,)."""
     truth = robot.with_parameters(values)
-    wanted = Readings(np.arange(len(q)), np.array(setup), np.zeros((len(q), 3)), None, np.zeros((len(q), 0)))
-    found = predicted_readings(truth, truth.assemble(q), {"tip": wanted})["tip"]
-    exact = found.values + sigma * np.random.default_rng(seed).standard_normal((len(q), 3))
-    return replace(calib.as_measurements(robot, q, exact), readings={"tip": replace(found, values=exact)})
+    plan = Readings(np.arange(len(q)), np.array(setup), np.zeros((len(q), 3)), None, np.zeros((len(q), 0)))
+    predicted = predicted_readings(truth, truth.assemble(q), {"tip": plan})["tip"]
+    exact = predicted.values + sigma * np.random.default_rng(seed).standard_normal((len(q), 3))
+    return replace(calib.as_measurements(robot, q, exact), readings={"tip": replace(predicted, values=exact)})
 
 
 def test_a_tracker_that_was_moved_is_found_at_both_places(tmp_path):
@@ -218,9 +218,9 @@ def test_without_its_setups_a_tracker_that_was_moved_spoils_the_fit(tmp_path):
     robot, q = calib.load(write_arm(tmp_path, MOVED)), joints(60)
     data = in_setups(robot, q, np.repeat([0, 1], 30), {"base.x": 2.0, "base@evening.x": 2.001})
     (tmp_path / "one").mkdir()
-    one = calib.load(write_arm(tmp_path / "one", MOVED[: MOVED.index("setups:")]))
-    plain = calib.as_measurements(one, q, data.readings["tip"].values)
-    assert calib.fit(one, plain).sigma > 5 * calib.fit(robot, data).sigma
+    single = calib.load(write_arm(tmp_path / "one", MOVED[: MOVED.index("setups:")]))
+    plain = calib.as_measurements(single, q, data.readings["tip"].values)
+    assert calib.fit(single, plain).sigma > 5 * calib.fit(robot, data).sigma
 
 
 def test_two_readings_of_one_visit_weigh_like_a_reading_of_half_the_variance(tmp_path):
@@ -233,8 +233,8 @@ def test_two_readings_of_one_visit_weigh_like_a_reading_of_half_the_variance(tmp
     once = calib.as_measurements(robot, q, mean)
     twice = replace(once, readings={"tip": Readings(visits, 0 * visits, values, None, np.zeros((80, 0)))})
     np.testing.assert_allclose(twice.points(robot), once.points(robot), atol=1e-15)
-    one, two = calib.fit(robot, once), calib.fit(robot, twice)
-    np.testing.assert_allclose(one.robot.values, two.robot.values, atol=1e-9)
+    fitted, two = calib.fit(robot, once), calib.fit(robot, twice)
+    np.testing.assert_allclose(fitted.robot.values, two.robot.values, atol=1e-9)
     assert len(two.identification.errors("after")) == 40
     assert len(two.identification.errors("after", single=True)) == 80
 
@@ -251,8 +251,8 @@ def test_an_error_of_the_joints_that_a_visit_shares_is_found_and_widens_interval
         claimed.append(fit.statistics.std)
         assert fit.statistics.shared.ratio > 1.1
         white = fit.rows.jacobian  # by the noise as found, as if all rows were independent
-        found = fit.statistics.factors.values[0]
-        narrow.append(found * np.sqrt(np.diag(np.linalg.inv(white.T @ white))) * fit.unknowns.scales)
+        factor = fit.statistics.factors.values[0]
+        narrow.append(factor * np.sqrt(np.diag(np.linalg.inv(white.T @ white))) * fit.unknowns.scales)
     z = np.array(errors) / np.array(claimed)
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.25)  # 12 draws of 9 parameters
     assert np.mean(np.array(claimed) / np.array(narrow)) > 1.1

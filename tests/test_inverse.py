@@ -99,10 +99,10 @@ def test_jacobian_of_the_actuated_joints_agrees_with_differences_of_the_closed_f
 
 def test_reachable_positions_of_an_arm_are_all_found_within_limits(arm: Robot) -> None:
     q = np.random.default_rng(1).uniform(LOWER, UPPER, (200, 4))
-    wanted = np.array([arm_position(row) for row in q])
-    solution = solve(arm, Goals(wanted))
+    goals = np.array([arm_position(row) for row in q])
+    solution = solve(arm, Goals(goals))
     assert solution.ok.all()
-    assert np.abs(np.array([arm_position(row) for row in solution.q]) - wanted).max() < 1e-9
+    assert np.abs(np.array([arm_position(row) for row in solution.q]) - goals).max() < 1e-9
     assert (solution.q >= LOWER).all()
     assert (solution.q <= UPPER).all()
 
@@ -110,17 +110,17 @@ def test_reachable_positions_of_an_arm_are_all_found_within_limits(arm: Robot) -
 def test_redundant_joints_stay_nearest_to_where_they_are_wanted(arm: Robot) -> None:
     """Against a general constrained minimiser, from the same side."""
     near = np.array([0.3, 0.2, 0.9, 0.1])
-    wanted = arm_position(np.array([0.5, -0.2, 1.4, 0.2]))
-    found = solve(arm, Goals(wanted[None]), near=near).q[0]
+    goal = arm_position(np.array([0.5, -0.2, 1.4, 0.2]))
+    result = solve(arm, Goals(goal[None]), near=near).q[0]
     scale = np.array([1, 1, 1, arm.mechanism.length])
     best = minimize(
         lambda q: np.sum(((q - near) / scale) ** 2),
-        found + 0.02,
-        constraints={"type": "eq", "fun": lambda q: arm_position(q) - wanted},
+        result + 0.02,
+        constraints={"type": "eq", "fun": lambda q: arm_position(q) - goal},
         method="SLSQP",
         options={"ftol": 1e-14},
     )
-    assert np.abs(found - best.x).max() < 1e-5
+    assert np.abs(result - best.x).max() < 1e-5
 
 
 def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot: Robot) -> None:
@@ -131,12 +131,12 @@ def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot: Robot) -> 
     q = near + np.random.default_rng(5).uniform(-0.25, 0.25, (8, 6)) * scale
     q[:, 0] = np.minimum(q[:, 0], 0.68)
     q = q[robot.close(q).ok]
-    wanted = forward(q, table1().nominal).p_world_tool
-    found = solve(robot, Goals(wanted), near=near)
-    assert found.ok.all()
-    assert 0 < np.count_nonzero(found.q[:, 0] == 0.7) < len(q)
+    goals = forward(q, table1().nominal).p_world_tool
+    solution = solve(robot, Goals(goals), near=near)
+    assert solution.ok.all()
+    assert 0 < np.count_nonzero(solution.q[:, 0] == 0.7) < len(q)
     compared = 0
-    for start, goal in zip(found.q, wanted, strict=True):
+    for start, goal in zip(solution.q, goals, strict=True):
         best = minimize(
             lambda joints: np.sum(((joints - near) / scale) ** 2),
             start,
@@ -202,14 +202,14 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     """A five-bar off its plane by a hair reaches x and y, and no height."""
     nominal = load("docs/examples/five_bar.yaml")
     robot = nominal.with_parameters({"base.z": 1e-5, "left_end.x": 0.2995})
-    wanted = nominal.positions(nominal.sample(20, seed=1))[:, 0]
-    assert not np.any(solve(robot, wanted).ok)
-    flat = wanted * [1, 1, np.nan]
-    found = solve(robot, flat)
-    reached = robot.positions(found.q[found.ok])[:, 0]
-    assert np.sum(found.ok) > 15  # a shorter link does not reach all
-    np.testing.assert_allclose(reached[:, :2], wanted[found.ok, :2], atol=1e-9)
-    np.testing.assert_allclose(reached, found.positions[found.ok], atol=1e-9)
+    positions = nominal.positions(nominal.sample(20, seed=1))[:, 0]
+    assert not np.any(solve(robot, positions).ok)
+    flat = positions * [1, 1, np.nan]
+    solution = solve(robot, flat)
+    reached = robot.positions(solution.q[solution.ok])[:, 0]
+    assert np.sum(solution.ok) > 15  # a shorter link does not reach all
+    np.testing.assert_allclose(reached[:, :2], positions[solution.ok, :2], atol=1e-9)
+    np.testing.assert_allclose(reached, solution.positions[solution.ok], atol=1e-9)
     cells = "\n".join(f"{1e3 * x:.12g},{1e3 * y:.12g}," for x, y, _ in flat)
     goals = read_goals(write(tmp_path / "goals.csv", f"pen_x [mm],pen_y [mm],pen_z [mm]\n{cells}\n"), robot)
     np.testing.assert_allclose(goals.positions, flat, atol=1e-12)
@@ -257,8 +257,8 @@ def test_wrong_files_are_refused(arm: Robot, tmp_path: Path, text: str, message:
 
 def test_command_writes_joint_values_that_predict_the_targets(arm: Robot, tmp_path: Path) -> None:
     robot = write(tmp_path / "arm.urdf", ARM)
-    wanted = arm_position(np.array([0.5, -0.2, 1.4, 0.2])) * 1e3
-    targets = write(tmp_path / "t.csv", "pose,hand_x [mm],hand_y [mm],hand_z [mm]\np1,{},{},{}\n".format(*wanted))
+    goal = arm_position(np.array([0.5, -0.2, 1.4, 0.2])) * 1e3
+    targets = write(tmp_path / "t.csv", "pose,hand_x [mm],hand_y [mm],hand_z [mm]\np1,{},{},{}\n".format(*goal))
     out = tmp_path / "q.csv"
     run = CliRunner().invoke(command, [robot, targets, "--out", str(out), "--json", str(tmp_path / "q.json")])
     assert run.exit_code == 0, run.output
@@ -266,7 +266,7 @@ def test_command_writes_joint_values_that_predict_the_targets(arm: Robot, tmp_pa
     assert header == "pose,a [deg],b [deg],c [deg],d [mm],hand_x [mm],hand_y [mm],hand_z [mm]"
     cells = [float(cell) for cell in row.split(",")[1:]]
     q = np.array([*np.radians(cells[:3]), cells[3] / 1e3])
-    assert np.abs(arm_position(q) * 1e3 - wanted).max() < 1e-6
+    assert np.abs(arm_position(q) * 1e3 - goal).max() < 1e-6
     entry = json.loads((tmp_path / "q.json").read_text())["targets"][0]
     assert (entry["pose"], entry["reached"]) == ("p1", True)
     assert entry["joints"]["d [mm]"] == cells[3]

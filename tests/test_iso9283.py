@@ -49,8 +49,8 @@ def test_no_scatter_is_exact():
 
 
 def covered(draw, figure, truth, n=1000):
-    found = [figure(draw()) for _ in range(n)]
-    return np.mean([one.low95 <= truth <= one.high95 for one in found])
+    results = [figure(draw()) for _ in range(n)]
+    return np.mean([item.low95 <= truth <= item.high95 for item in results])
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.3, 2.0])
@@ -96,9 +96,9 @@ def test_intervals_of_distances_between_two_poses_cover():
 def test_intervals_of_drift_cover():
     rng, other = RNG(10), RNG(11)
     means = np.array([[1.0, 0, 0], [1.5, 0, 0], [3.0, 0, 0]])
-    found = [iso9283.drift([mean + rng.standard_normal((10, 3)) for mean in means], other) for _ in range(100)]
-    assert np.mean([a.low95 <= 2.0 <= a.high95 for a, _ in found]) > 0.93  # wide: limits of both ends
-    assert np.mean([r.low95 <= 0.0 <= r.high95 for _, r in found]) > 0.93
+    results = [iso9283.drift([mean + rng.standard_normal((10, 3)) for mean in means], other) for _ in range(100)]
+    assert np.mean([a.low95 <= 2.0 <= a.high95 for a, _ in results]) > 0.93  # wide: limits of both ends
+    assert np.mean([r.low95 <= 0.0 <= r.high95 for _, r in results]) > 0.93
 
 
 def test_intervals_of_several_directions_cover():

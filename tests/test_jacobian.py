@@ -21,31 +21,31 @@ def robot():
     return calib.load(robot_file())
 
 
-def relative_error(found, expected):
+def relative_error(result, expected):
     """Largest difference of a column, relative to that column's largest entry (to 1 mm per unit for zero columns)."""
     scale = np.maximum(np.max(np.abs(expected), axis=(0, 1)), 1e-3)
-    return np.max(np.abs(found - expected) / scale)
+    return np.max(np.abs(result - expected) / scale)
 
 
 @pytest.mark.parametrize("values", [table1().nominal, table1().actual], ids=["nominal", "actual"])
 def test_all_36_columns_agree_with_differences_of_the_closed_form(robot, values):
     q = target_workspace().q[::6]
     at = robot.with_parameters(values)
-    found = linearise(at, at.assemble(q)).jacobian[:, 0]
+    result = linearise(at, at.assemble(q)).jacobian[:, 0]
     step = 1e-6
-    expected = np.empty_like(found)
+    expected = np.empty_like(result)
     for k in range(36):
         change = step * np.eye(36)[k]
         expected[:, :, k] = (forward(q, values + change).p_world_tool - forward(q, values - change).p_world_tool) / (
             2 * step
         )
-    assert relative_error(found, expected) <= 1e-6
+    assert relative_error(result, expected) <= 1e-6
 
 
 def test_all_six_components_of_every_origin_agree_with_differences(robot):
     q = target_workspace().q[::40]
     at = robot.with_parameters(table1().actual)
-    found = origin_jacobian(at.mechanism, at.assemble(q))[1][:, 0]
+    result = origin_jacobian(at.mechanism, at.assemble(q))[1][:, 0]
     step = 1e-6
     for i, name in enumerate(at.mechanism.origin_names):
         placement = at.mechanism.placement(name)
@@ -56,7 +56,7 @@ def test_all_six_components_of_every_origin_agree_with_differences(robot):
                 moved = replace(at, mechanism=at.mechanism.with_placements({name: placement * pin.exp6(sign * xi)}))
                 sides.append(moved.positions(q)[:, 0])
             expected = ((sides[0] - sides[1]) / (2 * step))[:, :, None]
-            column = found[:, :, 6 * i + component : 6 * i + component + 1]
+            column = result[:, :, 6 * i + component : 6 * i + component + 1]
             assert relative_error(column, expected) <= 1e-6, f"{name}, component {component}"
 
 
@@ -105,24 +105,24 @@ def test_every_parameter_of_a_plain_urdf_agrees_with_differences(tmp_path):
     nominal = calib.load(serial_urdf(tmp_path, rng))
     robot = nominal.with_parameters(nominal.values + 0.05 * rng.normal(size=len(nominal.values)))
     q = rng.uniform(-2, 2, (10, len(robot.joint_names)))
-    found = linearise(robot, robot.assemble(q)).jacobian[:, 0]
+    result = linearise(robot, robot.assemble(q)).jacobian[:, 0]
     step, n = 1e-6, len(robot.values)
     assert n == 8 * 6 + 6 + 3
-    expected = np.empty_like(found)
+    expected = np.empty_like(result)
     for k in range(n):
         change = step * np.eye(n)[k]
         sides = [robot.with_parameters(robot.values + sign * change).positions(q)[:, 0] for sign in (1, -1)]
         expected[:, :, k] = (sides[0] - sides[1]) / (2 * step)
-    assert relative_error(found, expected) <= 1e-6
+    assert relative_error(result, expected) <= 1e-6
 
 
 def test_a_6d_closure_has_an_exact_derivative_too(tmp_path):
     robot = calib.load(write_pose_loop(tmp_path))
     q = np.array([2.0, 1.1]) + np.random.default_rng(2).uniform(-0.3, 0.3, (8, 2))
-    found = linearise(robot, robot.assemble(q)).jacobian[:, 0]
+    result = linearise(robot, robot.assemble(q)).jacobian[:, 0]
     step, n = 1e-5, len(robot.values)  # the loops close to 1e-13, which a smaller step would show
     for k in range(n):
         change = step * np.eye(n)[k]
         sides = [robot.with_parameters(robot.values + sign * change).positions(q)[:, 0] for sign in (1, -1)]
         expected = ((sides[0] - sides[1]) / (2 * step))[:, :, None]
-        assert relative_error(found[:, :, k : k + 1], expected) <= 1e-6, robot.parameters[k].name
+        assert relative_error(result[:, :, k : k + 1], expected) <= 1e-6, robot.parameters[k].name

@@ -66,10 +66,10 @@ def test_the_python_agrees_with_the_engine_both_ways(robot, folder, commands):
     actual, told = actual_joints(robot, commands, term_columns(robot, commands)), commands_for(robot, commands)
     assert np.abs(actual - commands).max() > 1e-4  # there is something to correct
     for j, joint in enumerate(robot.joint_names):
-        found = [written.actual(joint, q) for q in commands[:, j]]
-        assert np.abs(found - actual[:, j]).max() < 1e-6
-        found = [written.command(joint, q) for q in commands[:, j]]
-        assert np.abs(found - told[:, j]).max() < 1e-6
+        results = [written.actual(joint, q) for q in commands[:, j]]
+        assert np.abs(results - actual[:, j]).max() < 1e-6
+        results = [written.command(joint, q) for q in commands[:, j]]
+        assert np.abs(results - told[:, j]).max() < 1e-6
         outside = {"turn": 3.5, "slide": 1.2, "wrist": 7.0}[joint]
         assert np.isnan(written.actual(joint, outside))
         assert np.isnan(written.command(joint, -outside))
@@ -88,23 +88,23 @@ def test_the_c_agrees_with_the_engine_both_ways(robot, folder, commands, tmp_pat
     subprocess.run([compiler, *flags, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
     given = "".join(f"{j} {q!r}\n" for j in range(3) for q in map(float, commands[:, j])) + "0 3.5\n"
     out = subprocess.run([tmp_path / "main"], input=given, capture_output=True, text=True, check=True).stdout
-    found = np.array([[float(cell) for cell in line.split()] for line in out.splitlines()])
-    assert np.all(np.isnan(found[-1]))
-    found = found[:-1].reshape(3, -1, 2)
-    assert np.abs(found[:, :, 0].T - actual_joints(robot, commands, term_columns(robot, commands))).max() < 1e-6
-    assert np.abs(found[:, :, 1].T - commands_for(robot, commands)).max() < 1e-6
+    result = np.array([[float(cell) for cell in line.split()] for line in out.splitlines()])
+    assert np.all(np.isnan(result[-1]))
+    result = result[:-1].reshape(3, -1, 2)
+    assert np.abs(result[:, :, 0].T - actual_joints(robot, commands, term_columns(robot, commands))).max() < 1e-6
+    assert np.abs(result[:, :, 1].T - commands_for(robot, commands)).max() < 1e-6
 
 
 def test_the_csv_holds_the_same_numbers(robot, folder):
     text = (folder / "joint_tables.csv").read_text()
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert beside_tables(robot) == []
-    for one in joint_tables(robot):
-        own = [row for row in rows if row["joint"] == one.joint]
-        assert [float(row["commanded"]) for row in own] == one.commands.tolist()
-        assert [float(row["actual"]) for row in own] == one.actual.tolist()
-        assert {row["unit"] for row in own} == {"m" if one.joint == "slide" else "rad"}
-        assert one.actual.tolist() == python_of(folder).TABLES[one.joint][2]
+    for table in joint_tables(robot):
+        own = [row for row in rows if row["joint"] == table.joint]
+        assert [float(row["commanded"]) for row in own] == table.commands.tolist()
+        assert [float(row["actual"]) for row in own] == table.actual.tolist()
+        assert {row["unit"] for row in own} == {"m" if table.joint == "slide" else "rad"}
+        assert table.actual.tolist() == python_of(folder).TABLES[table.joint][2]
 
 
 def test_a_bound_of_the_curvature_holds_and_is_no_guess(robot):
@@ -135,8 +135,8 @@ def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_c
     per_radian = "0.3 mrad per rad or m of it remains"
     assert f"wrist: coupling is not in the table, because it depends on another joint: {per_radian}" in left[2]
     assert len(left) == 6
-    for one, same in zip(joint_tables(more), joint_tables(robot), strict=True):
-        assert np.array_equal(one.actual, same.actual)
+    for table, same in zip(joint_tables(more), joint_tables(robot), strict=True):
+        assert np.array_equal(table.actual, same.actual)
     values = "parameter,value,unit\nslide.backlash,0.2,mm\nturn.gain,1,mrad\n"
     (tmp_path / "values.csv").write_text(values)
     arguments = ("--parameters", "values.csv", "--format", "joint-tables", "--out", "tables")

@@ -86,8 +86,8 @@ def test_backlash_follows_the_direction_of_approach(five_bar):
     robot = five_bar.with_parameters({f"{name}.backlash": 1e-4})
     q = near_home(robot, 3, 3)
     approach = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]])
-    found = robot.assemble(q, context=Context.of(approach, {})).actuated
-    assert np.allclose(found[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
+    result = robot.assemble(q, context=Context.of(approach, {})).actuated
+    assert np.allclose(result[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
 
 
 def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
@@ -121,8 +121,8 @@ def test_a_condition_that_some_rows_do_not_state_is_no_condition(tmp_path):
     with pytest.raises(calib.DataError, match=r"line 5.*: says no temperature, which 'joint_2.temperature' depends on"):
         calib.fit(robot, calib.read_measurements(path, robot))
     bare = calib.load(EXAMPLES / "arm.yaml")
-    (found,) = [one for one in candidates(bare, calib.read_measurements(path, bare)) if one.term == "temperature"]
-    assert found.refused == "some rows do not say temperature"
+    (result,) = [term for term in candidates(bare, calib.read_measurements(path, bare)) if term.term == "temperature"]
+    assert result.refused == "some rows do not say temperature"
 
 
 def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(five_bar):
@@ -158,9 +158,9 @@ def test_commands_undo_the_joint_errors(five_bar):
     values = five_bar.values.copy()
     values[five_bar.coefficients] = 2e-3
     robot = five_bar.with_parameters(values)
-    wanted = near_home(robot, 8, 7)
-    commands = commands_for(robot, wanted)
-    assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), wanted, rtol=0, atol=1e-12)
+    expected = near_home(robot, 8, 7)
+    commands = commands_for(robot, expected)
+    assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), expected, rtol=0, atol=1e-12)
 
 
 def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
@@ -186,8 +186,8 @@ def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
     assert np.max(np.abs(fit.identification.errors("after"))) < 1e-6
     for name in five_bar.joint_names:  # what nothing else in the model can do
         for term in ("sin17", "cos17", "backlash"):
-            found = fit.robot.values[[p.name for p in five_bar.parameters].index(f"{name}.{term}")]
-            assert found == pytest.approx(coefficients[f"{name}.{term}"], abs=2e-6)
+            result = fit.robot.values[[p.name for p in five_bar.parameters].index(f"{name}.{term}")]
+            assert result == pytest.approx(coefficients[f"{name}.{term}"], abs=2e-6)
     assert truth.terms == five_bar.terms
 
 
@@ -315,19 +315,19 @@ def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, d
 
 def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
     robot = endless(tmp_path)
-    found = {}
+    by_name = {}
     for first in (TURNS, TURNS % (2 * np.pi)):
-        for one in candidates(robot, noisy(robot, turned(first), 4e-5, seed=1)):
-            found.setdefault(one.term, []).append(one)
+        for joint in candidates(robot, noisy(robot, turned(first), 4e-5, seed=1)):
+            by_name.setdefault(joint.term, []).append(joint)
     for term in ("gain", "coupling"):
-        counted, wrapped, told = found[term]
-        asked = [
-            {section.driven_by if term == "coupling" else section.joint for section in one.sections}
-            for one in (counted, wrapped)
+        counted, wrapped, told = by_name[term]
+        results = [
+            {section.driven_by if term == "coupling" else section.joint for section in item.sections}
+            for item in (counted, wrapped)
         ]
-        assert asked == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
+        assert results == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
         assert told.refused.startswith("all values of joint j1, without limits in the URDF, lie within one turn")
         assert f"and a {term} cannot be right" in told.refused
-    assert [one.sections for one in found["curve"]] == [found["curve"][0].sections] * 2  # periodic: no matter
+    assert [item.sections for item in by_name["curve"]] == [by_name["curve"][0].sections] * 2  # periodic: no matter
     only = candidates(robot, noisy(robot, np.column_stack([TURNS % (2 * np.pi), np.zeros((60, 5))]), 4e-5, seed=1))
-    assert "a gain cannot be right" in next(one for one in only if one.term == "gain").refused
+    assert "a gain cannot be right" in next(name for name in only if name.term == "gain").refused

@@ -71,10 +71,10 @@ def test_closed_loops_are_those_of_the_reference(case):
         expected = moved.assemble(q, start)
         with compiled():
             assert kernels(moved.mechanism, len(q)) is not None
-            found = moved.assemble(q, start)
+            assembled = moved.assemble(q, start)
         # loops are closed to 1e-12 m, and far from singular poses passive joints as well as that
-        assert np.allclose(found.passive, expected.passive, rtol=0, atol=20 * SAME)
-        assert np.allclose(found.slope, expected.slope, rtol=0, atol=20 * SAME)
+        assert np.allclose(assembled.passive, expected.passive, rtol=0, atol=20 * SAME)
+        assert np.allclose(assembled.slope, expected.slope, rtol=0, atol=20 * SAME)
     where = moved.mechanism, robot.mode, expected.actuated, expected.passive
     if moved.passive_names:
         expected_slopes = newton(*where)[1:3]
@@ -93,10 +93,10 @@ def test_derivatives_are_those_of_the_reference(case):
         assert np.allclose(linearise(moved, there).positions, plain.positions, rtol=0, atol=SAME)
         assert np.allclose(linearise(moved, there).jacobian, plain.jacobian, rtol=SAME, atol=SAME)
         assert np.allclose(origin_jacobian(moved.mechanism, there)[1], every, rtol=SAME, atol=SAME)
-        for name, one in observe(moved, there, read, joints=True).items():
-            assert np.allclose(one.residuals, observed[name].residuals, rtol=0, atol=SAME)
-            assert np.allclose(one.jacobian, observed[name].jacobian, rtol=SAME, atol=SAME)
-            assert np.allclose(one.by_joint, observed[name].by_joint, rtol=SAME, atol=SAME)
+        for name, item in observe(moved, there, read, joints=True).items():
+            assert np.allclose(item.residuals, observed[name].residuals, rtol=0, atol=SAME)
+            assert np.allclose(item.jacobian, observed[name].jacobian, rtol=SAME, atol=SAME)
+            assert np.allclose(item.by_joint, observed[name].by_joint, rtol=SAME, atol=SAME)
 
 
 def test_poses_that_cannot_close_are_refused_alike():
@@ -104,9 +104,9 @@ def test_poses_that_cannot_close_are_refused_alike():
     q = np.vstack([q, [[3.1, 0.05]]])  # both motors stretched away from each other
     expected = robot.close(q)
     with compiled():
-        found = robot.close(q)
+        result = robot.close(q)
     assert not expected.ok[-1]
-    assert np.array_equal(found.ok, expected.ok)
+    assert np.array_equal(result.ok, expected.ok)
 
 
 def test_a_singular_system_is_told():
@@ -161,7 +161,7 @@ def test_a_task_of_many_poses_is_worth_loading_it():
 def test_the_same_poses_are_sampled_by_compiled_code():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     sampled = []
-    for wanted in (True, False):
-        with compiled(wanted):
+    for item in (True, False):
+        with compiled(item):
             sampled.append(robot.sample(200, seed=4))
     assert np.array_equal(*sampled)

@@ -98,7 +98,7 @@ def noisy(kind, values, rng):
 
 def by_other_code(kind, values, exact, rng):
     """Noise of a study: the readings of other code in the place of the program's own."""
-    readings = {name: replace(one, values=noisy(kind, values[name], rng)) for name, one in exact.readings.items()}
+    readings = {name: replace(item, values=noisy(kind, values[name], rng)) for name, item in exact.readings.items()}
     return replace(exact, readings=readings)
 
 
@@ -126,9 +126,11 @@ class Coverage:
 
 def studied(robot, truth, q, kind, values, n):
     """Calibrate n times by `calib.study` from readings of other code."""
-    found = calib.study(robot, q, draws=n, truth=truth, noise=partial(by_other_code, kind, values), seed=1)
-    assert not found.failures
-    return Coverage(np.array([one.coverage for one in found.parameters]), found.chi_square, found.chi_square_refused)
+    result = calib.study(robot, q, draws=n, truth=truth, noise=partial(by_other_code, kind, values), seed=1)
+    assert not result.failures
+    return Coverage(
+        np.array([parameter.coverage for parameter in result.parameters]), result.chi_square, result.chi_square_refused
+    )
 
 
 def arm(folder, kind):
@@ -278,12 +280,12 @@ ARM_KINDS = ("position", "pose", "orientation", "inclinometer", "distance", "pix
 MEDRUE_KINDS = ("position", "pose", "distance")
 
 
-def assert_holds(found, n):
+def assert_holds(result, n):
     """Each coverage and the refused part are what chance makes of 95 % and 5 %: one of ten thousand is outside."""
-    low, high = binom.ppf([1e-4 / len(found.parameters), 1 - 1e-4 / len(found.parameters)], n, 0.95) / n
-    assert np.all((found.parameters >= low) & (found.parameters <= high))
-    assert found.refused <= binom.ppf(1 - 1e-4, n, 0.05) / n
-    assert found.chi_square == pytest.approx(1.0, abs=0.05)
+    low, high = binom.ppf([1e-4 / len(result.parameters), 1 - 1e-4 / len(result.parameters)], n, 0.95) / n
+    assert np.all((result.parameters >= low) & (result.parameters <= high))
+    assert result.refused <= binom.ppf(1 - 1e-4, n, 0.05) / n
+    assert result.chi_square == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("kind", ["position", "pose", "orientation", "inclinometer", "distance"])
@@ -299,16 +301,16 @@ def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kin
 @pytest.mark.amount(12, 40)
 @pytest.mark.parametrize("counts", [[4] * 40, [10] * 10 + [1] * 30], ids=["each", "some"])
 def test_intervals_hold_the_truth_where_repeats_share_an_error(tmp_path, counts, amount):
-    found = repeated(tmp_path, amount, counts)
-    assert np.all(found >= binom.ppf(1e-4 / len(found), amount, 0.95) / amount)
+    result = repeated(tmp_path, amount, counts)
+    assert np.all(result >= binom.ppf(1e-4 / len(result), amount, 0.95) / amount)
     # of 40: 90 to 98.5 %; of 12, 86 to 99.9; intervals 1.7 times too wide hold 99.9 %, half as wide 67 %
-    assert 0.95 - 0.32 / np.sqrt(amount) <= np.mean(found) <= min(0.95 + 0.22 / np.sqrt(amount), 0.999)
+    assert 0.95 - 0.32 / np.sqrt(amount) <= np.mean(result) <= min(0.95 + 0.22 / np.sqrt(amount), 0.999)
 
 
 def test_intervals_hold_the_truth_where_the_pixels_of_an_image_share_an_error(tmp_path):
-    found = seen_by_both(tmp_path, 20, 20)
-    assert np.all(found >= binom.ppf(1e-4 / len(found), 20, 0.95) / 20)
-    assert np.mean(found) > 0.88
+    result = seen_by_both(tmp_path, 20, 20)
+    assert np.all(result >= binom.ppf(1e-4 / len(result), 20, 0.95) / 20)
+    assert np.mean(result) > 0.88
 
 
 def test_the_written_out_arm_is_the_arm(tmp_path):
@@ -331,9 +333,9 @@ def main(n):
         told("position and pixel", seen_by_both(Path(folder), n))
 
 
-def told(name, found):
+def told(name, result):
     """Print the coverage where readings of a pose share an error."""
-    percent = 100 * found
+    percent = 100 * result
     print(f"| {name} | {np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |", flush=True)
 
 

@@ -71,14 +71,18 @@ def whole_truth(robot):
 @pytest.mark.parametrize("offset", ["12 mm", "{value: 12 mm, sigma: 1 mm}", "unknown"])
 def test_the_kind_has_exact_derivatives(tmp_path, offset):
     yaml = YAML.replace("offset: unknown", f"offset: {offset}")
-    one = calib.load(write_six_axis(tmp_path, yaml)).instrument("wire")
+    instrument = calib.load(write_six_axis(tmp_path, yaml)).instrument("wire")
     rng = np.random.default_rng(1)
     view = View(Rotation.random(20, rng).as_matrix(), rng.normal(size=(20, 3)))
     nothing = np.zeros(20, dtype=int)
     readings = Readings(nothing, nothing, rng.normal(1.0, 0.3, (20, 1)), None, np.zeros((20, 0)))
-    assert kind_error(one, view, np.full(len(one.unknowns), 0.02), readings) <= 1e-8
-    expected = np.linalg.norm(view.translation, axis=1) + 0.02 * len(one.unknowns) + (0.012 if offset == "12 mm" else 0)
-    np.testing.assert_allclose(one.predict(view, np.full(len(one.unknowns), 0.02), readings.details)[:, 0], expected)
+    assert kind_error(instrument, view, np.full(len(instrument.unknowns), 0.02), readings) <= 1e-8
+    expected = (
+        np.linalg.norm(view.translation, axis=1) + 0.02 * len(instrument.unknowns) + (0.012 if offset == "12 mm" else 0)
+    )
+    np.testing.assert_allclose(
+        instrument.predict(view, np.full(len(instrument.unknowns), 0.02), readings.details)[:, 0], expected
+    )
 
 
 def test_the_chain_has_exact_derivatives_on_a_serial_arm(arm):
@@ -103,8 +107,8 @@ def test_the_chain_has_exact_derivatives_on_a_robot_with_three_loops(tmp_path):
 def test_the_truth_is_found_from_bad_first_guesses(arm):
     q = joints(60, seed=3)
     truth = arm.with_parameters(TRUTH)
-    found = calib.fit(arm, calib.as_measurements(arm, q, read(truth, q))).robot
-    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    result = calib.fit(arm, calib.as_measurements(arm, q, read(truth, q))).robot
+    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
     for name, value in whole_truth(arm).items():
         assert abs(values[name] - value) < 1e-7, name
 
@@ -146,11 +150,11 @@ def test_multilateration_in_space_in_a_plane_and_on_a_line():
     np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, 0.1])), c, atol=1e-12)
     np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, -0.1])), c * [1, 1, -1], atol=1e-12)
     line = points * [1, 0, 0]
-    found = centre(line, distance(line), np.array([5.0, 0.0, -1.0]))
-    np.testing.assert_allclose(found, [0.7, 0.0, -np.hypot(1.1, 2.0)], atol=1e-12)
+    result = centre(line, distance(line), np.array([5.0, 0.0, -1.0]))
+    np.testing.assert_allclose(result, [0.7, 0.0, -np.hypot(1.1, 2.0)], atol=1e-12)
     on_sphere = c + 0.3 * points / np.linalg.norm(points, axis=1)[:, None]
-    found, radius = centre_of_sphere(on_sphere, np.zeros(3))
-    np.testing.assert_allclose([*found, radius], [*c, 0.3], atol=1e-12)
+    result, radius = centre_of_sphere(on_sphere, np.zeros(3))
+    np.testing.assert_allclose([*result, radius], [*c, 0.3], atol=1e-12)
 
 
 def coverage(robot, n, n_poses=40):
@@ -168,9 +172,9 @@ def coverage(robot, n, n_poses=40):
 
 @pytest.mark.amount(15, 60)
 def test_95_percent_intervals_hold_the_truth(arm, amount):
-    found = coverage(arm, amount)
-    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
-    assert 0.9 < np.mean(found) < 0.99
+    covered = coverage(arm, amount)
+    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 @pytest.fixture
@@ -183,8 +187,8 @@ def fit_file(tmp_path, run_calib, monkeypatch):
         q = joints(30, seed=8)
         truth = robot.with_parameters(TRUTH)
         header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)])
-        found = np.hstack([q, *(1e3 * values for values in read(truth, q, SIGMA).values())])
-        lines = [header, *(",".join(repr(float(cell)) for cell in row) for row in found)]
+        result = np.hstack([q, *(1e3 * values for values in read(truth, q, SIGMA).values())])
+        lines = [header, *(",".join(repr(float(cell)) for cell in row) for row in result)]
         text = ("\n".join(lines) + "\n").replace(*(in_csv or ("", "")))
         (tmp_path / "data.csv").write_text(text)
         yaml = YAML.replace(*(in_yaml or ("", "")))
@@ -292,6 +296,6 @@ def test_an_end_that_errors_of_the_robot_draw_into_the_plane_of_its_motion_is_fo
     tip = np.stack([np.cos(turn) * out - np.sin(turn) * b, np.sin(turn) * out + np.cos(turn) * b, np.full(40, c)], 1)
     end = np.array([0.9, 0.4, c + 0.03])
     read = np.linalg.norm(tip - end, axis=1) + np.random.default_rng(3).normal(0, 1e-5, 40)
-    found = calib.fit(robot, calib.as_measurements(robot, q, {"wire": read[:, None]})).parameters
+    result = calib.fit(robot, calib.as_measurements(robot, q, {"wire": read[:, None]})).parameters
     for name, true in zip(("slide.x", "wire_end.x", "wire_end.y", "wire_end.z"), (0.25 + error, *end), strict=True):
-        assert abs(found[name].value_si - true) < 5 * found[name].std_si < 5e-3, name
+        assert abs(result[name].value_si - true) < 5 * result[name].std_si < 5e-3, name

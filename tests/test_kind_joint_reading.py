@@ -38,7 +38,7 @@ def five_bar(folder, encoders=""):
 def elbows(robot, q):
     """Angles of both elbows, by the law of cosines from where the motors and the common tip are."""
     value = dict(zip([p.name for p in robot.parameters], robot.values, strict=True))
-    found = []
+    results = []
     motor = {side: np.array([value[f"{side}_motor.x"], value[f"{side}_motor.y"]]) for side in ("left", "right")}
     crank = {side: q[:, k] + value[f"{side}_motor.rz"] for k, side in enumerate(("left", "right"))}
     knee = {
@@ -49,9 +49,9 @@ def elbows(robot, q):
     distance = np.linalg.norm(across, axis=1)
     a, b = value["left_end.x"], value["right_end.x"]
     along = np.arctan2(across[:, 1], across[:, 0])
-    found.append(along + np.arccos((a**2 + distance**2 - b**2) / (2 * a * distance)) - crank["left"])
-    found.append(along + np.pi - np.arccos((b**2 + distance**2 - a**2) / (2 * b * distance)) - crank["right"])
-    return np.mod(np.stack(found, axis=1) + np.pi, 2 * np.pi) - np.pi
+    results.append(along + np.arccos((a**2 + distance**2 - b**2) / (2 * a * distance)) - crank["left"])
+    results.append(along + np.pi - np.arccos((b**2 + distance**2 - a**2) / (2 * b * distance)) - crank["right"])
+    return np.mod(np.stack(results, axis=1) + np.pi, 2 * np.pi) - np.pi
 
 
 def poses(robot, n, seed):
@@ -77,15 +77,13 @@ def test_derivatives_through_the_loop_of_a_five_bar(tmp_path):
     q = poses(robot, 6, 2)
     readings = predicted_readings(robot, robot.assemble(q))
     assert chain_error(robot, q, readings) <= 1e-6
-    by_joint = {
-        name: found.by_joint for name, found in observe(robot, robot.assemble(q), readings, joints=True).items()
-    }
+    by_joint = {name: item.by_joint for name, item in observe(robot, robot.assemble(q), readings, joints=True).items()}
     step = 1e-6
     for j in range(2):
         sides = [observe(robot, robot.assemble(q + sign * step * np.eye(2)[j]), readings) for sign in (1, -1)]
-        for name, found in by_joint.items():
+        for name, result in by_joint.items():
             difference = (sides[0][name].residuals - sides[1][name].residuals) / (2 * step)
-            np.testing.assert_allclose(found[:, :, j], difference, atol=1e-8)
+            np.testing.assert_allclose(result[:, :, j], difference, atol=1e-8)
 
 
 def test_derivatives_through_the_loops_of_medrue(tmp_path):
@@ -170,9 +168,9 @@ def coverage(folder, n):
 
 @pytest.mark.amount(20, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
-    found = coverage(tmp_path, amount)
-    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
-    assert 0.9 < np.mean(found) < 0.99
+    covered = coverage(tmp_path, amount)
+    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_calib):

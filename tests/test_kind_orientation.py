@@ -59,34 +59,36 @@ def seen(robot, q, base, sigma=0.0, seed=0):
 def tilts(rotation, sigma=0.0, seed=0):
     """How far the z axis of a sensor leans, seen in its own planes."""
     up = rotation.inv().apply([0.0, 0.0, 1.0])
-    found = np.stack([np.arctan2(up[:, 1], up[:, 2]), np.arctan2(-up[:, 0], up[:, 2])], axis=1)
-    return found + sigma * np.random.default_rng(seed).standard_normal(found.shape)
+    result = np.stack([np.arctan2(up[:, 1], up[:, 2]), np.arctan2(-up[:, 0], up[:, 2])], axis=1)
+    return result + sigma * np.random.default_rng(seed).standard_normal(result.shape)
 
 
 def upright(robot, n, seed):
     """Joint values with the sensor less than 75 degrees from level, as inclinometers are used."""
     q = joints(20 * n, seed)
-    found = tilts(seen(robot, q, LEVEL))
-    return q[np.all(np.abs(found) < np.radians(75), axis=1)][:n]
+    result = tilts(seen(robot, q, LEVEL))
+    return q[np.all(np.abs(result) < np.radians(75), axis=1)][:n]
 
 
 def test_tilts_grow_as_the_sensor_turns_about_its_own_axes(tmp_path):
-    one = arm(tmp_path, TILTED).instrument("sensor")
+    instrument = arm(tmp_path, TILTED).instrument("sensor")
     turned = Rotation.from_rotvec([[0.3, 0, 0], [0, 0.2, 0], [0, 0, 1.0], [0, 0, 0]]).as_matrix()
     view = View(turned, np.zeros((4, 3)))
     expected = [[0.3, 0], [0, 0.2], [0, 0], [0, 0]]
-    np.testing.assert_allclose(one.predict(view, np.zeros(0), np.zeros((4, 0))), expected, atol=1e-15)
+    np.testing.assert_allclose(instrument.predict(view, np.zeros(0), np.zeros((4, 0))), expected, atol=1e-15)
 
 
 @pytest.mark.parametrize("yaml", [YAML, TILTED], ids=["all", "gravity"])
 def test_the_kind_has_exact_derivatives(tmp_path, yaml):
-    one = arm(tmp_path, yaml).instrument("sensor")
+    instrument = arm(tmp_path, yaml).instrument("sensor")
     rng = np.random.default_rng(1)
     view = View(Rotation.random(30, rng).as_matrix(), rng.normal(size=(30, 3)))
     nothing = np.zeros(30, dtype=int)
-    near = one.moved(one.predict(view, np.zeros(0), np.zeros((30, 0))), rng.normal(0, 0.3, (30, one.n_rows)))
+    near = instrument.moved(
+        instrument.predict(view, np.zeros(0), np.zeros((30, 0))), rng.normal(0, 0.3, (30, instrument.n_rows))
+    )
     readings = Readings(nothing, nothing, near, None, np.zeros((30, 0)))
-    assert kind_error(one, view, np.zeros(0), readings) <= 1e-6
+    assert kind_error(instrument, view, np.zeros(0), readings) <= 1e-6
 
 
 @pytest.mark.parametrize("yaml", [YAML, TILTED], ids=["all", "gravity"])
@@ -114,9 +116,9 @@ def test_both_ends_are_found_in_closed_form():
     looked = np.linalg.inv(first) @ links @ second
     for known in ((False, False), (True, False), (False, True)):
         now = (first if known[0] else np.eye(4), second if known[1] else np.eye(4))
-        found = fixed_poses(links, looked, now, known)
-        np.testing.assert_allclose(found[0], first, atol=1e-12)
-        np.testing.assert_allclose(found[1], second, atol=1e-12)
+        result = fixed_poses(links, looked, now, known)
+        np.testing.assert_allclose(result[0], first, atol=1e-12)
+        np.testing.assert_allclose(result[1], second, atol=1e-12)
 
 
 @pytest.mark.parametrize("form", ["quaternion", "rpy", "intrinsic_zyz", "rotation_vector", "matrix"])
@@ -127,8 +129,8 @@ def test_every_form_of_writing_comes_back_and_places_both_ends(tmp_path, form):
     values = (TURNED * link * MOUNTED).as_rotvec()
     (tmp_path / "data.csv").write_text(format_measurements(robot, calib.as_measurements(robot, q, {"sensor": values})))
     placed = register(robot, read_measurements(tmp_path / "data.csv", robot))
-    found = Rotation.from_matrix(placed.mechanism.placement("cell").rotation)
-    assert (found.inv() * MOUNTED).magnitude() < 1e-7
+    result = Rotation.from_matrix(placed.mechanism.placement("cell").rotation)
+    assert (result.inv() * MOUNTED).magnitude() < 1e-7
 
 
 def test_the_truth_is_found_from_orientations_with_both_ends_unknown(tmp_path):
@@ -181,9 +183,9 @@ def coverage(folder, n, gravity):
 @pytest.mark.amount(15, 40)
 @pytest.mark.parametrize("gravity", [False, True])
 def test_95_percent_intervals_hold_the_truth(tmp_path, gravity, amount):
-    found = coverage(tmp_path, amount, gravity)
-    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
-    assert 0.9 < np.mean(found) < 0.99
+    covered = coverage(tmp_path, amount, gravity)
+    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 @pytest.mark.parametrize(

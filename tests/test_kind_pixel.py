@@ -78,7 +78,7 @@ def places(seed):
 
 def photographs(truth, q, camera, body, most=12, seed=0):
     """What the camera sees at poses q: visit, point and pixels without noise; the far side of the body is hidden."""
-    rng, found = np.random.default_rng(seed), []
+    rng, results = np.random.default_rng(seed), []
     for k, link in enumerate(truth.forward(q, "l6")):
         pose = np.linalg.inv(camera) @ link @ body
         points = BODY @ pose[:3, :3].T + pose[:3, 3]
@@ -86,8 +86,8 @@ def photographs(truth, q, camera, body, most=12, seed=0):
         pixels = image(np.where(seen[:, None], points, [0, 0, 1]))
         chosen = np.flatnonzero(seen & np.all(np.abs(pixels - [1000, 800]) < [1000, 800], axis=1))
         chosen = rng.permutation(chosen)[:most]
-        found += [(k, point, *pixels[point]) for point in chosen]
-    return np.array(found)
+        results += [(k, point, *pixels[point]) for point in chosen]
+    return np.array(results)
 
 
 def data_of(robot, q, table, sigma=0.0, seed=0):
@@ -127,7 +127,7 @@ def test_points_behind_a_camera_have_finite_pixels_that_lead_back_to_its_front()
 def test_the_kind_has_exact_derivatives(tmp_path, unknown):
     sigmas = ", unknown_intrinsics: {fx: 20, fy: 20, cx: 20, cy: 20, k1: 0.1, k2: 0.1, p1: 0.01, p2: 0.01, k3: 0.1}"
     yaml = YAML.replace(", image:", f"{sigmas if unknown else ''}, image:")
-    one = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
+    instrument = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
     rng = np.random.default_rng(3)
     n = 30
     places_ = np.column_stack([rng.uniform(-0.4, 0.4, (n, 2)), rng.uniform(1, 2, n)])
@@ -135,8 +135,8 @@ def test_the_kind_has_exact_derivatives(tmp_path, unknown):
     nothing = np.zeros(n, dtype=int)
     readings = Readings(nothing, nothing, rng.uniform(0, 2000, (n, 2)), None, rng.integers(0, 12, (n, 1)).astype(float))
     unknowns = CAMERA if unknown else np.zeros(0)
-    assert len(one.unknowns) == len(unknowns)
-    assert kind_error(one, view, unknowns, readings) <= 1e-6
+    assert len(instrument.unknowns) == len(unknowns)
+    assert kind_error(instrument, view, unknowns, readings) <= 1e-6
 
 
 def standing(robot, camera, body):
@@ -182,9 +182,9 @@ def test_cameras_anywhere_are_found_with_an_unknown_body(arm, most, amount):
         q = joints(60, seed)
         data = data_of(arm, q, photographs(truth, q, camera, body, most), SIGMA, seed)
         placed = register(arm, data)
-        found = placed.mechanism.placement("eye").homogeneous
-        assert np.linalg.norm(found[:3, 3] - camera[:3, 3]) < 0.2, seed
-        assert Rotation.from_matrix(found[:3, :3].T @ camera[:3, :3]).magnitude() < 0.1, seed
+        result = placed.mechanism.placement("eye").homogeneous
+        assert np.linalg.norm(result[:3, 3] - camera[:3, 3]) < 0.2, seed
+        assert Rotation.from_matrix(result[:3, :3].T @ camera[:3, :3]).magnitude() < 0.1, seed
 
 
 @pytest.mark.parametrize(("pose", "where"), [("known", "unknown"), ("unknown", "known")])
@@ -237,15 +237,15 @@ def coverage(robot, n):
 
 def without_guesses(monkeypatch):
     """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
-    monkeypatch.setattr("calib.instruments.pixel.guesses", lambda found, now, known: [now])
+    monkeypatch.setattr("calib.instruments.pixel.guesses", lambda result, now, known: [now])
 
 
 @pytest.mark.amount(15, 40)
 def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
     without_guesses(monkeypatch)
-    found = coverage(arm, amount)
-    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
-    assert 0.9 < np.mean(found) < 0.99
+    covered = coverage(arm, amount)
+    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 def test_what_a_camera_cannot_see_is_no_reading_and_says_nothing(arm):
@@ -424,10 +424,10 @@ def test_an_image_that_was_turned_against_its_intrinsics_is_named(arm):
     camera, body = places(14)
     q = joints(60, 14)
     data = data_of(arm, q, photographs(arm, q, camera, body), SIGMA)
-    one, readings = arm.instrument("eye"), data.readings["eye"]
-    assert one.doubts(readings) == ()
+    instrument, readings = arm.instrument("eye"), data.readings["eye"]
+    assert instrument.doubts(readings) == ()
     turned = replace(readings, values=np.stack([readings.values[:, 1], 4000 - readings.values[:, 0]], axis=1))
-    (said,) = one.doubts(turned)
+    (said,) = instrument.doubts(turned)
     assert said.startswith("camera 'eye': ")
     assert "outside an image of 2000 x 1600 px" in said
     assert "turned by 90 degrees" in said

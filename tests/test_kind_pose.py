@@ -47,12 +47,12 @@ def poses(n, seed):
 
 def test_the_derivative_of_the_kind_agrees_with_differences():
     rotation, translation = poses(6, 0)
-    one = Pose.of("tracker", PoseSection(kind="pose"))
+    instrument = Pose.of("tracker", PoseSection(kind="pose"))
     read = np.hstack([translation + 1e-3, (Rotation.from_rotvec([0.02, -0.01, 0.03]) * rotation).as_rotvec()])
     n = len(read)
     readings = Readings(np.arange(n), np.zeros(n, dtype=np.intp), read, None, np.zeros((n, 0)))
     view = View(rotation.as_matrix(), translation)
-    assert kind_error(one, view, np.zeros(0), readings) < 1e-6
+    assert kind_error(instrument, view, np.zeros(0), readings) < 1e-6
 
 
 def test_the_inverse_left_jacobian_is_the_derivative_of_the_logarithm():
@@ -106,7 +106,7 @@ def test_every_form_of_rotation_is_read_back(tmp_path, form):
     ("form", "sequence"), [("rpy", "xyz"), ("intrinsic_xyz", "XYZ"), ("intrinsic_zyx", "ZYX"), ("intrinsic_zyz", "ZYZ")]
 )
 def test_angles_mean_what_their_form_says(form, sequence):
-    one = Pose.of("t", PoseSection(kind="pose", rotation=form))
+    instrument = Pose.of("t", PoseSection(kind="pose", rotation=form))
     angles = np.array([[0.3, -0.4, 1.2]])
     # elementary rotations written out: fixed axes multiply from the left, moving ones from the right
     c, s = np.cos(angles[0]), np.sin(angles[0])
@@ -117,9 +117,11 @@ def test_angles_mean_what_their_form_says(form, sequence):
     }
     factors = [about[axis.lower()](k) for k, axis in enumerate(sequence)]
     expected = factors[0] @ factors[1] @ factors[2] if sequence.isupper() else factors[2] @ factors[1] @ factors[0]
-    columns = dict(zip([column.name for column in one.columns()], np.hstack([np.zeros((1, 3)), angles]).T, strict=True))
-    found = Rotation.from_rotvec(one.values(columns)[:, 3:].copy()).as_matrix()[0]
-    assert np.allclose(found, expected, rtol=0, atol=1e-12)
+    columns = dict(
+        zip([column.name for column in instrument.columns()], np.hstack([np.zeros((1, 3)), angles]).T, strict=True)
+    )
+    result = Rotation.from_rotvec(instrument.values(columns)[:, 3:].copy()).as_matrix()[0]
+    assert np.allclose(result, expected, rtol=0, atol=1e-12)
 
 
 def test_base_and_sensor_frame_are_placed_from_anywhere(tmp_path):
@@ -133,9 +135,9 @@ def test_base_and_sensor_frame_are_placed_from_anywhere(tmp_path):
     turned = BASE * R * mounted
     loose = arm(tmp_path, YAML.replace(", sigma: 5 mm, sigma_angle: 20 mrad", ""))
     data = calib.as_measurements(loose, q, {"tracker": np.hstack([where, turned.as_rotvec()])})
-    found = register(loose, data).forward(q, "cell")
-    assert np.allclose(found[:, :3, 3], where, rtol=0, atol=1e-8)
-    assert np.max((Rotation.from_matrix(found[:, :3, :3]).inv() * turned).magnitude()) < 1e-7
+    result = register(loose, data).forward(q, "cell")
+    assert np.allclose(result[:, :3, 3], where, rtol=0, atol=1e-8)
+    assert np.max((Rotation.from_matrix(result[:, :3, :3]).inv() * turned).magnitude()) < 1e-7
 
 
 def test_a_known_truth_is_found_again(tmp_path):
@@ -184,9 +186,9 @@ def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_
             data = calib.simulate(truth, q, None, rng, joint_sigma=tau)
             fit = calib.fit(robot, data)
             other = rng.uniform(-1.5, 1.5, (1, 6))
-            found = fit.predict(other)
-            error = np.abs(found.positions - truth.positions(other))
-            inside += int(np.sum(error <= found.coverage_factor * found.std))
+            prediction = fit.predict(other)
+            error = np.abs(prediction.positions - truth.positions(other))
+            inside += int(np.sum(error <= prediction.coverage_factor * prediction.std))
         held[name] = inside
     # coordinates of one position are not independent: the bound is that of the positions alone
     least = 3 * int(binom.ppf(1e-3, n, 0.95))

@@ -67,7 +67,9 @@ def test_lines_above_the_header_are_comments_and_that_is_told(read, caplog, abov
     first = above.count("\n") + 2
     assert is_the_table(table, (first, first + 1))
     assert len(table.comments) == comments
-    assert [f"took line {first - 1} for the header" in one.getMessage() for one in caplog.records] == [True] * told
+    assert [f"took line {first - 1} for the header" in record.getMessage() for record in caplog.records] == [
+        True
+    ] * told
 
 
 @pytest.mark.parametrize("units", [",deg,deg,mm", ",[deg],[deg],[mm]", ",(°), (deg) ,mm"])

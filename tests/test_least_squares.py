@@ -15,16 +15,16 @@ def slope(x):
 
 @pytest.mark.parametrize("scaling", ["unit", "jacobian"])
 def test_a_bent_valley_is_followed_to_its_end(scaling):
-    found = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), scaling=scaling)
-    assert found.converged
-    np.testing.assert_allclose(found.x, [1.0, 1.0], atol=1e-8)
-    assert found.cost == pytest.approx(0.0, abs=1e-16)
+    minimum = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), scaling=scaling)
+    assert minimum.converged
+    np.testing.assert_allclose(minimum.x, [1.0, 1.0], atol=1e-8)
+    assert minimum.cost == pytest.approx(0.0, abs=1e-16)
 
 
 def test_the_cost_is_the_sum_of_squares():
-    found = minimise(lambda x: np.array([x[0] - 1, x[0] - 4.0]), lambda x: np.ones((2, 1)), np.zeros(1))
-    assert found.x[0] == pytest.approx(2.5)
-    assert found.cost == pytest.approx(2 * 1.5**2)
+    minimum = minimise(lambda x: np.array([x[0] - 1, x[0] - 4.0]), lambda x: np.ones((2, 1)), np.zeros(1))
+    assert minimum.x[0] == pytest.approx(2.5)
+    assert minimum.cost == pytest.approx(2 * 1.5**2)
 
 
 def test_a_step_to_where_there_is_no_value_is_shortened():
@@ -32,9 +32,9 @@ def test_a_step_to_where_there_is_no_value_is_shortened():
         with np.errstate(invalid="ignore"):
             return np.array([np.sqrt(x[0] - 1) - 0.1])  # the first step goes to x < 1
 
-    found = minimise(root, lambda x: np.array([[0.5 / np.sqrt(x[0] - 1)]]), np.array([3.0]))
-    assert found.converged
-    assert found.x[0] == pytest.approx(1.01, rel=1e-6)
+    minimum = minimise(root, lambda x: np.array([[0.5 / np.sqrt(x[0] - 1)]]), np.array([3.0]))
+    assert minimum.converged
+    assert minimum.x[0] == pytest.approx(1.01, rel=1e-6)
 
 
 def test_a_start_without_residuals_is_an_error():
@@ -43,10 +43,10 @@ def test_a_start_without_residuals_is_an_error():
 
 
 def test_running_out_of_evaluations_is_not_convergence():
-    found = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), max_evaluations=2)
-    assert not found.converged
-    assert found.evaluations == 2
-    assert found.message == "the limit of evaluations was reached"
+    minimum = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), max_evaluations=2)
+    assert not minimum.converged
+    assert minimum.evaluations == 2
+    assert minimum.message == "the limit of evaluations was reached"
 
 
 BEND, OFFSET = 1.0, 0.8
@@ -66,10 +66,10 @@ def test_curvature_of_residuals_that_stay_does_not_spoil_convergence():
     near = np.array([at + 1e-3])
     plain = near - np.linalg.lstsq(jacobian(near), residuals(near), rcond=None)[0]
     assert abs(plain[0] - at) > 1e-3
-    found = minimise(residuals, jacobian, np.zeros(1))
-    assert found.converged
-    assert found.x[0] == pytest.approx(at, abs=1e-6)
-    assert found.evaluations <= 10  # 35 with a trust region around plain steps
+    minimum = minimise(residuals, jacobian, np.zeros(1))
+    assert minimum.converged
+    assert minimum.x[0] == pytest.approx(at, abs=1e-6)
+    assert minimum.evaluations <= 10  # 35 with a trust region around plain steps
 
 
 @pytest.mark.parametrize("degrees", [120, 170])
@@ -83,23 +83,23 @@ def test_a_valley_longer_than_wide_is_followed(degrees):
     def jacobian(u):
         return np.vstack([30 * u / np.linalg.norm(u), np.eye(2)])
 
-    found = minimise(residuals, jacobian, np.array([20.0, 0.0]))
-    assert found.converged
-    np.testing.assert_allclose(found.x, target, atol=1e-6)
-    assert found.evaluations <= 60  # 38 and 34
+    minimum = minimise(residuals, jacobian, np.array([20.0, 0.0]))
+    assert minimum.converged
+    np.testing.assert_allclose(minimum.x, target, atol=1e-6)
+    assert minimum.evaluations <= 60  # 38 and 34
 
 
 @pytest.mark.parametrize("above", [0.05, 0.2, 1.0])
 def test_a_saddle_is_left(above):
     """Half a square that is 1 + c too small, and a prior of 1: zero is a maximum between minima at +-sqrt(2 c)."""
-    found = minimise(
+    minimum = minimise(
         lambda u: np.array([u[0] ** 2 / 2 - 1 - above, u[0]]),
         lambda u: np.array([[u[0]], [1.0]]),
         np.array([0.01]),
     )
-    assert found.converged
-    assert found.x[0] == pytest.approx(np.sqrt(2 * above), rel=1e-4)
-    assert found.evaluations <= 40  # 25, 13 and 9; 103, 32 and 16 without the curvature of the steps before
+    assert minimum.converged
+    assert minimum.x[0] == pytest.approx(np.sqrt(2 * above), rel=1e-4)
+    assert minimum.evaluations <= 40  # 25, 13 and 9; 103, 32 and 16 without the curvature of the steps before
 
 
 def hardly_seen(seed, n=40, n_rows=120, sigma=1e-4):
@@ -121,9 +121,9 @@ def hardly_seen(seed, n=40, n_rows=120, sigma=1e-4):
 
 def test_wrong_scales_of_a_linear_problem_cost_one_evaluation():
     effects = np.random.default_rng(0).normal(size=(60, 20))
-    found = minimise(lambda x: effects @ (x - 1000.0), lambda x: effects, np.zeros(20))
-    assert found.x == pytest.approx(1000.0)
-    assert found.evaluations == 3
+    minimum = minimise(lambda x: effects @ (x - 1000.0), lambda x: effects, np.zeros(20))
+    assert minimum.x == pytest.approx(1000.0)
+    assert minimum.evaluations == 3
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -131,10 +131,10 @@ def test_an_absurdly_long_first_step_is_not_taken(seed):
     residuals, jacobian = hardly_seen(seed)
     first = np.linalg.lstsq(jacobian(np.zeros(40)), -residuals(np.zeros(40)), rcond=None)[0]
     assert np.linalg.norm(first) > 10 * np.sqrt(40)  # where the truth is 0.3 sqrt(40) away
-    found = minimise(residuals, jacobian, np.zeros(40))
-    assert found.converged
-    assert found.cost < 2 * 120  # noise alone; from where that step leads, minima 1000 times as high are found
-    assert found.evaluations <= 20  # 9 and 11; 37 and 76 with that step
+    minimum = minimise(residuals, jacobian, np.zeros(40))
+    assert minimum.converged
+    assert minimum.cost < 2 * 120  # noise alone; from where that step leads, minima 1000 times as high are found
+    assert minimum.evaluations <= 20  # 9 and 11; 37 and 76 with that step
 
 
 @pytest.mark.parametrize("bend", [3.0, 30.0])
@@ -147,7 +147,7 @@ def test_a_long_bent_valley_is_followed_in_tens_of_evaluations(bend):
     def jacobian(x):
         return np.array([[-1e3 * bend * np.cos(x[0]), 1e3], [1.0, 0.0]])
 
-    found = minimise(residuals, jacobian, np.zeros(2))
-    assert found.converged
-    np.testing.assert_allclose(found.x, [3.0, bend * np.sin(3.0)], rtol=1e-6)
-    assert found.evaluations < 100  # of straight steps alone, 200 are not enough
+    minimum = minimise(residuals, jacobian, np.zeros(2))
+    assert minimum.converged
+    np.testing.assert_allclose(minimum.x, [3.0, bend * np.sin(3.0)], rtol=1e-6)
+    assert minimum.evaluations < 100  # of straight steps alone, 200 are not enough

@@ -35,14 +35,14 @@ def unit(angle):
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def meeting(one, radius_one, other, radius_other):
+def meeting(item, radius_one, other, radius_other):
     """The meeting point of circles (n, 2) that lies to the left of the way from one centre to the other."""
-    across = other - one
+    across = other - item
     far = np.linalg.norm(across, axis=1)
     along = (radius_one**2 - radius_other**2 + far**2) / (2 * far)
     up = np.sqrt(radius_one**2 - along**2)
     x = across / far[:, None]
-    return one + along[:, None] * x + up[:, None] * np.stack([-x[:, 1], x[:, 0]], axis=1)
+    return item + along[:, None] * x + up[:, None] * np.stack([-x[:, 1], x[:, 0]], axis=1)
 
 
 def test_four_bar_is_where_two_circles_meet(tmp_path):
@@ -81,8 +81,8 @@ def test_3rrr_keeps_its_distal_lengths(tmp_path):
         )
         far = np.linalg.norm(to, axis=1)
         cosine = (size["proximal"] ** 2 + far**2 - size["distal"] ** 2) / (2 * size["proximal"] * far)
-        wanted = np.arctan2(to[:, 1], to[:, 0]) + np.arccos(cosine)
-        assert np.abs(np.angle(np.exp(1j * (wanted - q[:, k])))).max() < TOLERANCE
+        expected = np.arctan2(to[:, 1], to[:, 0]) + np.arccos(cosine)
+        assert np.abs(np.angle(np.exp(1j * (expected - q[:, k])))).max() < TOLERANCE
 
 
 def test_delta_inverse_by_hand(tmp_path):
@@ -96,8 +96,8 @@ def test_delta_inverse_by_hand(tmp_path):
         x = pose[:, :2, 3] @ unit(angle) + size["platform_radius"] - size["base_radius"]
         y, z = pose[:, :2, 3] @ unit(angle + np.pi / 2), pose[:, 2, 3]
         c = (x**2 + y**2 + z**2 + size["upper_arm"] ** 2 - size["rod"] ** 2) / (2 * size["upper_arm"])
-        wanted = np.arctan2(-z, x) - np.arccos(c / np.hypot(x, z))  # x cos q - z sin q = c, the arm outside
-        assert np.abs(wanted - q[:, k]).max() < TOLERANCE
+        expected = np.arctan2(-z, x) - np.arccos(c / np.hypot(x, z))  # x cos q - z sin q = c, the arm outside
+        assert np.abs(expected - q[:, k]).max() < TOLERANCE
 
 
 def test_stewart_legs_are_as_long_as_their_motors_say(tmp_path):
@@ -126,7 +126,7 @@ def test_a_simulated_calibration_finds_the_truth(tmp_path, name):
     data = calib.simulate(actual, Poses(q, labels, labels, name, ()), sigma, rng)
     fitted = calib.fit(robot, data, sigma=sigma)
     new = poses_of(robot, name, 20, seed=8)
-    before, after = (np.abs(one.positions(new) - actual.positions(new)).max() for one in (robot, fitted.robot))
+    before, after = (np.abs(item.positions(new) - actual.positions(new)).max() for item in (robot, fitted.robot))
     assert before > 3e-4
     assert after < 4 * sigma  # 120 to 360 readings of some 20 determined combinations: about one sigma at most
 

@@ -247,7 +247,7 @@ def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
 
     def enlarged(text):
         return re.sub(
-            r'<origin xyz="(-?[\d.]+) 0 0"/>', lambda found: f'<origin xyz="{1e4 * float(found[1])} 0 0"/>', text
+            r'<origin xyz="(-?[\d.]+) 0 0"/>', lambda result: f'<origin xyz="{1e4 * float(result[1])} 0 0"/>', text
         )
 
     small, large = example_five_bar(tmp_path, lambda text: text), example_five_bar(tmp_path, enlarged)

@@ -90,27 +90,27 @@ def test_the_scale_of_readings_of_unequal_rows_is_their_sigma_and_gaps_do_not_sh
 def test_the_scale_hardly_moves_with_five_percent_outliers():
     distances = chi(3).rvs(20000, random_state=3)
     distances[:1000] = 1e6
-    found = scale_of(distances, np.full(20000, 3), 0)
-    assert found == pytest.approx(1.0, abs=0.035)  # the median moves to the 52.6 % point
+    result = scale_of(distances, np.full(20000, 3), 0)
+    assert result == pytest.approx(1.0, abs=0.035)  # the median moves to the 52.6 % point
 
 
 @pytest.mark.parametrize("loss", LOSSES)
 def test_the_noise_of_normal_points_is_found_and_costs_five_percent(loss):
     distances = 0.02 * chi(3).rvs(100000, random_state=5)
-    found = robust_factors(loss, distances, np.full(100000, 3), 0.02, 0.0)
-    assert found.values[0] == pytest.approx(0.02, rel=0.005)
+    result = robust_factors(loss, distances, np.full(100000, 3), 0.02, 0.0)
+    assert result.values[0] == pytest.approx(0.02, rel=0.005)
     expected = 0.02 if loss == "none" else 0.02 / np.sqrt(0.95)
-    assert found.effective[0] == pytest.approx(expected, rel=0.005)
-    assert found.freedom[0] == pytest.approx(300000, rel=0.005)
+    assert result.effective[0] == pytest.approx(expected, rel=0.005)
+    assert result.freedom[0] == pytest.approx(300000, rel=0.005)
 
 
 def test_points_without_weight_do_not_count_as_measured():
     distances = chi(3).rvs(10000, random_state=5)
     distances[:500] = 1e3
-    found = robust_factors("tukey", distances, np.full(10000, 3), 1.0, 0.0)
-    assert found.values[0] == pytest.approx(1.0, rel=0.01)
-    assert found.freedom[0] == pytest.approx(3 * 9500, rel=0.01)
-    assert found.effective[0] == pytest.approx(1 / np.sqrt(0.95 * 0.95), rel=0.01)
+    result = robust_factors("tukey", distances, np.full(10000, 3), 1.0, 0.0)
+    assert result.values[0] == pytest.approx(1.0, rel=0.01)
+    assert result.freedom[0] == pytest.approx(3 * 9500, rel=0.01)
+    assert result.effective[0] == pytest.approx(1 / np.sqrt(0.95 * 0.95), rel=0.01)
 
 
 def test_no_freedom_is_an_error():

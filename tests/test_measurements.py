@@ -142,8 +142,8 @@ def test_a_joint_or_target_with_brackets_or_commas_in_its_name_survives_a_file(t
 
 def test_the_arrays_are_copies_that_nobody_can_write_to(read):
     data = read(HEADER + "a,0,0,0,0,0,0\nb,0,0,0,0,0,0\n")
-    found = data.readings["tip"]
-    for array in (data.joints, found.visits, found.values, data.subset(np.array([0])).joints):
+    result = data.readings["tip"]
+    for array in (data.joints, result.visits, result.values, data.subset(np.array([0])).joints):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     joints = np.zeros((1, 3))
@@ -328,9 +328,9 @@ def test_measurements_with_gaps_and_repeats_read_back(tmp_path, read):
     again = read(format_measurements(robot, data, ("said",)), robot)
     assert again.comments == ("said",)
     assert again.names == data.names
-    for name, found in data.readings.items():
-        assert again.readings[name].visits.tolist() == found.visits.tolist()
-        np.testing.assert_allclose(again.readings[name].values, found.values, rtol=1e-15)
+    for name, readings in data.readings.items():
+        assert again.readings[name].visits.tolist() == readings.visits.tolist()
+        np.testing.assert_allclose(again.readings[name].values, readings.values, rtol=1e-15)
 
 
 @pytest.mark.parametrize("directions", [[1, -1], [0, 0]])

@@ -107,16 +107,16 @@ def assert_closed_form_agrees(values: Array, q: Array) -> None:
 
 
 def test_tree_matches_the_paper_with_nominal_values() -> None:
-    found = {}
+    by_name = {}
     for joint in ElementTree.parse(URDF).getroot().iterfind("joint"):
         parent, child, origin, axis = (joint.find(tag) for tag in ("parent", "child", "origin", "axis"))
         assert parent is not None
         assert child is not None
         assert origin is not None
         xyz, rpy = (tuple(map(float, origin.attrib[key].split())) for key in ("xyz", "rpy"))
-        found[joint.attrib["name"]] = (joint.attrib["type"], parent.attrib["link"], child.attrib["link"],
+        by_name[joint.attrib["name"]] = (joint.attrib["type"], parent.attrib["link"], child.attrib["link"],
                                        None if axis is None else axis.attrib["xyz"], (xyz, rpy))  # fmt: skip
-    assert found == expected_tree(table1().nominal)  # exactly: the file holds 17 digits where they are needed
+    assert by_name == expected_tree(table1().nominal)  # exactly: the file holds 17 digits where they are needed
 
 
 def test_closed_form_equals_the_urdf_at_nominal_parameters() -> None:
@@ -174,13 +174,13 @@ def test_limits_exclude_the_other_assembly_mode() -> None:
 
 
 def joint_limits() -> dict[str, tuple[float, float]]:
-    found = {}
+    by_name = {}
     for joint in ElementTree.parse(URDF).getroot().iterfind("joint"):
         limit = joint.find("limit")
         if joint.attrib["type"] != "fixed":
             assert limit is not None
-            found[joint.attrib["name"]] = (float(limit.attrib["lower"]), float(limit.attrib["upper"]))
-    return found
+            by_name[joint.attrib["name"]] = (float(limit.attrib["lower"]), float(limit.attrib["upper"]))
+    return by_name
 
 
 def test_yourdfpy_places_the_tool_where_pinocchio_does() -> None:

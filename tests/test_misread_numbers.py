@@ -83,10 +83,10 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
         assert fit.verdict.grade == "PASS"
         return
     assert fit.verdict.grade == "FAIL"
-    text = next(one.text for one in fit.verdict.reasons if one.code == "lengths_scaled")
-    found = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", text)
-    assert float(found[1]) == pytest.approx(1.6, abs=0.3)
-    assert found[2] == ("longer" if scale > 1 else "shorter")
+    text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
+    result = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", text)
+    assert float(result[1]) == pytest.approx(1.6, abs=0.3)
+    assert result[2] == ("longer" if scale > 1 else "shorter")
 
 
 @pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
@@ -128,8 +128,8 @@ def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
     robot = calib.load(tmp_path / "robot.yaml")
     rng = np.random.default_rng(4)
     q = rng.uniform(-2.5, 2.5, (80, 2))
-    free = robot.is_free & ~np.array([one.placement for one in robot.parameters])
-    sigma = np.array([one.sigma_si for one in robot.parameters])
+    free = robot.is_free & ~np.array([parameter.placement for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     true = robot.with_parameters(
         np.where(free, robot.values + 0.5 * sigma * rng.standard_normal(len(sigma)), robot.values)
     )
@@ -137,5 +137,5 @@ def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
     placed = true.with_parameters({"ball.x": 0.5, "ball.y": 0.2})
     points = placed.positions(q) @ turned.T + [2.0, 0.5, 1.0] + 2e-4 * rng.standard_normal((80, 1, 3))
     fit = calib.fit(robot, measurements(robot, q, points))
-    assert "lengths_scaled" not in [one.code for one in fit.verdict.reasons]
+    assert "lengths_scaled" not in [reason.code for reason in fit.verdict.reasons]
     assert fit.verdict.grade == "PASS"

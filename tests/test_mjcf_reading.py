@@ -103,9 +103,9 @@ def test_masses_are_those_of_mujoco(tmp_path):
 )
 def test_loops_are_cut_open_and_hold_the_directions_that_move(tmp_path, tie, kind, axes):
     (tmp_path / "five_bar.xml").write_text(five_bar(tie))
-    found = read_mjcf(tmp_path / "five_bar.xml")
-    assert found.motors == ("left_motor", "right_motor")
-    assert [(loop.links, loop.kind, loop.axes) for loop in found.loops] == [(("tie_a", "tie_b"), kind, axes)]
+    read = read_mjcf(tmp_path / "five_bar.xml")
+    assert read.motors == ("left_motor", "right_motor")
+    assert [(loop.links, loop.kind, loop.axes) for loop in read.loops] == [(("tie_a", "tie_b"), kind, axes)]
 
 
 def test_a_five_bar_moves_as_its_circles_say(tmp_path, run_calib):
@@ -123,9 +123,9 @@ def test_a_five_bar_moves_as_its_circles_say(tmp_path, run_calib):
     half = np.linalg.norm(across, axis=1) / 2
     up = np.column_stack([-across[:, 1], across[:, 0]]) / (2 * half[:, None])
     pen = elbows[0] + across / 2 + np.sqrt(0.3**2 - half**2)[:, None] * up
-    found = np.linalg.inv(robot.forward(q, "table")) @ robot.forward(q, "pen")
-    assert np.allclose(found[:, :2, 3], pen, rtol=0, atol=1e-9)
-    assert np.allclose(found[:, 2, 3], 0.0, rtol=0, atol=1e-9)
+    result = np.linalg.inv(robot.forward(q, "table")) @ robot.forward(q, "pen")
+    assert np.allclose(result[:, :2, 3], pen, rtol=0, atol=1e-9)
+    assert np.allclose(result[:, 2, 3], 0.0, rtol=0, atol=1e-9)
 
 
 def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_calib):
@@ -138,8 +138,8 @@ def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_
     assert "ball joint k is three hinges, k_x, k_y and k_z" in said
     robot = calib.load(tmp_path / "ball.yaml")
     q = np.random.default_rng(2).uniform(-1.0, 1.0, (20, 3))
-    found = np.linalg.inv(robot.forward(q, "world")) @ robot.forward(q, "arm")
-    centre = found[:, :3, :3] @ [0.0, 0.1, 0.2] + found[:, :3, 3]
+    result = np.linalg.inv(robot.forward(q, "world")) @ robot.forward(q, "arm")
+    centre = result[:, :3, :3] @ [0.0, 0.1, 0.2] + result[:, :3, 3]
     assert np.allclose(centre, [0.0, 0.1, 1.2], rtol=0, atol=1e-12)  # the ball stays where it is
 
 

@@ -17,14 +17,14 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
     words = " ".join(reason.text for reason in fit.verdict.reasons)
     assert "doubtful_readings" in fit.verdict.to_dict()["codes"]
     assert "noise found of left, pixel, is" in words
-    assert all(one.sigma > 2 for one in fit.noise)  # the most that cameras have [px]
+    assert all(noise.sigma > 2 for noise in fit.noise)  # the most that cameras have [px]
     assert "camera 'left': 284 of 601 readings lie outside an image" in words
 
 
 def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_data):
     robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=True, turned=True)
     fit = calib.fit(robot, train, validation=test)
-    assert all(one.sigma < 1.1 for one in fit.noise if one.group.part == "pixel")
+    assert all(noise.sigma < 1.1 for noise in fit.noise if noise.group.part == "pixel")
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0726
     known = fit.identification_uncertainty  # of the ball; where the body is that cameras see, nobody knows to 10 mm

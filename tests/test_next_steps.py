@@ -42,7 +42,7 @@ def say(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("grade", "codes", "wanted"),
+    ("grade", "codes", "expected"),
     [
         ("PASS", (), "calib fit a.yaml 'my data.csv' --validate 0.25 --out out"),
         ("CHECK", ("outliers",), "calib fit a.yaml 'my data.csv' --exclude-outliers --out out-2"),
@@ -53,12 +53,12 @@ def say(monkeypatch):
         ("FAIL", ("not_converged",), "calib fit a.yaml 'my data.csv' --starts 5 --out out-2"),
     ],
 )
-def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, wanted):
+def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, expected):
     say(grade, *codes)
     meaning, following = after_fit(fit, "a.yaml", ("my data.csv",), "out").splitlines()
     assert grade in meaning
     assert following.startswith("Next: ")
-    assert following.partition(": calib ")[2].startswith(wanted.removeprefix("calib "))
+    assert following.partition(": calib ")[2].startswith(expected.removeprefix("calib "))
 
 
 def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(robot, data):
@@ -101,11 +101,11 @@ def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, 
 
 
 def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
-    found = calib.check(robot, data)
-    assert "calib sample" in after_check(found, "a.yaml", data, ())
-    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, ("d.csv",))
+    assessment = calib.check(robot, data)
+    assert "calib sample" in after_check(assessment, "a.yaml", data, ())
+    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(assessment, "a.yaml", data, ("d.csv",))
     poses = calib.as_poses(robot, data.joints)
-    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, ("d.csv",))
+    assert "calib select a.yaml d.csv --count 40" in after_check(assessment, "a.yaml", poses, ("d.csv",))
 
 
 def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):

@@ -90,7 +90,7 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
     model = MODELS[name]
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # trial points far away
-        found = minimise(
+        minimum = minimise(
             lambda b: model(b, x)[0] - y,
             lambda b: np.stack(model(b, x)[1], axis=1),
             table[:, start - 1],
@@ -98,12 +98,12 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
             tolerance=1e-15,
             max_evaluations=2000,
         )
-    assert found.converged
+    assert minimum.converged
     n = len(table)
-    known, one_group = information(found.jacobian), np.zeros(len(y), dtype=np.intp)
-    factors = found_factors(found.residuals, found.jacobian, one_group, 1, known)
-    uncertainty = statistics(found.jacobian, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
-    np.testing.assert_allclose(found.x, table[:, 2], rtol=1e-6)
+    known, one_group = information(minimum.jacobian), np.zeros(len(y), dtype=np.intp)
+    factors = found_factors(minimum.residuals, minimum.jacobian, one_group, 1, known)
+    uncertainty = statistics(minimum.jacobian, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
+    np.testing.assert_allclose(minimum.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)
 
 

@@ -31,10 +31,10 @@ def as_dictionaries(groups):
 
 def test_groups_that_were_put_in_come_out():
     groups = null_groups(matrix_with_null_vectors([[0, 0, 0, 0, 0, 1], [1, -2, 0, 0, 0, 0], [0, 0, 3, 1, 4, 0]]))
-    found = as_dictionaries(groups)
-    assert found[0] == {5: 1.0}
-    assert found[1] == {0: 1.0, 1: -2.0}
-    assert found[2] == {2: 1.0, 3: round(1 / 3, 6), 4: round(4 / 3, 6)}
+    result = as_dictionaries(groups)
+    assert result[0] == {5: 1.0}
+    assert result[1] == {0: 1.0, 1: -2.0}
+    assert result[2] == {2: 1.0, 3: round(1 / 3, 6), 4: round(4 / 3, 6)}
 
 
 def test_full_rank_has_no_groups():
@@ -56,7 +56,7 @@ def test_a_held_column_that_moves_a_tenth_speaks_whatever_the_rounding(seed):
 def brute_force_length(basis):
     """Total length of the shortest basis, by trying every support."""
     n, k = basis.shape
-    found = []
+    results = []
     for size in range(1, n + 1):
         for support in combinations(range(n), size):
             outside = np.delete(basis, support, axis=0)
@@ -65,10 +65,10 @@ def brute_force_length(basis):
             if rank == k - 1:
                 vector = basis @ vt[-1]
                 if np.all(np.abs(vector[list(support)]) > 1e-9):
-                    if np.linalg.matrix_rank(np.array([*found, vector]), tol=1e-9) > len(found):
-                        found.append(vector)
-                    if len(found) == k:
-                        return sum(int(np.sum(np.abs(v) > 1e-9)) for v in found)
+                    if np.linalg.matrix_rank(np.array([*results, vector]), tol=1e-9) > len(results):
+                        results.append(vector)
+                    if len(results) == k:
+                        return sum(int(np.sum(np.abs(v) > 1e-9)) for v in results)
     raise AssertionError
 
 
@@ -86,19 +86,19 @@ def sparse_subspace(seed, n=9, k=4):
 @pytest.mark.parametrize("seed", range(12))
 def test_the_basis_is_the_shortest_there_is(seed):
     basis = sparse_subspace(seed)
-    found = shortest_basis(basis, np.zeros(len(basis), dtype=bool))
-    assert int(np.sum(found != 0)) == brute_force_length(basis)
-    np.testing.assert_allclose(found.T @ np.linalg.lstsq(found.T, basis, rcond=None)[0], basis, atol=1e-9)
+    result = shortest_basis(basis, np.zeros(len(basis), dtype=bool))
+    assert int(np.sum(result != 0)) == brute_force_length(basis)
+    np.testing.assert_allclose(result.T @ np.linalg.lstsq(result.T, basis, rcond=None)[0], basis, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatch):
     basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((9, 4)))[0]
     monkeypatch.setattr(null_space, "_MOST_SUPPORTS", 0)
-    found = shortest_basis(basis, np.zeros(9, dtype=bool))
-    assert np.linalg.matrix_rank(found) == 4
+    result = shortest_basis(basis, np.zeros(9, dtype=bool))
+    assert np.linalg.matrix_rank(result) == 4
     # in a random subspace every elementary vector has exactly n - k + 1 entries
-    assert {int(np.sum(vector != 0)) for vector in found} == {6}
+    assert {int(np.sum(vector != 0)) for vector in result} == {6}
 
 
 @pytest.fixture(scope="module")

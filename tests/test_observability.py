@@ -13,19 +13,19 @@ def indices_of(matrix, n_poses):
 
 def test_by_hand():
     """Singular values 4, 2, 1 and four poses."""
-    found = indices_of(np.vstack([np.diag([4.0, 1.0, 2.0]), np.zeros((9, 3))]), 4)
-    assert found["O1"] == pytest.approx((4 * 2 * 1) ** (1 / 3) / np.sqrt(4))  # = 1
-    assert found["O2"] == pytest.approx(1 / 4)
-    assert found["O3"] == pytest.approx(1)
-    assert found["O4"] == pytest.approx(1**2 / 4)
-    assert found["O5"] == pytest.approx(1 / (1 / 4 + 1 / 2 + 1 / 1))
+    result = indices_of(np.vstack([np.diag([4.0, 1.0, 2.0]), np.zeros((9, 3))]), 4)
+    assert result["O1"] == pytest.approx((4 * 2 * 1) ** (1 / 3) / np.sqrt(4))  # = 1
+    assert result["O2"] == pytest.approx(1 / 4)
+    assert result["O3"] == pytest.approx(1)
+    assert result["O4"] == pytest.approx(1**2 / 4)
+    assert result["O5"] == pytest.approx(1 / (1 / 4 + 1 / 2 + 1 / 1))
 
 
 def test_by_hand_for_a_matrix_that_is_not_diagonal():
     """[[3, 0], [4, 5]] has singular values sqrt(45) and sqrt(5)."""
-    found = indices_of(np.array([[3.0, 0.0], [4.0, 5.0]]), 1)
+    result = indices_of(np.array([[3.0, 0.0], [4.0, 5.0]]), 1)
     large, small = np.sqrt(45.0), np.sqrt(5.0)
-    assert found == pytest.approx(
+    assert result == pytest.approx(
         {"O1": np.sqrt(15.0), "O2": 1 / 3, "O3": small, "O4": small / 3, "O5": large * small / (large + small)}
     )
 
@@ -81,6 +81,6 @@ def test_raw_columns_are_in_millimetres_per_unit_of_table():
 
 
 def test_task_index_is_root_mean_square_and_largest():
-    found = task_index(np.array([[3.0], [4.0], [0.0]]))
-    assert found.rms == pytest.approx(np.sqrt(25 / 3))
-    assert (found.maximum, found.worst_pose) == (4.0, 1)
+    result = task_index(np.array([[3.0], [4.0], [0.0]]))
+    assert result.rms == pytest.approx(np.sqrt(25 / 3))
+    assert (result.maximum, result.worst_pose) == (4.0, 1)

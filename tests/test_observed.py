@@ -51,49 +51,51 @@ def case(request, tmp_path):
     robot, q = request.param(tmp_path)
     rng = np.random.default_rng(3)
     readings = {}
-    for one in robot.instruments:
+    for instrument in robot.instruments:
         visits = rng.permutation(np.r_[1 : len(q), 2, 2])
-        pairs = rng.integers(0, len(robot.pairs(one)), len(visits))
-        values = rng.standard_normal((len(visits), one.n_rows))
-        readings[one.name] = Readings(visits, pairs, values, None, np.zeros((len(visits), 0)))
+        pairs = rng.integers(0, len(robot.pairs(instrument)), len(visits))
+        values = rng.standard_normal((len(visits), instrument.n_rows))
+        readings[instrument.name] = Readings(visits, pairs, values, None, np.zeros((len(visits), 0)))
     return robot, q, readings
 
 
 def residuals(robot, q, readings):
-    found = observe(robot, robot.assemble(q), readings)
-    return {name: found[name].residuals for name in readings}
+    observed = observe(robot, robot.assemble(q), readings)
+    return {name: observed[name].residuals for name in readings}
 
 
 def test_derivatives_by_parameters_are_those_of_central_differences(case):
     robot, q, readings = case
-    found = observe(robot, robot.assemble(q), readings)
+    observed = observe(robot, robot.assemble(q), readings)
     for k in range(len(robot.parameters)):
         change = STEP * (np.arange(len(robot.parameters)) == k)
         ahead, behind = (residuals(robot.with_parameters(robot.values + s * change), q, readings) for s in (1, -1))
         for name in readings:
             numeric = (ahead[name] - behind[name]) / (2 * STEP)
             np.testing.assert_allclose(
-                found[name].jacobian[..., k], numeric, atol=2e-8, err_msg=robot.parameters[k].name
+                observed[name].jacobian[..., k], numeric, atol=2e-8, err_msg=robot.parameters[k].name
             )
 
 
 def test_derivatives_by_joints_are_those_of_central_differences(case):
     robot, q, readings = case
-    found = observe(robot, robot.assemble(q), readings, joints=True)
+    observed = observe(robot, robot.assemble(q), readings, joints=True)
     for j in range(q.shape[1]):
         change = STEP * (np.arange(q.shape[1]) == j)
         ahead, behind = (residuals(robot, q + s * change, readings) for s in (1, -1))
         for name in readings:
             numeric = (ahead[name] - behind[name]) / (2 * STEP)
-            np.testing.assert_allclose(found[name].by_joint[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j])
+            np.testing.assert_allclose(
+                observed[name].by_joint[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j]
+            )
 
 
 def test_residuals_are_predicted_minus_read_from_the_place_of_the_setup(case):
     robot, q, readings = case
     configurations = robot.assemble(q)
     predicted = predicted_readings(robot, configurations, readings)
-    for name, found in observe(robot, configurations, readings).items():
-        np.testing.assert_allclose(found.residuals, predicted[name].values - readings[name].values, atol=1e-14)
+    for name, item in observe(robot, configurations, readings).items():
+        np.testing.assert_allclose(item.residuals, predicted[name].values - readings[name].values, atol=1e-14)
 
 
 def test_in_every_setup_a_target_is_seen_from_where_the_tracker_then_stands(tmp_path):
@@ -121,11 +123,11 @@ def test_without_instruments_readings_are_the_positions_of_the_targets(tmp_path)
     robot = calib.load(write_arm(tmp_path, yaml))
     q = np.random.default_rng(1).uniform([-2, 0, -2], [2, 1, 2], (70, 3))  # more than one chunk
     configurations = robot.assemble(q)
-    found = predicted_readings(robot, configurations)
-    assert list(found) == ["elbow", "tip"]
-    stacked = np.stack([found[name].values for name in found], axis=1)
+    predicted = predicted_readings(robot, configurations)
+    assert list(predicted) == ["elbow", "tip"]
+    stacked = np.stack([predicted[name].values for name in predicted], axis=1)
     np.testing.assert_allclose(stacked, robot.positions(q), atol=1e-15)
     linear = linearise(robot, configurations)
-    for k, one in enumerate(observe(robot, configurations, found).values()):
-        np.testing.assert_allclose(one.residuals, 0.0, atol=1e-15)
-        np.testing.assert_allclose(one.jacobian, linear.jacobian[:, k], atol=1e-12)
+    for k, observation in enumerate(observe(robot, configurations, predicted).values()):
+        np.testing.assert_allclose(observation.residuals, 0.0, atol=1e-15)
+        np.testing.assert_allclose(observation.jacobian, linear.jacobian[:, k], atol=1e-12)

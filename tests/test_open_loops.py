@@ -25,11 +25,11 @@ def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_clos
     q[1:3] = -1.5
     with pytest.raises(calib.UnreachablePoseError) as error:
         robot.assemble(q)
-    found = re.search(
+    match = re.search(
         r"only with passive joint (\w+) at (\S+) deg, beyond its limits \(-149 to -17.19 deg\)", str(error.value)
     )
-    expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(found[1])])
-    assert (float(found[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
+    expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(match[1])])
+    assert (float(match[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
 
 
 def test_no_limit_is_named_that_holds():

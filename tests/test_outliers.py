@@ -37,13 +37,13 @@ def test_a_studentised_residual_is_that_of_a_fit_without_the_point():
     rows, right = columns.reshape(60, 5), y.reshape(60)
     residuals = (right - rows @ np.linalg.lstsq(rows, right, rcond=None)[0]).reshape(20, 3)
     root = np.linalg.inv(np.linalg.qr(rows, mode="r"))
-    judged = studentised([Blocks(residuals, columns, np.full(20, 3), np.ones(20))], root, 55.0, scale=1.0)
+    test = studentised([Blocks(residuals, columns, np.full(20, 3), np.ones(20))], root, 55.0, scale=1.0)
     kept = np.arange(60) // 3 != 4
     without = np.linalg.lstsq(rows[kept], right[kept], rcond=None)[0]
     deleted = y[4] - columns[4] @ without
     information = rows[kept].T @ rows[kept]
     spread = np.eye(3) + columns[4] @ np.linalg.solve(information, columns[4].T)
-    assert judged.ratio[4] ** 2 == pytest.approx(deleted @ np.linalg.solve(spread, deleted))
+    assert test.ratio[4] ** 2 == pytest.approx(deleted @ np.linalg.solve(spread, deleted))
 
 
 def test_readings_of_unequal_rows_raise_equally_few_false_alarms():
@@ -52,9 +52,9 @@ def test_readings_of_unequal_rows_raise_equally_few_false_alarms():
     blocks = [
         Blocks(RNG.normal(size=(3000, k)), np.zeros((3000, k, 2)), np.full(3000, k), np.ones(3000)) for k in widths
     ]
-    judged = studentised(blocks, np.eye(2), 30000.0)
-    assert judged.scale == pytest.approx(1.0, rel=0.02)
-    assert len(judged.outliers) == 0
+    test = studentised(blocks, np.eye(2), 30000.0)
+    assert test.scale == pytest.approx(1.0, rel=0.02)
+    assert len(test.outliers) == 0
     far = [Blocks(block.residuals.copy(), block.columns, block.widths, block.weights) for block in blocks]
     for block, row in zip(far, (5, 6, 7), strict=True):
         block.residuals[row] = 8.0 / np.sqrt(block.residuals.shape[1])
@@ -67,11 +67,11 @@ def test_a_row_that_was_not_read_says_nothing_about_its_reading():
     widths = np.full(30, 3)
     widths[7] = 2
     root = np.linalg.inv(np.linalg.qr(columns.reshape(-1, 4), mode="r"))
-    judged = studentised([Blocks(residuals, columns, widths, np.ones(30))], root, 85.0, scale=1.0)
+    test = studentised([Blocks(residuals, columns, widths, np.ones(30))], root, 85.0, scale=1.0)
     h = columns[7][[0, 2]] @ root @ root.T @ columns[7][[0, 2]].T
     r = residuals[7][[0, 2]]
-    assert judged.ratio[7] ** 2 == pytest.approx(r @ np.linalg.solve(np.eye(2) - h, r))
-    assert judged.leverage[7] == pytest.approx(np.trace(h) / 2)
+    assert test.ratio[7] ** 2 == pytest.approx(r @ np.linalg.solve(np.eye(2) - h, r))
+    assert test.leverage[7] == pytest.approx(np.trace(h) / 2)
 
 
 def test_leverages_add_up_to_the_effective_parameters(arm):
@@ -120,9 +120,9 @@ def test_a_point_that_decides_its_own_prediction_is_no_outlier():
     residuals = RNG.normal(size=(15, 3))
     residuals[6] = 1e-9
     root = np.linalg.inv(np.linalg.qr(columns.reshape(45, 3), mode="r"))
-    judged = studentised([Blocks(residuals, columns, np.full(15, 3), np.ones(15))], root, 42.0)
-    assert judged.leverage[6] > 0.99
-    assert judged.p_value[6] == 1.0
+    test = studentised([Blocks(residuals, columns, np.full(15, 3), np.ones(15))], root, 42.0)
+    assert test.leverage[6] > 0.99
+    assert test.p_value[6] == 1.0
 
 
 def test_a_bad_validation_pose_is_named(arm):

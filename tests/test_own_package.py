@@ -92,14 +92,14 @@ def lab(tmp_path_factory, run_calib):
 
 
 def test_derivatives_of_a_direction_are_central_differences():
-    one = KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry()))
+    instrument = KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry()))
     p = np.array([[2.0, 1.0, 0.5], [-1.0, 0.3, -2.0], [-3.0, -1e-3, 0.1]])
     view, none, step = View(np.tile(np.eye(3), (3, 1, 1)), p), np.zeros(0), 1e-6
     readings = Readings(np.arange(3), np.zeros(3, dtype=int), np.zeros((3, 2)), None, np.zeros((3, 0)))
     for axis, d in enumerate(np.eye(3)):
-        ends = [one.predict(View(view.rotation, p + sign * step * d), none, none) for sign in (1, -1)]
+        ends = [instrument.predict(View(view.rotation, p + sign * step * d), none, none) for sign in (1, -1)]
         numeric = (ends[0] - ends[1]) / (2 * step)
-        np.testing.assert_allclose(one.compare(view, none, readings).by_twist[:, :, axis], numeric, atol=1e-8)
+        np.testing.assert_allclose(instrument.compare(view, none, readings).by_twist[:, :, axis], numeric, atol=1e-8)
 
 
 def _entry(**changes):
@@ -109,17 +109,17 @@ def _entry(**changes):
 
 def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
     folder, robot, true = lab
-    found = calib.load(folder / "fit")
+    loaded = calib.load(folder / "fit")
     q = calib.sample(robot, 30, 5).joints
-    off, before = (np.abs(one.positions(q) - true.positions(q)).max() for one in (found, robot))
+    off, before = (np.abs(turn.positions(q) - true.positions(q)).max() for turn in (loaded, robot))
     assert off < 0.6 * before  # directions alone leave the scale to what is expected of lengths
     content = json.loads((folder / "fit" / "result.json").read_text())
     assert content["verdict"]["grade"] != "FAIL"
-    row = {one["name"]: one for one in content["parameters"]}
+    row = {turn["name"]: turn for turn in content["parameters"]}
     for name, (_, heading) in STATIONS.items():
-        one = row[f"{name}_station.rz"]
-        assert abs(one["value"] - np.degrees(heading)) < 4 * one["std"]
-    assert {part["name"] for one in content["instruments"] for part in one["parts"]} == {"direction"}
+        first = row[f"{name}_station.rz"]
+        assert abs(first["value"] - np.degrees(heading)) < 4 * first["std"]
+    assert {part["name"] for turn in content["instruments"] for part in turn["parts"]} == {"direction"}
     report = (folder / "fit" / "report.html").read_text()
     assert "azimuth" in report
     assert "elevation" in report
@@ -247,7 +247,7 @@ def lagging(tmp_path_factory):
 def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
     robot, _, stated = lagging
     fit = calib.fit(robot, stated, terms="auto")
-    told = {one.term: one for one in fit.terms.tried}
+    told = {trial.term: trial for trial in fit.terms.tried}
     assert told["hysteresis"].added
     values = {name: fit.parameters[f"turn.hysteresis_{name}"] for name in ("sin", "cos")}
     assert abs(values["sin"].value * 1e-3 - HALF_PLAY) < 1e-4 * HALF_PLAY + 4e-3 * values["sin"].std
@@ -257,21 +257,21 @@ def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
 
 def test_hysteresis_without_a_stated_direction_is_doubted_as_backlash_is(lagging):
     robot, unstated, stated = lagging
-    doubts = {one.term: one.doubt for one in candidates(robot, unstated)}
+    doubts = {term.term: term.doubt for term in candidates(robot, unstated)}
     assert doubts["hysteresis"] == doubts["backlash"] != ""
-    assert {one.doubt for one in candidates(robot, stated)} == {""}
+    assert {term.doubt for term in candidates(robot, stated)} == {""}
     fit = calib.fit(robot, unstated, terms="auto")
-    told = next(one for one in fit.terms.tried if one.term == "hysteresis")
+    told = next(trial for trial in fit.terms.tried if trial.term == "hysteresis")
     assert not told.added
     assert told.why == "the data do not state the direction of approach (columns approach_JOINT)"
 
 
 def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
     robot, data, stated = lagging
-    tried = {one.term: one for one in candidates(robot, stated)}
+    tried = {term.term: term for term in candidates(robot, stated)}
     assert [section.joint for section in tried["hysteresis"].sections] == ["turn", "wrist"]
     one_side = replace(data, approach=np.ones_like(data.joints))
-    refused = {one.term: one.refused for one in candidates(robot, one_side)}
+    refused = {term.term: term.refused for term in candidates(robot, one_side)}
     assert refused["hysteresis"] == refused["backlash"] == "no joint was approached from both sides"
     with pytest.raises(calib.DescriptionError, match="'slide': it repeats with the turn of a joint"):
         robot.with_terms(listed_terms("slide=hysteresis"))
@@ -301,7 +301,7 @@ def test_a_term_that_nobody_installed_is_named_with_the_nearest_one():
 def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_path, monkeypatch, lagging):
     installed_into(tmp_path, {"calib.terms": {"broken": "lab_calib.nothing:There", "wrong": "lab_calib:__name__"}})
     monkeypatch.syspath_prepend(tmp_path)
-    refused = {one.term: one.refused for one in candidates(lagging[0], lagging[2])}
+    refused = {term.term: term.refused for term in candidates(lagging[0], lagging[2])}
     assert "'broken' (lab_calib.nothing:There) cannot be loaded: ModuleNotFoundError" in refused["broken"]
     assert "'wrong' (lab_calib:__name__): is not derived from JointTerm" in refused["wrong"]
     assert refused["gain"] == ""

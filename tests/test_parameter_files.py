@@ -48,8 +48,8 @@ def test_what_is_written_reads_back_to_the_last_digit(read, medrue):
     generator = np.random.default_rng(1)
     values = medrue.values + generator.normal(0, 0.3, len(medrue.values))
     text = format_parameters(medrue.with_parameters(values))
-    found = medrue.with_parameters(read(text, medrue)).values
-    assert np.abs(found / values - 1).max() < 4e-16  # one rounding to mm or deg, one back
+    result = medrue.with_parameters(read(text, medrue)).values
+    assert np.abs(result / values - 1).max() < 4e-16  # one rounding to mm or deg, one back
     assert text.startswith("parameter,value,unit\nA1y,")
     assert medrue.with_parameters(read(format_parameters(medrue), medrue)).calibrated_urdf() == medrue.urdf.source
 

@@ -34,15 +34,15 @@ def random_values(robot, generator):
 def differences(parametrisation, values):
     """Twists by central differences of the placements."""
     here = parametrisation.placements(values)
-    found = {name: np.zeros((6, len(values))) for name in here}
+    by_name = {name: np.zeros((6, len(values))) for name in here}
     for k in range(len(values)):
         step = np.zeros(len(values))
         step[k] = STEP
         ahead, behind = parametrisation.placements(values + step), parametrisation.placements(values - step)
         for name, placement in here.items():
             forward, backward = (pin.log6(placement.actInv(moved[name])).vector for moved in (ahead, behind))
-            found[name][:, k] = (forward - backward) / (2 * STEP)
-    return found
+            by_name[name][:, k] = (forward - backward) / (2 * STEP)
+    return by_name
 
 
 def assert_twists_are_derivatives(robot, seed):

@@ -47,27 +47,27 @@ def seen(board, homography=None, size=(900, 760)):
 
 
 def last(board, *images):
-    *_, found = detect(board, [(f"image {k}", image) for k, image in enumerate(images)])
-    return found
+    *_, result = detect(board, [(f"image {k}", image) for k, image in enumerate(images)])
+    return result
 
 
 @pytest.mark.parametrize("kind", BOARDS)
 def test_points_are_found_where_the_homography_puts_them(kind):
     board = given_board(BOARDS[kind])
     image, homography = seen(board)
-    (found,) = last(board, image).images
-    assert len(found.points) == len(board.points())
-    places = np.array([board.points()[name] for name in found.points])
+    (result,) = last(board, image).images
+    assert len(result.points) == len(board.points())
+    places = np.array([board.points()[name] for name in result.points])
     expected = np.hstack([places[:, :2], np.ones((len(places), 1))]) @ homography.T
-    assert np.max(np.abs(found.pixels - expected[:, :2] / expected[:, 2:])) < 0.8  # px; markers are the worst
-    assert not found.remark
+    assert np.max(np.abs(result.pixels - expected[:, :2] / expected[:, 2:])) < 0.8  # px; markers are the worst
+    assert not result.remark
 
 
 def test_the_older_layout_is_told_by_trying_both():
     older = given_board(CHARUCO).model_copy(update={"legacy": True})
-    found = last(given_board(CHARUCO), seen(older)[0])
-    assert found.board.legacy is True
-    assert found.n_points == 35
+    detection = last(given_board(CHARUCO), seen(older)[0])
+    assert detection.board.legacy is True
+    assert detection.n_points == 35
 
 
 @pytest.mark.parametrize("board", ["chessboard:9x6:24.7mm", "charuco:7x5:30.3mm:22mm:DICT_5X5_100"])
@@ -98,10 +98,10 @@ def test_photographs_of_a_simulated_robot_show_its_board_where_its_camera_sees_i
     by_place = [
         {
             (data.names[visit], number): pixel
-            for visit, (number,), pixel in zip(one.visits, one.details, one.values, strict=True)
+            for visit, (number,), pixel in zip(item.visits, item.details, item.values, strict=True)
         }
         for data in (exact, seen)
-        for one in (data.readings["camera"],)
+        for item in (data.readings["camera"],)
     ]
     off = np.array([by_place[1][key] - by_place[0][key] for key in by_place[1] if key in by_place[0]])
     assert len(off) > 20
@@ -147,10 +147,10 @@ def test_why_no_board_is_found_is_said(told, shown, words):
 def test_blur_and_strange_markers_are_said():
     board = given_board(CHARUCO)
     blurred = cv2.GaussianBlur(seen(board)[0], (0, 0), 3.0)
-    (found,) = last(board, blurred).images
-    assert "blurred: edges are" in found.remark
-    (found,) = last(board.model_copy(update={"first_marker": 3}), seen(board)[0]).images
-    assert "marker 0 is in the image, and the board as described has markers 3 to 26" in found.remark
+    (result,) = last(board, blurred).images
+    assert "blurred: edges are" in result.remark
+    (result,) = last(board.model_copy(update={"first_marker": 3}), seen(board)[0]).images
+    assert "marker 0 is in the image, and the board as described has markers 3 to 26" in result.remark
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
     cv2.imwrite(str(tmp_path / "shot_2.png"), seen(board)[0])
     (tmp_path / "shot_10.png").write_bytes(b"no image")
     (tmp_path / "shot_1.png").write_bytes(b"")
-    assert [one.name for one in shots([str(tmp_path)])] == ["shot_1", "shot_2", "shot_10"]
+    assert [shot.name for shot in shots([str(tmp_path)])] == ["shot_1", "shot_2", "shot_10"]
     done = CliRunner().invoke(
         group,
         [

@@ -42,15 +42,15 @@ def test_base_and_target_are_found_from_a_guess_that_is_wrong_by_half_a_metre() 
         poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
         seen, T = seen_from(truth, poses, point), matrices(poses)
         start, guess = some_pose(generator), point + generator.uniform(-0.5, 0.5, 3)
-        found = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, start)
+        placed = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, start)
         # conditioned by turns of half a radian
-        assert np.abs(found.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-10
-        assert np.abs(found.points[0] - point).max() < 1e-10
-        assert found.rms < 1e-10
-        found = place([MovingPoint(T, seen, point, EXACT)], ONES, start)
-        assert np.abs(found.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-12
-        found = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, truth, frame_known=True)
-        assert np.abs(found.points[0] - point).max() < 1e-12
+        assert np.abs(placed.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-10
+        assert np.abs(placed.points[0] - point).max() < 1e-10
+        assert placed.rms < 1e-10
+        placed = place([MovingPoint(T, seen, point, EXACT)], ONES, start)
+        assert np.abs(placed.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-12
+        placed = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, truth, frame_known=True)
+        assert np.abs(placed.points[0] - point).max() < 1e-12
 
 
 def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
@@ -62,9 +62,9 @@ def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
         for a in generator.uniform(-1, 1, 15)
     ]
     seen = seen_from(truth, poses, point)
-    found = place([MovingPoint(matrices(poses), seen, np.array([0.0, 0.0, 0.25]), UNKNOWN)], ONES, pin.SE3.Identity())
-    assert np.abs(found.points[0] - (0.1, -0.2, 0.25)).max() < 1e-9
-    assert np.abs(seen_from(found.T_base_measurement, poses, found.points[0]) - seen).max() < 1e-9
+    placed = place([MovingPoint(matrices(poses), seen, np.array([0.0, 0.0, 0.25]), UNKNOWN)], ONES, pin.SE3.Identity())
+    assert np.abs(placed.points[0] - (0.1, -0.2, 0.25)).max() < 1e-9
+    assert np.abs(seen_from(placed.T_base_measurement, poses, placed.points[0]) - seen).max() < 1e-9
 
 
 def test_the_turn_about_a_line_of_points_stays_at_the_guess() -> None:
@@ -72,19 +72,19 @@ def test_the_turn_about_a_line_of_points_stays_at_the_guess() -> None:
     about, across = Rotation.from_euler("x", 0.7), Rotation.from_euler("z", 0.4)
     seen = seen_from(pin.SE3(across.as_matrix(), np.array([5.0, 6.0, 7.0])), poses, np.zeros(3))
     guess = pin.SE3((about * across).as_matrix(), np.zeros(3))  # right but for what the line does not tell
-    found = place([MovingPoint(matrices(poses), seen, np.zeros(3), UNKNOWN)], ONES, guess)
-    assert np.abs(found.T_base_measurement.rotation - guess.rotation).max() < 1e-9
-    assert found.rms < 1e-12
-    assert np.array_equal(found.points[0], np.zeros(3))
+    placed = place([MovingPoint(matrices(poses), seen, np.zeros(3), UNKNOWN)], ONES, guess)
+    assert np.abs(placed.T_base_measurement.rotation - guess.rotation).max() < 1e-9
+    assert placed.rms < 1e-12
+    assert np.array_equal(placed.points[0], np.zeros(3))
 
 
 def test_points_that_never_moved_leave_the_rotation_at_the_guess() -> None:
     generator = np.random.default_rng(13)
     guess, place_of_it = some_pose(generator), np.array([1.0, 2.0, 3.0])
     T = np.tile(np.eye(4), (15, 1, 1))
-    found = place([MovingPoint(T, np.tile(place_of_it, (15, 1)), np.zeros(3), EXACT)], ONES, guess)
-    assert np.abs(found.T_base_measurement.rotation - guess.rotation).max() < 1e-9
-    assert np.abs(found.T_base_measurement.act(place_of_it)).max() < 1e-12
+    placed = place([MovingPoint(T, np.tile(place_of_it, (15, 1)), np.zeros(3), EXACT)], ONES, guess)
+    assert np.abs(placed.T_base_measurement.rotation - guess.rotation).max() < 1e-9
+    assert np.abs(placed.T_base_measurement.act(place_of_it)).max() < 1e-12
 
 
 def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
@@ -95,7 +95,7 @@ def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
     poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
     counts = generator.integers(1, 5, 15)
     seen = seen_from(truth, poses, point) + generator.normal(0, 1e-3, (15, 3)) / np.sqrt(counts)[:, None]
-    found = place([MovingPoint(matrices(poses), seen, np.zeros(3), sigma)], counts, pin.SE3.Identity())
+    placed = place([MovingPoint(matrices(poses), seen, np.zeros(3), sigma)], counts, pin.SE3.Identity())
 
     def rows(x: Array) -> Array:
         frame = truth * pin.SE3(pin.exp3(x[:3]), x[3:6])
@@ -107,7 +107,7 @@ def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
         x = least_squares(lambda x, n=noise: np.concatenate([rows(x), n * x[6:8] / sigma[:2]]), x, x_scale="jac").x
         noise = np.sqrt(np.sum(rows(x) ** 2) / (45 - 9))
     assert abs(x[6]) < 0.9 * abs(point[0])  # the statement counts
-    assert np.abs(found.points[0] - x[6:]).max() < 2e-4  # the noise is found to 1 %
+    assert np.abs(placed.points[0] - x[6:]).max() < 2e-4  # the noise is found to 1 %
 
 
 def test_wrong_link_poses_are_refused() -> None:

@@ -112,10 +112,10 @@ def test_floating_and_planar_joints_that_carry_what_is_measured_are_refused_by_n
 
 
 def test_a_mimic_joint_follows_and_is_not_actuated(tmp_path):
-    axis, one = '<axis xyz="0 0 1"/>', '<origin xyz="1 0 0"/>'
+    axis, origin = '<axis xyz="0 0 1"/>', '<origin xyz="1 0 0"/>'
     follows = '<mimic joint="a" multiplier="-2" offset="0.5"/>'
     robot = plain(tmp_path, ("a", "continuous", "w", "1", axis),
-                  ("b", "continuous", "1", "2", axis, one, follows), ("t", "fixed", "2", "3", one))  # fmt: skip
+                  ("b", "continuous", "1", "2", axis, origin, follows), ("t", "fixed", "2", "3", origin))  # fmt: skip
     assert robot.joint_names == ("a",)
     a = 0.3
     b = -2 * a + 0.5

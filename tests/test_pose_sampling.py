@@ -22,9 +22,9 @@ def test_the_same_seed_gives_the_same_poses(arm):
 
 
 def test_poses_stay_in_ranges_of_joints_and_of_targets(arm):
-    found = calib.sample(arm, 40, seed=1, within={"joint_2": (0.3, 0.9), "reflector_z": (0.5, 0.8)})
-    points = arm.positions(found.joints)[:, 0]
-    assert np.all((found.joints[:, 1] >= 0.3) & (found.joints[:, 1] <= 0.9))
+    sampled = calib.sample(arm, 40, seed=1, within={"joint_2": (0.3, 0.9), "reflector_z": (0.5, 0.8)})
+    points = arm.positions(sampled.joints)[:, 0]
+    assert np.all((sampled.joints[:, 1] >= 0.3) & (sampled.joints[:, 1] <= 0.9))
     assert np.all((points[:, 2] >= 0.5) & (points[:, 2] <= 0.8))
     spanning = np.array([[0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
     inside = calib.sample(arm, 40, seed=1, within=spanning).joints
@@ -36,9 +36,9 @@ def test_limits_that_do_not_contain_home_are_kept(tmp_path, run_calib):
     assert run_calib("init", "--dh", table, "--out", tmp_path / "panda.yaml").code == 0
     robot = calib.load(tmp_path / "panda.yaml")
     lower, upper = np.radians([-166, -101, -166, -176, -166, -1, -166]), np.radians([166, 101, 166, -4, 166, 215, 166])
-    found = calib.sample(robot, 400, seed=3).joints
-    assert np.all((found >= lower) & (found <= upper))
-    assert np.all(found.max(axis=0) - found.min(axis=0) > 0.9 * (upper - lower))
+    result = calib.sample(robot, 400, seed=3).joints
+    assert np.all((result >= lower) & (result <= upper))
+    assert np.all(result.max(axis=0) - result.min(axis=0) > 0.9 * (upper - lower))
 
 
 def test_what_is_written_is_read_by_the_other_commands(run_calib, tmp_path):

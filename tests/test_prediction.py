@@ -25,7 +25,7 @@ def fit(tmp_path_factory):
 
 def test_the_covariance_is_that_of_drawn_parameters(fit):
     q = joints(4, seed=5)
-    found = fit.predict(q)
+    prediction = fit.predict(q)
     rng = np.random.default_rng(2)
     drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.covariance.values, size=3000)
     positions = []
@@ -36,7 +36,7 @@ def test_the_covariance_is_that_of_drawn_parameters(fit):
     for k in range(4):
         simulated = np.cov(np.array(positions)[:, k, 0].T)
         size = np.max(np.abs(simulated))
-        np.testing.assert_allclose(found.covariance[k, 0], simulated, atol=0.08 * size)  # standard error 2.6 %
+        np.testing.assert_allclose(prediction.covariance[k, 0], simulated, atol=0.08 * size)  # standard error 2.6 %
 
 
 def test_positions_are_those_of_the_calibrated_robot(fit):
@@ -45,10 +45,10 @@ def test_positions_are_those_of_the_calibrated_robot(fit):
 
 
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
-    found = fit.predict(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
-    distance = 1e3 * np.sqrt(np.trace(found.covariance[:, 0], axis1=1, axis2=2))
-    assert found.worst == int(np.argmax(distance))
-    summary = found.summary()
+    prediction = fit.predict(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
+    distance = 1e3 * np.sqrt(np.trace(prediction.covariance[:, 0], axis1=1, axis2=2))
+    assert prediction.worst == int(np.argmax(distance))
+    summary = prediction.summary()
     assert summary["mean"] == pytest.approx(distance.mean())
     assert summary["rms"] == pytest.approx(np.sqrt(np.mean(distance**2)))
     assert summary["max"] == pytest.approx(distance.max())
@@ -183,9 +183,9 @@ def test_a_base_that_nobody_measured_does_not_count_in_how_well_positions_are_kn
     truth = robot.with_parameters(robot.values + sigma * free * rng.standard_normal(len(sigma)))
     fit = calib.fit(robot, calib.simulate(truth, q, None, 5))
     known = fit.identification_uncertainty
-    there, found = truth.positions(q)[:, 0], fit.robot.positions(q)[:, 0]
-    turn, _ = Rotation.align_vectors(there - there.mean(axis=0), found - found.mean(axis=0))
-    off = turn.apply(found - found.mean(axis=0)) - (there - there.mean(axis=0))
+    there, positions = truth.positions(q)[:, 0], fit.robot.positions(q)[:, 0]
+    turn, _ = Rotation.align_vectors(there - there.mean(axis=0), positions - positions.mean(axis=0))
+    off = turn.apply(positions - positions.mean(axis=0)) - (there - there.mean(axis=0))
     told = 1e-3 * known.summary()["rms"]
     assert 0.5 < np.sqrt(np.mean(np.sum(off**2, axis=1))) / told < 2  # few directions of one draw
     assert known.measured.summary()["mean"] > 100 * known.summary()["mean"]

@@ -42,7 +42,7 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
     body = ["[delta_calibrate]", "radius: 80"]
 
     def steps(xyz):
-        return ",".join(f"{one:.3f}" for one in carriages(TRUE, xyz) / STEP)
+        return ",".join(f"{item:.3f}" for item in carriages(TRUE, xyz) / STEP)
 
     for k in range(13):
         angle, radius = np.radians(90 + 60 * k), 0 if k == 0 else (75 if k < 7 else 45)
@@ -62,7 +62,7 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
 
 
 def run(*arguments):
-    return CliRunner().invoke(group, [str(one) for one in arguments])
+    return CliRunner().invoke(group, [str(argument) for argument in arguments])
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_the_robot_is_where_three_spheres_meet_and_its_derivatives_are_right(fol
     q = 1e-3 * np.array([[*carriages(p, place), *carriages(p, places[0])] for place in places])
     assert np.allclose(1e3 * robot.positions(q)[:, 0], places, atol=1e-9)
     assert np.allclose(1e3 * g.nozzle(q[:, :3]), places, atol=1e-9)
-    assert np.allclose([nozzle(p, 1e3 * one[:3]) for one in q], places, atol=1e-6)
+    assert np.allclose([nozzle(p, 1e3 * pose[:3]) for pose in q], places, atol=1e-6)
     plugin = robot.parametrisation
     twists = plugin.twists(robot.values)
     for k, size in enumerate(scale):
@@ -106,8 +106,8 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
         assert done.exit_code == 0, done.output
     places = np.random.default_rng(5).uniform([-60, -60, 1], [60, 60, 40], (50, 3))
     down = 1e-3 * np.array([carriages(TRUE, place) for place in places])
-    found = geometry_of(calib.load("out")).nozzle(down)
-    assert np.abs(1e3 * found - places)[:, 2].max() < 0.04
+    result = geometry_of(calib.load("out")).nozzle(down)
+    assert np.abs(1e3 * result - places)[:, 2].max() < 0.04
     # the three files hold the same machine, as somebody else would read them: endstops apart, carriages alike
     (folder / "klipper.cfg").write_text(
         (folder / "klipper.txt").read_text().replace("[printer]", "[printer]\nkinematics: delta")
@@ -115,7 +115,7 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
     )
     for firmware, file in (("klipper", "klipper.cfg"), ("marlin", "marlin.txt"), ("duet", "duet.txt")):
         geometry = read_printer(file, firmware).geometry
-        assert np.abs(geometry.nozzle(down) - found).max() < 1e-6
+        assert np.abs(geometry.nozzle(down) - result).max() < 1e-6
 
 
 def test_what_probing_cannot_know_stays_as_designed(folder):
@@ -227,4 +227,4 @@ def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
     assert "is not a delta printer" in done.output
     for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--template", "delta"]):
         assert run("init", "--duet", "config.g", "--out", "n.yaml", *refused).exit_code == 2
-    assert json.dumps(sorted(one.name for one in folder.iterdir())).count("n.yaml") == 0
+    assert json.dumps(sorted(path.name for path in folder.iterdir())).count("n.yaml") == 0

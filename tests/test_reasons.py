@@ -22,7 +22,7 @@ SIGMA = 4e-5
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
     arm = six_axis_arm(tmp_path_factory.mktemp("arm"))
-    away = np.where(arm.is_free, [one.sigma_si for one in arm.parameters], 0.0) * 0.5
+    away = np.where(arm.is_free, [parameter.sigma_si for parameter in arm.parameters], 0.0) * 0.5
     true = arm.with_parameters(arm.values + away * np.random.default_rng(6).standard_normal(len(away)))
     return calib.fit(arm, noisy(true, joints(80), SIGMA, 1), sigma=SIGMA)
 
@@ -34,7 +34,7 @@ def told(rule, fit):
 def test_a_fit_that_explains_the_poses_used_worse_than_the_nominal_robot_fails(good):
     assert told(rules_model.residuals_grew, good) == {}
     errors = good.identification
-    worse = dataclasses.replace(errors, after={name: 2.0 * one for name, one in errors.before.items()})
+    worse = dataclasses.replace(errors, after={name: 2.0 * item for name, item in errors.before.items()})
     text = told(rules_model.residuals_grew, dataclasses.replace(good, identification=worse))["residuals_grew"]
     assert text.startswith("errors at the poses used are 2.00 times those of the nominal robot")
 
@@ -45,7 +45,7 @@ def test_instruments_that_contradict_each_other_are_named(tmp_path):
     yaml += "  bar: {kind: distance, target: ball, sigma: 0.2 mm, end: {frame: l0, xyz: [1, 0.5, 0]}}\n"
     arm = calib.load(write_six_axis(tmp_path, yaml))
     rng, q = np.random.default_rng(2), joints(80)
-    away = np.where(arm.is_free, [one.sigma_si for one in arm.parameters], 0.0) * 0.5
+    away = np.where(arm.is_free, [parameter.sigma_si for parameter in arm.parameters], 0.0) * 0.5
     true = arm.with_parameters(arm.values + away * rng.standard_normal(len(away)))
     for barred in (true, arm):
         points = true.positions(q)[:, 0] + 2e-5 * rng.standard_normal((80, 3))
@@ -80,7 +80,11 @@ def test_a_robot_that_no_longer_closes_fails(tmp_path):
     data = calib.simulate(robot, q, sigma=SIGMA, seed=2)
     fit = calib.fit(robot, data)
     assert told(rules_model.not_assembled, fit) == {}
-    length = next(one for one in robot.parameters if one.name.endswith(".x") and abs(one.nominal_si) > 0.05)
+    length = next(
+        parameter
+        for parameter in robot.parameters
+        if parameter.name.endswith(".x") and abs(parameter.nominal_si) > 0.05
+    )
     torn = fit.robot.with_parameters({length.name: 5.0})
     codes = told(rules_model.not_assembled, dataclasses.replace(fit, robot=torn))
     assert "cannot be assembled from its home configuration" in codes["not_assembled"]
@@ -112,9 +116,9 @@ def no_reasons(fit):
 def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):
     other = EntryPoint("warmth", value, "calib.reasons")
     monkeypatch.setattr("calib.judging.verdict.entry_points", lambda group: [other] if group == other.group else [])
-    with pytest.raises(calib.InputError, match=re.escape(said)) as found:
+    with pytest.raises(calib.InputError, match=re.escape(said)) as result:
         judge(dataclasses.replace(good, seconds=0.0))
-    assert str(found.value).startswith(f"reason 'warmth' of the verdict ({value}): ")
+    assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")
 
 
 def test_every_reason_has_a_test_and_a_row_of_the_page():

@@ -63,8 +63,8 @@ def test_the_poses_keep_the_distance_of_the_candidates(medrue, moved):
 def test_any_index_can_be_refined(tmp_path, index):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (40, 3))
-    found = select(arm, q, 10, index, off_grid=True, sigma=1e-4)
-    ratio = found.after[index] / found.on_grid[index]
+    selection = select(arm, q, 10, index, off_grid=True, sigma=1e-4)
+    ratio = selection.after[index] / selection.on_grid[index]
     assert ratio < 0.999 if index == TASK else ratio > 1.001
 
 
@@ -75,9 +75,9 @@ def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):
     positions = medrue.positions(q)
     region = region_of(medrue, q[:1], positions[:1])
     neutral = Context.neutral(1, q.shape[1])
-    found = refine(medrue, problem, "O1", q[:1], neutral, region, np.random.default_rng(0))
-    np.testing.assert_array_equal(found.joints, q[:1])
-    assert values_of_rows(problem, found.rows, 1.0)["O1"] == 0  # one pose cannot determine 28 parameters
+    refined = refine(medrue, problem, "O1", q[:1], neutral, region, np.random.default_rng(0))
+    np.testing.assert_array_equal(refined.joints, q[:1])
+    assert values_of_rows(problem, refined.rows, 1.0)["O1"] == 0  # one pose cannot determine 28 parameters
 
 
 def test_poses_off_a_surface_of_candidates_stay_near_it(medrue, moved):

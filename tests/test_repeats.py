@@ -28,20 +28,20 @@ def errors_of(arm, names, before, after):
     """Errors [mm] of readings that repeat the poses of these names."""
     q = np.full((len(names), 6), 0.1)
     data = calib.as_measurements(arm, q, np.zeros((len(names), 3)), names)
-    found = ({"ball": 1e-3 * np.array(errors, dtype=float)} for errors in (before, after))
-    return ErrorSet(data, arm.instruments, *found, np.full(len(names), np.inf))
+    result = ({"ball": 1e-3 * np.array(errors, dtype=float)} for errors in (before, after))
+    return ErrorSet(data, arm.instruments, *result, np.full(len(names), np.inf))
 
 
 def test_accuracy_and_repeatability_by_hand(arm):
     after = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 3], [7, 7, 7]])
-    found = repeats(errors_of(arm, ["a", "a", "a", "b"], after + np.array([2, 4, -1]), after))
+    repeated = repeats(errors_of(arm, ["a", "a", "a", "b"], after + np.array([2, 4, -1]), after))
     lengths = np.array([np.sqrt(2), np.sqrt(2), 2.0])  # from the mean (1, 0, 1) mm
-    assert found.poses.tolist() == [0]
-    assert found.readings.tolist() == [3]
-    assert 1e3 * found.repeatability[0] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
-    assert 1e3 * found.accuracy_before[0] == pytest.approx(5.0)  # of (3, 4, 0) mm
-    assert 1e3 * found.accuracy_after[0] == pytest.approx(np.sqrt(2))
-    table = found.table()
+    assert repeated.poses.tolist() == [0]
+    assert repeated.readings.tolist() == [3]
+    assert 1e3 * repeated.repeatability[0] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
+    assert 1e3 * repeated.accuracy_before[0] == pytest.approx(5.0)  # of (3, 4, 0) mm
+    assert 1e3 * repeated.accuracy_after[0] == pytest.approx(np.sqrt(2))
+    table = repeated.table()
     assert table["pose_accuracy"]["after"]["max"] == pytest.approx(np.sqrt(2))
     assert (table["n_poses"], table["n_readings"]) == (1, 3)
 
@@ -55,17 +55,17 @@ def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(arm):
         freedom += 3 * (count - 1)
         names += [name] * count
         errors += readings.tolist()
-    std, found = repeatability(errors_of(arm, names, errors, errors))
+    std, result = repeatability(errors_of(arm, names, errors, errors))
     assert std == pytest.approx(1e-3 * np.sqrt(squares / freedom), rel=1e-12)
-    assert found == freedom
+    assert result == freedom
 
 
 def test_without_repeats_there_is_no_table_and_no_repeatability(arm):
-    found = errors_of(arm, ["a", "b"], np.ones((2, 3)), np.ones((2, 3)))
-    assert repeats(found) is None
-    assert np.isnan(repeatability(found)[0])
-    assert repeatability(found)[1] == 0
-    ratio, chance = beyond_repeatability(found, 10)
+    errors = errors_of(arm, ["a", "b"], np.ones((2, 3)), np.ones((2, 3)))
+    assert repeats(errors) is None
+    assert np.isnan(repeatability(errors)[0])
+    assert repeatability(errors)[1] == 0
+    ratio, chance = beyond_repeatability(errors, 10)
     assert np.isnan(ratio)
     assert chance == 1.0
 

@@ -34,9 +34,9 @@ def test_the_answer_has_verdict_errors_and_the_surest_changes(fit):
     start = next(k for k, line in enumerate(lines) if line.startswith("changed most"))
     shown = [line.split() for line in lines[start + 1 :]]
     changes = {
-        one.name: abs(one.value - one.nominal) / one.std
-        for one in fit.parameters.values()
-        if one.status != "placed" and not one.name.startswith("reflector.")
+        parameter.name: abs(parameter.value - parameter.nominal) / parameter.std
+        for parameter in fit.parameters.values()
+        if parameter.status != "placed" and not parameter.name.startswith("reflector.")
     }
     surest = sorted(changes, key=changes.get, reverse=True)[:5]
     assert [row[0] for row in shown] == surest

@@ -29,10 +29,10 @@ def fits(robot, tmp_path_factory):
     place = [p.name for p in robot.parameters].index("joint_3.z")
     shifted = truth.with_parameters({"joint_3.z": truth.values[place] + 1e-4})
     unseen = calib.sample(robot, 20, generator)
-    held = [calib.simulate(one, unseen, SIGMA, seed=9) for one in (truth, truth, shifted)]
+    held = [calib.simulate(robot_of_fit, unseen, SIGMA, seed=9) for robot_of_fit in (truth, truth, shifted)]
     folder = tmp_path_factory.mktemp("results")
-    for name, one, check in zip(("before", "again", "shifted"), (truth, truth, shifted), held, strict=True):
-        data = calib.simulate(one, calib.sample(robot, 50, generator), SIGMA, generator)
+    for name, item, check in zip(("before", "again", "shifted"), (truth, truth, shifted), held, strict=True):
+        data = calib.simulate(item, calib.sample(robot, 50, generator), SIGMA, generator)
         calib.fit(robot, data, validation=check).save(folder / name, pages=False)
     return folder
 
@@ -56,25 +56,27 @@ def test_the_covariance_of_a_difference_is_that_of_two_estimators_with_one_prior
 
 
 def test_holm_on_a_published_pattern():
-    found = holm(np.array([0.01, 0.04, np.nan, 0.03, 0.005]))
-    np.testing.assert_allclose(found, [0.03, 0.06, np.nan, 0.06, 0.02])
+    corrected = holm(np.array([0.01, 0.04, np.nan, 0.03, 0.005]))
+    np.testing.assert_allclose(corrected, [0.03, 0.06, np.nan, 0.06, 0.02])
     assert np.all(np.isnan(holm(np.array([np.nan]))))
 
 
 def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measurements_of_one_robot(fits):
-    found = calib.compare(fits / "before", fits / "again", fits / "shifted")
-    real = {one.name: one.real for one in found.differences if any(one.real)}
+    comparison = calib.compare(fits / "before", fits / "again", fits / "shifted")
+    real = {difference.name: difference.real for difference in comparison.differences if any(difference.real)}
     assert real["joint_3.z"] == (False, True)
     assert not any(again for again, _ in real.values())
-    assert found.together[0] > 0.01
-    assert found.together[1] < 1e-6
-    row = next(one for one in found.differences if one.name == "joint_3.z")
+    assert comparison.together[0] > 0.01
+    assert comparison.together[1] < 1e-6
+    row = next(difference for difference in comparison.differences if difference.name == "joint_3.z")
     assert row.rows[2]["value"] - row.rows[0]["value"] == pytest.approx(0.1, abs=0.03)  # 4 sigma of the difference
-    pairs = {pair.names: pair for pair in found.pairs}
+    pairs = {pair.names: pair for pair in comparison.pairs}
     assert list(pairs) == [("before", "again"), ("before", "shifted"), ("again", "shifted")]
     assert ["joint_3.z" in pair.real for pair in pairs.values()] == [False, True, True]
     assert pairs["again", "shifted"].together < 1e-6
-    unseen_by_all = next(one for one in found.differences if one.name == "joint_1.x")  # the base takes it up
+    unseen_by_all = next(
+        difference for difference in comparison.differences if difference.name == "joint_1.x"
+    )  # the base takes it up
     assert np.all(np.isnan(unseen_by_all.p_values))
 
 
@@ -84,7 +86,7 @@ def test_a_tracker_that_was_put_elsewhere_is_no_change_of_the_robot(tmp_path):
     robot = calib.load(write_arm(tmp_path, yaml))
     q = np.random.default_rng(0).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (60, 3))
     moved = robot.with_parameters({"base.x": 0.05, "base.rz": 0.2})
-    fits = [calib.fit(robot, calib.simulate(one, q, SIGMA, seed)) for seed, one in enumerate((robot, moved))]
+    fits = [calib.fit(robot, calib.simulate(item, q, SIGMA, seed)) for seed, item in enumerate((robot, moved))]
     pair = calib.compare(*fits).pairs[0]
     assert pair.real == ()
     assert pair.together > 0.01
@@ -102,9 +104,9 @@ def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
 
 def test_fits_of_the_same_readings_are_shown_and_not_tested(fits, tmp_path):
     shutil.copytree(fits / "before", tmp_path / "copy")
-    found = calib.compare(fits / "before", tmp_path / "copy")
-    assert all(np.isnan(p) for one in found.differences for p in one.p_values)
-    assert "no tests, because both used the same 50 readings" in " ".join(found.report().split())
+    comparison = calib.compare(fits / "before", tmp_path / "copy")
+    assert all(np.isnan(p) for difference in comparison.differences for p in difference.p_values)
+    assert "no tests, because both used the same 50 readings" in " ".join(comparison.report().split())
 
 
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
@@ -112,9 +114,9 @@ def test_a_failed_fit_is_not_tested(fits, tmp_path):
     result = json.loads((tmp_path / "failed" / "result.json").read_text())
     result["verdict"] |= {"grade": "FAIL", "reasons": ["not to be used"], "grades": ["FAIL"]}
     (tmp_path / "failed" / "result.json").write_text(json.dumps(result))
-    found = calib.compare(fits / "before", tmp_path / "failed")
-    assert np.isnan(found.together[0])
-    assert "FAIL" in found.report()
+    comparison = calib.compare(fits / "before", tmp_path / "failed")
+    assert np.isnan(comparison.together[0])
+    assert "FAIL" in comparison.report()
 
 
 def test_the_command_prints_one_short_table_and_writes_json_and_a_page(run_calib, fits, tmp_path):

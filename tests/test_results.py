@@ -202,8 +202,8 @@ def test_predict_uses_the_result(folder, fitted, run_calib, tmp_path):
     run = run_calib("predict", fitted.nominal.path, "q.csv", "--result", folder, "--out", "p.csv", cwd=tmp_path)
     assert run.code == 0, run.err
     table = read_table(tmp_path / "p.csv")
-    found = [table.column(f"tip_{axis}", "length")[0] for axis in "xyz"]
-    assert np.abs(fitted.robot.positions(q)[0, 0] - found).max() < 1e-14
+    results = [table.column(f"tip_{axis}", "length")[0] for axis in "xyz"]
+    assert np.abs(fitted.robot.positions(q)[0, 0] - results).max() < 1e-14
 
 
 def test_a_second_result_replaces_the_first_and_leaves_other_files(fitted, tmp_path):
@@ -308,9 +308,9 @@ def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fit
     assert table.text("status") == [row["status"] for row in rows]
     assert {row["unit"] for row in rows} == {"mm", "deg"}
     covariance = read_table(folder / "covariance.csv")
-    found = np.array([[float(cell) for cell in row[2:]] for row in covariance.rows])
+    values = np.array([[float(cell) for cell in row[2:]] for row in covariance.rows])
     std = [row["std"] for row in rows if row["name"] in covariance.text("parameter")]
-    np.testing.assert_allclose(np.sqrt(np.diag(found)), std, rtol=1e-12)  # one product and one root
+    np.testing.assert_allclose(np.sqrt(np.diag(values)), std, rtol=1e-12)  # one product and one root
     np.testing.assert_allclose(load_uncertainty(folder, fitted.nominal).covariance, fitted.covariance, rtol=1e-14)
 
 

@@ -129,8 +129,8 @@ def test_poses_transforms_and_foreign_names(tmp_path, measured):
             ("/js", "sensor_msgs/msg/JointState", t, joint_state(t, measured[1][0], columns))
             for t in START + np.arange(0, 1, 0.1)
         ]
-        one = place(START + 0.52, [1.0, 2.0, 3.0], [0.0, 0.0, half, half], kind)
-        messages.append(("/tracker/ball", f"geometry_msgs/msg/{kind}", START + 0.52, one))
+        placed = place(START + 0.52, [1.0, 2.0, 3.0], [0.0, 0.0, half, half], kind)
+        messages.append(("/tracker/ball", f"geometry_msgs/msg/{kind}", START + 0.52, placed))
         data = calib.read_measurements(write_bag(tmp_path / kind, messages), robot)
         assert data.readings["six"].values == pytest.approx(np.array([[1, 2, 3, 0, 0, np.pi / 2]]))
 

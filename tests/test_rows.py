@@ -33,8 +33,10 @@ class Case:
         self.measured = self.robot.positions(self.q) + 1e-3 * rng.standard_normal((n, 2, 3))
         for visit, target in gaps:
             self.measured[visit, target] = np.nan
-        names = [one.name for one in self.robot.instruments]
-        of = {one.name: self.robot.target_names.index(one.target) for one in self.robot.instruments}
+        names = [instrument.name for instrument in self.robot.instruments]
+        of = {
+            instrument.name: self.robot.target_names.index(instrument.target) for instrument in self.robot.instruments
+        }
         readings = {name: self.measured[:, of[name]] for name in names}
         self.data = change(calib.as_measurements(self.robot, self.q, readings))
         self.configurations = self.robot.assemble(self.q)
@@ -170,8 +172,8 @@ def test_noise_that_nobody_states_has_a_scale_for_each_instrument(tmp_path):
     case = Case(tmp_path, instruments("", ", sigma: 0.3 mm"))
     assert [(group.name, group.stated) for group in case.whitening.groups] == [("one", False), ("two", True)]
     assert case.whitening.start().tolist() == [ASSUMED["length"], 1.0]
-    found = case.whitening.start({name: one.residuals for name, one in case.observed.items()})
-    assert found[0] == pytest.approx(np.sqrt(np.mean(case.plain("tip")[0] ** 2)), rel=1e-5)
+    result = case.whitening.start({name: item.residuals for name, item in case.observed.items()})
+    assert result[0] == pytest.approx(np.sqrt(np.mean(case.plain("tip")[0] ** 2)), rel=1e-5)
     parts = [whitened(case, "tip", 4e-6 * np.eye(3)), whitened(case, "elbow", 9e-8 * np.eye(3))]
     same_information(case.rows([2e-3, 1.0]), *zip(*parts, strict=True))
 

@@ -150,15 +150,15 @@ def edited(source: bytes, steps) -> bytes:
 def _edit_parts(parts, kind, first, second, atom):
     if not parts:
         return [atom]
-    one, other = int(first * len(parts)), int(second * len(parts))
+    item, other = int(first * len(parts)), int(second * len(parts))
     if kind.startswith("drop"):
-        del parts[one]
+        del parts[item]
     elif kind.startswith("swap"):
-        parts[one], parts[other] = parts[other], parts[one]
+        parts[item], parts[other] = parts[other], parts[item]
     elif kind.startswith("double"):
-        parts.insert(other, parts[one])
+        parts.insert(other, parts[item])
     else:
-        parts[one] = atom
+        parts[item] = atom
     return parts
 
 
@@ -213,7 +213,7 @@ def numbers_that_are_none(path):
             cell for row in rows for name, cell in row.items() if name and name.split(" [")[0] not in _TEXT_COLUMNS
         ]
     else:
-        cells = [cell for found in _NUMBERS.findall(text) for cell in found.split()]
+        cells = [cell for item in _NUMBERS.findall(text) for cell in item.split()]
     return [cell for cell in cells if cell and re.fullmatch(r"[-+]?(nan|inf|infinity)", cell.strip(), re.IGNORECASE)]
 
 

@@ -93,16 +93,16 @@ def test_the_history_is_the_papers_figure_4(by_o1):
 
 @pytest.mark.parametrize("index", ["O2", "O3", "O4", "O5", "task"])
 def test_each_index_is_best_where_it_was_asked_for(medrue, index):
-    by_o1, found = (select(medrue, Q[::2], 42, name) for name in ("O1", index))
+    by_o1, selection = (select(medrue, Q[::2], 42, name) for name in ("O1", index))
     better = np.less if index == "task" else np.greater
-    assert better(found.after[index], by_o1.after[index])
-    assert better(found.after[index], found.before[index])
+    assert better(selection.after[index], by_o1.after[index])
+    assert better(selection.after[index], selection.before[index])
     if index == "task":
-        assert found.efficiency > 0.99
-        assert found.bound <= found.after["task"]
+        assert selection.efficiency > 0.99
+        assert selection.bound <= selection.after["task"]
     else:
-        assert found.efficiency is None
-        assert found.bound is None
+        assert selection.efficiency is None
+        assert selection.bound is None
 
 
 def test_the_same_seed_gives_the_same_poses(medrue):
@@ -114,8 +114,8 @@ def test_the_same_seed_gives_the_same_poses(medrue):
 
 
 def test_more_starts_are_never_worse(medrue):
-    one, five = (select(medrue, Q, 40, "O1", starts=starts) for starts in (1, 5))
-    assert five.after["O1"] >= one.after["O1"] * (1 - 1e-12)
+    selection, five = (select(medrue, Q, 40, "O1", starts=starts) for starts in (1, 5))
+    assert five.after["O1"] >= selection.after["O1"] * (1 - 1e-12)
 
 
 def test_the_order_of_measurement_is_short(by_o1):
@@ -124,17 +124,17 @@ def test_the_order_of_measurement_is_short(by_o1):
 
 def test_excluded_candidates_are_never_chosen(medrue, by_o1):
     out = by_o1.chosen[:20]
-    found = select(medrue, Q, 84, "O1", exclude=out.tolist())
-    assert not set(out.tolist()) & set(found.chosen.tolist())
-    assert found.after["O1"] < by_o1.after["O1"]
+    selection = select(medrue, Q, 84, "O1", exclude=out.tolist())
+    assert not set(out.tolist()) & set(selection.chosen.tolist())
+    assert selection.after["O1"] < by_o1.after["O1"]
     with pytest.raises(calib.InputError, match="no candidate 420"):
         select(medrue, Q, 84, "O1", exclude=[420])
 
 
 def test_chosen_poses_keep_their_distance_also_from_measured_ones(medrue):
     measured = Q[::40]
-    found = select(medrue, Q, 30, "O1", measured=measured, minimum_distance=0.06)
-    points = np.vstack([found.positions[:, 0], medrue.positions(measured)[:, 0]])
+    selection = select(medrue, Q, 30, "O1", measured=measured, minimum_distance=0.06)
+    points = np.vstack([selection.positions[:, 0], medrue.positions(measured)[:, 0]])
     gaps = np.linalg.norm(points[:30, None] - points[None], axis=2)
     gaps[np.arange(30), np.arange(30)] = 1.0
     assert gaps.min() >= 0.06
@@ -145,16 +145,16 @@ def test_chosen_poses_keep_their_distance_also_from_measured_ones(medrue):
 def test_poses_to_add_complement_those_measured(medrue):
     """All indices are those of measured and chosen poses together, and measured ones are not chosen again."""
     measured = Q[:60]
-    found = select(medrue, Q, 24, "O1", measured=measured)
-    assert found.already_measured == 60
-    assert not set(found.chosen.tolist()) & set(range(60))
-    together = observability(singular_values(medrue, np.vstack([measured, found.joints])), 84)
-    assert {name: found.after[name] for name in together} == pytest.approx(together, rel=1e-9)
+    selection = select(medrue, Q, 24, "O1", measured=measured)
+    assert selection.already_measured == 60
+    assert not set(selection.chosen.tolist()) & set(range(60))
+    together = observability(singular_values(medrue, np.vstack([measured, selection.joints])), 84)
+    assert {name: selection.after[name] for name in together} == pytest.approx(together, rel=1e-9)
     alone = observability(singular_values(medrue, measured), 60)
-    assert {name: found.measured_only[name] for name in alone} == pytest.approx(alone, rel=1e-7)
+    assert {name: selection.measured_only[name] for name in alone} == pytest.approx(alone, rel=1e-7)
     blind = select(medrue, Q, 24, "O1", exclude=range(60))
     blindly = observability(singular_values(medrue, np.vstack([measured, blind.joints])), 84)
-    assert found.after["O1"] > 1.01 * blindly["O1"]
+    assert selection.after["O1"] > 1.01 * blindly["O1"]
 
 
 def test_repeats_of_a_measured_pose_count(medrue):
@@ -179,15 +179,15 @@ def test_the_task_index_is_about_the_task_poses(medrue):
 def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
-    found = select(arm, q, 10, "O1", sigma=1e-4)
-    rows = 1e-4 * build_candidates(arm, as_poses(found.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
+    selection = select(arm, q, 10, "O1", sigma=1e-4)
+    rows = 1e-4 * build_candidates(arm, as_poses(selection.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
     # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
-    values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: found.rank_of_poses.rank]
+    values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: selection.rank_of_poses.rank]
     stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)
-    assert found.rank.rank == len(arm.parameters) > found.rank_of_poses.rank
-    assert {name: found.after[name] for name in stacked} == pytest.approx(stacked, rel=1e-9)
-    assert found.efficiency > 0.98
-    assert not found.sigma_assumed
+    assert selection.rank.rank == len(arm.parameters) > selection.rank_of_poses.rank
+    assert {name: selection.after[name] for name in stacked} == pytest.approx(stacked, rel=1e-9)
+    assert selection.efficiency > 0.98
+    assert not selection.sigma_assumed
     assert select(arm, q, 10).sigma_assumed
 
 
@@ -197,9 +197,9 @@ def test_two_targets_are_two_positions(tmp_path):
     yaml.write_text(text)
     arm = calib.load(yaml)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (40, 3))
-    found = select(arm, q, 8, "task", sigma=1e-4)
-    assert found.positions.shape == (8, 2, 3)
-    assert found.efficiency > 0.97
+    selection = select(arm, q, 8, "task", sigma=1e-4)
+    assert selection.positions.shape == (8, 2, 3)
+    assert selection.efficiency > 0.97
 
 
 @pytest.mark.parametrize(
@@ -235,9 +235,9 @@ def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
     assert "pose 3: cannot be assembled (loop E1_B-E1_D stays open by " in str(error.value)
     assert "pose 8: cannot be assembled" in str(error.value)
     assert str(error.value).endswith("leave them out with --skip-unreachable")
-    found = select(medrue, q, 84, skip_unreachable=True)
-    assert not {3, 8} & set(found.chosen.tolist())
-    assert [line.split(":")[0] for line in found.skipped] == ["pose 3", "pose 8"]
+    selection = select(medrue, q, 84, skip_unreachable=True)
+    assert not {3, 8} & set(selection.chosen.tolist())
+    assert [line.split(":")[0] for line in selection.skipped] == ["pose 3", "pose 8"]
 
 
 def test_poses_next_to_a_singularity_are_named_too(medrue):
@@ -246,15 +246,15 @@ def test_poses_next_to_a_singularity_are_named_too(medrue):
     smallest = int(np.argmin(medrue.singular_values(medrue.assemble(Q))))
     with pytest.raises(calib.UnreachablePoseError, match="from a singularity of the loops"):
         select(careful, Q, 84)
-    found = select(careful, Q, 84, skip_unreachable=True)
-    assert any(line.startswith(f"pose {smallest}:") for line in found.skipped)
-    assert smallest not in found.chosen
+    selection = select(careful, Q, 84, skip_unreachable=True)
+    assert any(line.startswith(f"pose {smallest}:") for line in selection.skipped)
+    assert smallest not in selection.chosen
 
 
 def test_minimal_count_still_determines_everything(medrue):
-    found = select(medrue, Q, 10, "O1")
-    assert found.after["O3"] > 0
-    assert singular_values(medrue, found.joints)[-1] > 0
+    selection = select(medrue, Q, 10, "O1")
+    assert selection.after["O3"] > 0
+    assert singular_values(medrue, selection.joints)[-1] > 0
 
 
 @pytest.mark.parametrize("index", ["O1", "task"])
@@ -315,10 +315,10 @@ def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, mon
         (tmp_path / "candidates.csv").write_text("\n".join([header, *lines]))
         tracemalloc.start()
         poses = read_poses(tmp_path / "candidates.csv", robot)
-        found = select(robot, poses, 20)
+        selection = select(robot, poses, 20)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        assert found.bound > found.after["O1"] > found.before["O1"]
+        assert selection.bound > selection.after["O1"] > selection.before["O1"]
         return peak
 
     most(500)  # modules, caches

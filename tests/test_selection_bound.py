@@ -51,12 +51,12 @@ def test_the_bound_holds_for_random_fractional_weights_too(index):
 @pytest.mark.parametrize("index", CERTIFIED)
 def test_weights_are_feasible_and_attain_the_bound(index):
     problem = made_up(1, n=60)
-    found = relax(problem, index, mask_of(range(15), 60), np.ones(60, dtype=bool))
-    assert found.weights.min() >= 0
-    assert found.weights.max() <= 1
-    assert found.weights.sum() == pytest.approx(15, abs=1e-9)
+    relaxed = relax(problem, index, mask_of(range(15), 60), np.ones(60, dtype=bool))
+    assert relaxed.weights.min() >= 0
+    assert relaxed.weights.max() <= 1
+    assert relaxed.weights.sum() == pytest.approx(15, abs=1e-9)
     # it stops at a gap of 2e-5
-    assert found.log_bound - log_phi(problem, index, problem.gathered(found.weights)) < 3e-5
+    assert relaxed.log_bound - log_phi(problem, index, problem.gathered(relaxed.weights)) < 3e-5
 
 
 @pytest.mark.parametrize("index", CERTIFIED)
@@ -89,25 +89,25 @@ def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
     usable = np.ones(N, dtype=bool)
     strongest = np.argsort(-np.sum(problem.rows**2, axis=(1, 2)))[:3]
     usable[strongest] = False
-    found = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), usable)
-    assert found.weights[strongest].sum() == 0
+    relaxed = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), usable)
+    assert relaxed.weights[strongest].sum() == 0
     best = max(
         log_phi(problem, "O1", problem.gathered(mask_of(c).astype(float)))
         for c in combinations(np.flatnonzero(usable), COUNT)
     )
-    assert best <= found.log_bound + 1e-12
+    assert best <= relaxed.log_bound + 1e-12
 
 
 def test_choosing_everything_is_certainly_best():
     problem = made_up(6)
     everything = np.ones(N, dtype=bool)
-    found = relax(problem, "O1", everything, everything)
-    assert found.efficiency(log_phi(problem, "O1", problem.gathered(np.ones(N)))) == pytest.approx(1.0, abs=1e-12)
+    relaxed = relax(problem, "O1", everything, everything)
+    assert relaxed.efficiency(log_phi(problem, "O1", problem.gathered(np.ones(N)))) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_many_candidates_are_certified_by_few_unclear_ones():
     problem = made_up(7, n=3000, d=8)
     space = Spacing(np.zeros((3000, 3)), 0.0, np.ones(3000, dtype=bool))
     done = swap(exchange(problem, "O1", uniform_start(np.arange(3000), 60), space), space)
-    found = relax(problem, "O1", done.chosen, space.usable)
-    assert found.efficiency(log_phi(problem, "O1", problem.gathered(done.chosen.astype(float)))) > 0.999
+    relaxed = relax(problem, "O1", done.chosen, space.usable)
+    assert relaxed.efficiency(log_phi(problem, "O1", problem.gathered(done.chosen.astype(float)))) > 0.999

@@ -40,18 +40,18 @@ def test_o1_identifies_better_than_a_uniform_choice_by_far_more_than_its_standar
 
 
 def test_the_predicted_error_is_the_one_that_fits_have(medrue):
-    found = select(medrue, Q, 84, "task", sigma=SIGMA)
+    selection = select(medrue, Q, 84, "task", sigma=SIGMA)
     truth = forward(Q, table1().nominal).p_world_tool
     rng, squares = np.random.default_rng(3), []
     for _ in range(12):
-        noisy = truth[found.chosen] + SIGMA * rng.standard_normal((84, 3))
+        noisy = truth[selection.chosen] + SIGMA * rng.standard_normal((84, 3))
         errors = (
-            fit(medrue, calib.as_measurements(medrue, Q[found.chosen], noisy), sigma=SIGMA).robot.positions(Q)[:, 0]
+            fit(medrue, calib.as_measurements(medrue, Q[selection.chosen], noisy), sigma=SIGMA).robot.positions(Q)[:, 0]
             - truth
         )
         squares.append(np.mean(np.sum(errors**2, axis=1)))
     # 12 draws of 28 parameters give the root mean square to about 5 %
-    assert np.sqrt(np.mean(squares)) == pytest.approx(found.after["task"], rel=0.2)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(selection.after["task"], rel=0.2)
 
 
 @pytest.fixture(scope="module")

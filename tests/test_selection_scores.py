@@ -65,15 +65,15 @@ def test_the_best_move_is_the_best_of_all_tried_one_by_one(index, k, add):
         chosen[np.random.default_rng(seed).choice(N, 5, replace=False)] = True
         allowed = ~chosen if add else chosen
         allowed[np.flatnonzero(allowed)[0]] = False
-        found = scores(problem, index, chosen).best(allowed, add=add)
+        result = scores(problem, index, chosen).best(allowed, add=add)
         values = {}
         for j in np.flatnonzero(allowed):
             tried = chosen.copy()
             tried[j] = add
             value = plain_value(rows, task, tried, index)
             values[j] = -value if index == TASK else value
-        assert values[found] == pytest.approx(max(values.values()), rel=1e-9)
-        assert allowed[found]
+        assert values[result] == pytest.approx(max(values.values()), rel=1e-9)
+        assert allowed[result]
 
 
 @pytest.mark.parametrize("index", CHOICES)
@@ -168,8 +168,8 @@ def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
         expected = np.sqrt(np.mean([np.trace(block @ covariance @ block.T) for block in task]))
         assert index_values(problem, mask, 0.2)[TASK] == pytest.approx(expected, rel=1e-9)
         logs.append((scores(problem, "O1", mask).value, np.linalg.slogdet(full.T @ full)[1]))
-    found, expected = np.array(logs).T
-    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9)
+    result, expected = np.array(logs).T
+    np.testing.assert_allclose(np.diff(result), np.diff(expected), rtol=1e-9)
 
 
 def test_all_candidates_together_are_the_identity():

@@ -78,50 +78,50 @@ def public_objects(robot, data, fitted, tmp_path_factory):
 def test_everything_public_is_tried(public_objects):
     classes = {name for name in calib.__all__ if inspect.isclass(getattr(calib, name))}
     assert set(public_objects) == classes - {"Parametrisation"}  # which others write
-    for name, one in public_objects.items():
-        assert isinstance(one, getattr(calib, name)), name
+    for name, thing in public_objects.items():
+        assert isinstance(thing, getattr(calib, name)), name
 
 
 def test_everything_public_survives_pickling(public_objects):
-    for name, one in public_objects.items():
-        again = pickle.loads(pickle.dumps(one))
-        assert type(again) is type(one), name
-        same(one, again, name)
-        if hasattr(one, "report"):
-            assert again.report() == one.report()
+    for name, thing in public_objects.items():
+        again = pickle.loads(pickle.dumps(thing))
+        assert type(again) is type(thing), name
+        same(thing, again, name)
+        if hasattr(thing, "report"):
+            assert again.report() == thing.report()
 
 
-def same(one, other, where, held=False):
+def same(item, other, where, held=False):
     """Compare what two objects hold, down to the numbers; where a class holds its arrays fast, so must its copy."""
-    if isinstance(one, FitFiles):  # which takes no measurements along
-        one = dict(one)
-    assert type(one) is type(other), where
-    if isinstance(one, np.ndarray):
-        np.testing.assert_array_equal(one, other, err_msg=where)
+    if isinstance(item, FitFiles):  # which takes no measurements along
+        item = dict(item)
+    assert type(item) is type(other), where
+    if isinstance(item, np.ndarray):
+        np.testing.assert_array_equal(item, other, err_msg=where)
         assert not (held and other.flags.writeable), where
-    elif dataclasses.is_dataclass(one):
-        for field in (field for field in dataclasses.fields(one) if field.compare):  # the others are kept for speed
-            parts = getattr(one, field.name), getattr(other, field.name)
-            same(*parts, f"{where}.{field.name}", isinstance(one, ReadOnlyArrays))
-    elif isinstance(one, dict):
-        assert list(one) == list(other), where
-        for key in one:
-            same(one[key], other[key], f"{where}[{key!r}]", held)
-    elif isinstance(one, tuple | list):
-        assert len(one) == len(other), where
-        for k, pair in enumerate(zip(one, other, strict=True)):
+    elif dataclasses.is_dataclass(item):
+        for field in (field for field in dataclasses.fields(item) if field.compare):  # the others are kept for speed
+            parts = getattr(item, field.name), getattr(other, field.name)
+            same(*parts, f"{where}.{field.name}", isinstance(item, ReadOnlyArrays))
+    elif isinstance(item, dict):
+        assert list(item) == list(other), where
+        for key in item:
+            same(item[key], other[key], f"{where}[{key!r}]", held)
+    elif isinstance(item, tuple | list):
+        assert len(item) == len(other), where
+        for k, pair in enumerate(zip(item, other, strict=True)):
             same(*pair, f"{where}[{k}]", held)
-    elif isinstance(one, float):
-        assert one == other or (np.isnan(one) and np.isnan(other)), where
-    elif isinstance(one, str | int | None):
-        assert one == other, where
+    elif isinstance(item, float):
+        assert item == other or (np.isnan(item) and np.isnan(other)), where
+    elif isinstance(item, str | int | None):
+        assert item == other, where
 
 
 def test_four_threads_fit_at_once_and_get_the_numbers_of_one(robot, data, fitted):
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lambda _: calib.fit(robot, data), range(8)))
-    for one in found:
-        assert np.allclose(one.robot.values, fitted.robot.values, rtol=0, atol=1e-12)
+        result = list(threads.map(lambda _: calib.fit(robot, data), range(8)))
+    for item in result:
+        assert np.allclose(item.robot.values, fitted.robot.values, rtol=0, atol=1e-12)
 
 
 FORKED = """

@@ -43,11 +43,11 @@ def test_noise_is_normal_and_the_same_on_every_axis(tmp_path):
 
 def test_the_same_seed_gives_the_same_numbers(tmp_path):
     arm = small_arm(tmp_path)
-    one, two, other = (
+    first, two, other = (
         calib.simulate(arm, some_poses(3), 1e-4, np.random.default_rng(s)).points(arm) for s in (5, 5, 6)
     )
-    assert np.array_equal(one, two)
-    assert not np.array_equal(one, other)
+    assert np.array_equal(first, two)
+    assert not np.array_equal(first, other)
 
 
 @pytest.mark.parametrize("sigma", [-1e-4, np.nan, np.inf])
@@ -102,7 +102,7 @@ def test_without_a_sigma_every_instrument_has_the_noise_that_is_stated_of_it(tmp
     poses = some_poses(4000)
     data = calib.simulate(robot, poses, None, np.random.default_rng(2))
     exact = robot.positions(poses.joints)[:, 0]
-    off = {name: found.values - exact for name, found in data.readings.items()}
+    off = {name: readings.values - exact for name, readings in data.readings.items()}
     # four standard errors of a standard deviation: 4 / sqrt(2 * 4000) = 4.5 %
     assert np.std(off["scale"], axis=0) == pytest.approx([1e-4, 2e-4, 3e-4], rel=0.045)
     assert not off["unstated"].any()  # unstated noise is none
@@ -224,26 +224,26 @@ def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, r
     assert "noise as the description states it, seed 2" in read_table(tmp_path / "m.csv").comments[1]
     fit = calib.fit(robot, calib.read_measurements(tmp_path / "m.csv", robot))
     truth = {name: value * 1e-3 for name, value in millimetres.items()} | {"j4.rx": 0.01, "j2.ry": 0.0}
-    found = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
+    by_name = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
     width = dict(zip(fit.free_names, fit.statistics.half_width, strict=True))
     for name, value in truth.items():
-        assert abs(found[name] - value) < 2 * width[name], name
+        assert abs(by_name[name] - value) < 2 * width[name], name
     for noise in fit.noise:
         assert noise.sigma == pytest.approx(noise.stated, rel=0.35)
 
 
-def centres(robot, one):
+def centres(robot, item):
     """Centres of what an instrument touches, (n, 3) [m]."""
-    if not one.points_of_artefact:
-        return np.array([robot.mechanism.placement(name).translation for name in one.touched])
+    if not item.points_of_artefact:
+        return np.array([robot.mechanism.placement(name).translation for name in item.touched])
     place = robot.mechanism.placement("probe_artefact")
-    return np.array([place.act(np.array(point)) for point in one.points_of_artefact])
+    return np.array([place.act(np.array(point)) for point in item.points_of_artefact])
 
 
 def plan_of(robot, n):
     """Joint values, in which setup, and what is touched, in turn; starts near sockets and spheres, or anywhere."""
-    q, touches = joints(n, 1), [one for one in robot.instruments if not one.columns()]
-    if any(one.surface != "plane" for one in touches):
+    q, touches = joints(n, 1), [instrument for instrument in robot.instruments if not instrument.columns()]
+    if any(touch.surface != "plane" for touch in touches):
         points = centres(robot, touches[0])[np.arange(2 * n) % len(touches[0].touched)]
         if touches[0].surface == "sphere":  # the ball outside, at random directions of the upper half
             away = np.random.default_rng(4).normal(size=points.shape)
@@ -251,10 +251,10 @@ def plan_of(robot, n):
         q, ok = brought(robot, joints(2 * n, 1), points)
         q = q[ok & np.all(np.abs(q) < 2.5, axis=1)][:n] + np.random.default_rng(3).normal(0, 0.05, (n, 6))
     setups = list(robot.description.setups)
-    header = [f"{name} [rad]" for name in robot.joint_names] + [one.name for one in touches]
+    header = [f"{name} [rad]" for name in robot.joint_names] + [touch.name for touch in touches]
     rows = [",".join(header + (["setup"] if setups else []))]
     for k, row in enumerate(q):
-        cells = [*map(repr, row.tolist()), *(one.touched[k % len(one.touched)] for one in touches)]
+        cells = [*map(repr, row.tolist()), *(touch.touched[k % len(touch.touched)] for touch in touches)]
         rows.append(",".join(cells + ([setups[k * len(setups) // n]] if setups else [])))
     return "\n".join(rows) + "\n"
 

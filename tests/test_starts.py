@@ -71,12 +71,12 @@ class TwoValleys:
         return SimpleNamespace(robot=robot, residuals={"rows": np.array([[robot.u**2 - 1, 0.1 * (robot.u - 1)]])})
 
     def solve(self, start, groups):
-        found = minimise(
+        minimum = minimise(
             lambda u: np.array([u[0] ** 2 - 1, 0.1 * (u[0] - 1)]),
             lambda u: np.array([[2 * u[0]], [0.1]]),
             np.array([start.robot.u]),
         )
-        return self.evaluate(Point(float(found.x[0]))), found
+        return self.evaluate(Point(float(minimum.x[0]))), minimum
 
 
 def explored(problem, placed, n):
@@ -89,16 +89,16 @@ def start(u, n):
 
 
 def test_starts_find_the_lower_of_two_minima():
-    found = start(-0.8, 20)
-    assert [round(minimum.robot.u, 1) for minimum in found.minima] == [1.0, -1.0]
-    assert found.minima[0].cost < found.minima[1].cost
-    assert sum(minimum.count for minimum in found.minima) == found.total == 20
+    result = start(-0.8, 20)
+    assert [round(minimum.robot.u, 1) for minimum in result.minima] == [1.0, -1.0]
+    assert result.minima[0].cost < result.minima[1].cost
+    assert sum(minimum.count for minimum in result.minima) == result.total == 20
 
 
 def test_a_step_that_cannot_be_assembled_is_halved():
-    found = explored(TwoValleys(scale=40.0), Point(0.5), 10)  # most steps are out of reach at first
-    assert found.failed < 10
-    assert found.total == 10
+    result = explored(TwoValleys(scale=40.0), Point(0.5), 10)  # most steps are out of reach at first
+    assert result.failed < 10
+    assert result.total == 10
 
 
 def test_a_robot_with_one_minimum_comes_back_to_it_from_everywhere(tmp_path):

@@ -12,13 +12,13 @@ from calib.numerics.statistics import Factors, chi_square, effective_parameters,
 RNG = np.random.default_rng(7)
 
 
-def judged(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assumed=None):
+def statistics_of(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assumed=None):
     """Statistics of rows [SI] with found noise `sigma`, weighed by the noise `assumed` (the same if not given)."""
     assumed = assumed or sigma
     n = rows.shape[1]
     has_prior = np.zeros(n, dtype=bool) if has_prior is None else np.array(has_prior)
-    found = np.array([sigma / assumed])
-    factors = Factors(found, np.array([freedom]), found)
+    values = np.array([sigma / assumed])
+    factors = Factors(values, np.array([freedom]), values)
     known = information(rows / assumed, Prior(has_prior).rows)
     groups = np.zeros(len(rows), dtype=np.intp)
     return statistics(
@@ -37,46 +37,46 @@ def of_line(x, y):
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
     x = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
-    found, sigma = of_line(x, 3 + 0.5 * x + RNG.normal(size=6))
+    result, sigma = of_line(x, 3 + 0.5 * x + RNG.normal(size=6))
     known = stats.linregress(x, 3 + 0.5 * x)  # for its formula only; the residuals are ours
     assert known.slope == pytest.approx(0.5)
     spread = np.sum((x - x.mean()) ** 2)
-    assert found.std[1] == pytest.approx(sigma / np.sqrt(spread))
-    assert found.std[0] == pytest.approx(sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
-    assert found.correlations()[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
-    assert found.freedom == pytest.approx(4)
-    assert found.half_width[1] == pytest.approx(2.7764451 * found.std[1])  # Student's t, 4 degrees of freedom, 97.5 %
-    assert found.effective_parameters == pytest.approx(2)
+    assert result.std[1] == pytest.approx(sigma / np.sqrt(spread))
+    assert result.std[0] == pytest.approx(sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
+    assert result.correlations()[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
+    assert result.freedom == pytest.approx(4)
+    assert result.half_width[1] == pytest.approx(2.7764451 * result.std[1])  # Student's t, 4 degrees of freedom, 97.5 %
+    assert result.effective_parameters == pytest.approx(2)
 
 
 def test_standard_deviations_agree_with_linregress():
     x, y = np.linspace(0, 1, 20), RNG.normal(size=20)
-    found, _ = of_line(x, y)
+    result, _ = of_line(x, y)
     known = stats.linregress(x, y)
-    assert found.std[1] == pytest.approx(known.stderr)
-    assert found.std[0] == pytest.approx(known.intercept_stderr)
+    assert result.std[1] == pytest.approx(known.stderr)
+    assert result.std[0] == pytest.approx(known.intercept_stderr)
 
 
 def test_scales_only_change_the_unit():
     rows = RNG.normal(size=(12, 3))
     scales = np.array([1e-3, 2.0, 5e-2])
-    plain, scaled = judged(rows, 0.1), judged(rows * scales, 0.1, scales=scales)
+    plain, scaled = statistics_of(rows, 0.1), statistics_of(rows * scales, 0.1, scales=scales)
     np.testing.assert_allclose(scaled.covariance, plain.covariance, rtol=1e-10)
 
 
 def test_one_reading_and_one_prior_combine_as_the_mean_of_two_normal_numbers():
     sigma, s = 0.3, 0.5  # reading and prior standard deviation of one length
-    found = judged(np.array([[s]]), sigma, [True], scales=np.array([s]))
-    assert found.std[0] == pytest.approx(1 / np.sqrt(1 / sigma**2 + 1 / s**2))
-    assert found.data_share[0] == pytest.approx(s**2 / (s**2 + sigma**2))
-    assert found.effective_parameters == pytest.approx(found.data_share[0])
+    result = statistics_of(np.array([[s]]), sigma, [True], scales=np.array([s]))
+    assert result.std[0] == pytest.approx(1 / np.sqrt(1 / sigma**2 + 1 / s**2))
+    assert result.data_share[0] == pytest.approx(s**2 / (s**2 + sigma**2))
+    assert result.effective_parameters == pytest.approx(result.data_share[0])
 
 
 def test_a_parameter_that_the_data_do_not_see_keeps_its_prior():
     rows = np.column_stack([RNG.normal(size=30), np.zeros(30)])
-    found = judged(rows, 1e-2, [True, True], scales=np.array([1.0, 2e-3]))
-    assert found.std[1] == pytest.approx(2e-3)
-    assert found.data_share == pytest.approx([1.0, 0.0], abs=1e-4)
+    result = statistics_of(rows, 1e-2, [True, True], scales=np.array([1.0, 2e-3]))
+    assert result.std[1] == pytest.approx(2e-3)
+    assert result.data_share == pytest.approx([1.0, 0.0], abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -106,9 +106,9 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     residuals = data - (data @ solve.T) @ rows.T
     known, groups = information(rows / sigma, Prior(has_prior).rows), np.zeros(12, dtype=np.intp)
     assert 2 < effective_parameters(known, Prior(has_prior)) < 6
-    found = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
-    assert found[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
-    variances = [(sigma * one.values[0]) ** 2 for one in found]
+    results = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
+    assert results[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
+    variances = [(sigma * item.values[0]) ** 2 for item in results]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
 
 
@@ -118,29 +118,29 @@ def test_covariance_with_priors_is_the_scatter_about_the_truth_also_where_the_st
     u = RNG.normal(size=(40000, 4))
     data = u @ rows.T + sigma * RNG.normal(size=(40000, 15))
     estimate = data @ np.linalg.solve(rows.T @ rows + assumed**2 * np.eye(4), rows.T).T
-    found = judged(rows, sigma, np.ones(4, dtype=bool), assumed=assumed)
-    np.testing.assert_allclose(found.std, np.std(estimate - u, axis=0), rtol=0.02)
+    result = statistics_of(rows, sigma, np.ones(4, dtype=bool), assumed=assumed)
+    np.testing.assert_allclose(result.std, np.std(estimate - u, axis=0), rtol=0.02)
 
 
 def test_only_some_parameters_have_priors():
     rows = RNG.normal(size=(9, 3))
     has_prior = np.array([False, True, False])
     expected = np.linalg.inv(rows.T @ rows / 0.25 + np.diag([0.0, 1.0, 0.0]))
-    found = judged(rows, 0.5, has_prior)
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-10)
-    assert found.data_share[0] == 1.0
+    result = statistics_of(rows, 0.5, has_prior)
+    np.testing.assert_allclose(result.covariance, expected, rtol=1e-10)
+    assert result.data_share[0] == 1.0
 
 
 def test_small_singular_values_keep_their_digits():
     # condition 1e8: a normal matrix would have none left
     q = np.linalg.qr(RNG.normal(size=(20, 2)))[0]
-    np.testing.assert_allclose(judged(q * [1.0, 1e-8], 1.0).std, [1.0, 1e8], rtol=1e-6)
+    np.testing.assert_allclose(statistics_of(q * [1.0, 1e-8], 1.0).std, [1.0, 1e8], rtol=1e-6)
 
 
 def test_zero_noise_gives_zero_uncertainty_and_no_error():
-    found = judged(RNG.normal(size=(6, 2)), 0.0, assumed=1e-3)
-    np.testing.assert_array_equal(found.std, 0.0)
-    assert np.all(np.isnan(found.correlations()))
+    result = statistics_of(RNG.normal(size=(6, 2)), 0.0, assumed=1e-3)
+    np.testing.assert_array_equal(result.std, 0.0)
+    assert np.all(np.isnan(result.correlations()))
 
 
 def test_groups_of_rows_have_noise_of_their_own():
@@ -151,14 +151,14 @@ def test_groups_of_rows_have_noise_of_their_own():
     y = sigma * RNG.normal(size=(20000, 50))
     estimate = y @ np.linalg.pinv(rows).T
     known = information(rows)
-    found = [found_factors(r, rows, groups, 2, known) for r in y - estimate @ rows.T]
+    results = [found_factors(r, rows, groups, 2, known) for r in y - estimate @ rows.T]
     # a group's residuals are also off by what the other group's noise did to the parameters, so that the weights
     # 1 : 1 leave a bias where noise differs by so much; with the right weights there is none
     weighted = information(rows / sigma[:, None])
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
     factors = [found_factors(r / sigma, rows / sigma[:, None], groups, 2, weighted) for r in y - right @ rows.T]
-    assert np.mean([one.values**2 for one in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
-    assert np.mean([one.values[1] for one in found]) > 3
+    assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
+    assert np.mean([item.values[1] for item in results]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
     judged_ = statistics(rows, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
     np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
@@ -171,10 +171,10 @@ def test_rows_that_were_not_read_count_for_nothing():
     groups = np.zeros(20, dtype=np.intp)
     groups[gaps] = -1
     kept = groups >= 0
-    found = found_factors(residuals, rows, groups, 1, information(rows))
+    factors = found_factors(residuals, rows, groups, 1, information(rows))
     without = found_factors(residuals[kept], rows[kept], groups[kept], 1, information(rows[kept]))
-    assert found.values[0] == pytest.approx(without.values[0], rel=1e-12)
-    assert found.freedom[0] == pytest.approx(15, rel=1e-12)
+    assert factors.values[0] == pytest.approx(without.values[0], rel=1e-12)
+    assert factors.freedom[0] == pytest.approx(15, rel=1e-12)
 
 
 @pytest.mark.parametrize("n_rows", [2, 3])
@@ -186,7 +186,7 @@ def test_without_a_degree_of_freedom_there_are_no_statistics(n_rows):
 
 
 def test_chi_square_is_that_of_the_tables():
-    found = chi_square(factor=2.0, freedom=10)
-    assert found.value == pytest.approx(40.0)
-    assert found.p_larger == pytest.approx(1.694e-5, rel=1e-3)  # chi-square of 40 with 10 degrees of freedom
-    assert found.p_larger + found.p_smaller == pytest.approx(1.0)
+    result = chi_square(factor=2.0, freedom=10)
+    assert result.value == pytest.approx(40.0)
+    assert result.p_larger == pytest.approx(1.694e-5, rel=1e-3)  # chi-square of 40 with 10 degrees of freedom
+    assert result.p_larger + result.p_smaller == pytest.approx(1.0)

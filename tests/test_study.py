@@ -45,18 +45,18 @@ def outcome(task: Task) -> Outcome:
 
 def test_without_noise_the_actual_parameters_come_back(task: Task) -> None:
     for pose_set in task.sets:
-        found = fit(task.robot, measurements(task.robot, task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
+        fitted = fit(task.robot, measurements(task.robot, task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
         # 1e-9 mm or deg; rounding of the closures (1e-13 m) times the condition of the Jacobian (about 1500)
-        assert np.abs(found.robot.values - table1().actual).max() < 1e-11
+        assert np.abs(fitted.robot.values - table1().actual).max() < 1e-11
 
 
 def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
     noisy = task.noisy(task.seeds[0])
     start = task.robot.with_parameters(table1().actual)
     calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
-    found = fit(task.robot, measurements(task.robot, task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
-    difference = (calibrator.calibrate(noisy).values - found.robot.values)[task.robot.is_free]
-    assert np.abs(difference / found.statistics.std).max() < 1e-3  # of a standard deviation
+    fitted = fit(task.robot, measurements(task.robot, task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
+    difference = (calibrator.calibrate(noisy).values - fitted.robot.values)[task.robot.is_free]
+    assert np.abs(difference / fitted.statistics.std).max() < 1e-3  # of a standard deviation
 
 
 def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: Task, outcome: Outcome) -> None:
@@ -98,8 +98,8 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
     with Workers(2) as executor:
         _, sets = choose_sets(task.robot, task.joints, executor, lambda done: None)
         shared = run([few], executor, lambda done: None)[0]
-    assert [one.name for one in sets] == ["O1", "uniform"]
-    assert all(np.array_equal(one.chosen, other.chosen) for one, other in zip(sets, task.sets, strict=True))
+    assert [error_set.name for error_set in sets] == ["O1", "uniform"]
+    assert all(np.array_equal(error_set.chosen, other.chosen) for error_set, other in zip(sets, task.sets, strict=True))
     assert np.array_equal(shared.values, outcome.values[:4])
     assert np.array_equal(shared.distances, outcome.distances[:4])
 
@@ -198,9 +198,9 @@ def test_every_pair_is_tested_with_holms_correction() -> None:
         if luck[pair] > 1e-3 / (10 - k):
             break
         expected.add(pair)
-    found = {(p, q) for i, p in enumerate(ranking.names) for j, q in enumerate(ranking.names) if ranking.better[i, j]}
-    assert found == expected
-    assert 0 < len(found) < len(pairs)
+    result = {(p, q) for i, p in enumerate(ranking.names) for j, q in enumerate(ranking.names) if ranking.better[i, j]}
+    assert result == expected
+    assert 0 < len(result) < len(pairs)
 
 
 def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:

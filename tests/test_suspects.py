@@ -193,8 +193,8 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
     ],
 )
 def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
-    found = likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
-    assert words in found or ("left-handed" in found and arm.description.base.pose == "unknown")
+    mistake = likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
+    assert words in mistake or ("left-handed" in mistake and arm.description.base.pose == "unknown")
 
 
 def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):

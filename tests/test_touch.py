@@ -83,24 +83,24 @@ def rank(matrix: np.ndarray) -> int:
 
 
 def test_the_sockets_lie_on_the_leg_and_the_nominal_robot_reaches_them() -> None:
-    found = possible_touches(ARTEFACT)
+    result = possible_touches(ARTEFACT)
     axis = np.array(AXIS_START)
     offset = ARTEFACT.sockets[:, 1:]
     assert np.linalg.norm(offset, axis=1) == pytest.approx(np.full(9, RADIUS))
     angles = np.degrees(np.arctan2(offset[:, 1], offset[:, 0]) - MIDDLE_ANGLE)
     assert np.mod(angles + 180, 360) - 180 == pytest.approx(np.repeat([-70, 0, 70], 3))
-    reached = forward(found.joints, table1().nominal).p_world_tool
-    assert np.abs(reached - axis - ARTEFACT.sockets[found.socket]).max() < 1e-12
-    assert len({tuple(row) for row in found.joints.round(9)}) == len(found.joints) == 540
-    assert 0.0 < found.joints[:, 0].min() < found.joints[:, 0].max() < 0.7  # the stroke
+    reached = forward(result.joints, table1().nominal).p_world_tool
+    assert np.abs(reached - axis - ARTEFACT.sockets[result.socket]).max() < 1e-12
+    assert len({tuple(row) for row in result.joints.round(9)}) == len(result.joints) == 540
+    assert 0.0 < result.joints[:, 0].min() < result.joints[:, 0].max() < 0.7  # the stroke
 
 
 def test_robots_within_the_papers_errors_reach_sockets_put_up_by_hand(robot: Robot) -> None:
     """Three standard deviations of putting up, in 60 robots; a sine of 0 is singular."""
-    found, generator = possible_touches(ARTEFACT), np.random.default_rng(5)
+    result, generator = possible_touches(ARTEFACT), np.random.default_rng(5)
     for seed in range(60):
         actual = drawn_parameters(robot, np.random.SeedSequence(seed))
-        T = found.T_world_tool.copy()
+        T = result.T_world_tool.copy()
         T[:, :3, 3] += 3 * PUT_UP[0] * generator.choice([-1.0, 1.0], 3)
         joints = inverse(T, actual)
         assert np.isfinite(joints).all()
@@ -119,9 +119,9 @@ def test_without_noise_touch_gives_back_the_actual_parameters(
     by_touch: ByTouch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("medrue.touch_methods.SIGMA", 0.0)
-    found = fit(by_touch.robot, by_touch.measured(table1().actual, np.random.default_rng(0))).robot
+    result = fit(by_touch.robot, by_touch.measured(table1().actual, np.random.default_rng(0))).robot
     # rounding of the closures (1e-13 m) times the condition of the Jacobian (some thousands)
-    assert np.abs(found.values - table1().actual).max() < 1e-9
+    assert np.abs(result.values - table1().actual).max() < 1e-9
 
 
 def test_touches_are_planned_as_positions_are(robot: Robot, by_touch: ByTouch) -> None:
@@ -255,8 +255,8 @@ def test_touch_gets_about_as_far_as_the_tracker_and_encoders_do_not(command: tup
         "encoders": ("588", "43", "26"),
     }
     for name in ("tracker", "touch"):
-        predicted, found = (float(methods[name][key]) for key in ("predicted RMS [mm]", "RMS over draws [mm]"))
-        assert 0.5 < found / predicted < 2.0
+        predicted, result = (float(methods[name][key]) for key in ("predicted RMS [mm]", "RMS over draws [mm]"))
+        assert 0.5 < result / predicted < 2.0
     assert methods["encoders"]["predicted RMS [mm]"] == ""
     assert "xt; yt; zt" in methods["encoders"]["cannot see"]
 

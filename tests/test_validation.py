@@ -17,8 +17,8 @@ def some(n, same=()):
     for k in same:
         q[k] = q[0]
     names = tuple(str(k) for k in range(n))
-    found = {"ball": plain_readings(np.zeros((n, 3)))}
-    return from_readings(calib.Poses(q, names, names, "test", ()), found)
+    by_name = {"ball": plain_readings(np.zeros((n, 3)))}
+    return from_readings(calib.Poses(q, names, names, "test", ()), by_name)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -114,6 +114,6 @@ def test_before_is_with_base_and_target_placed_alone(tmp_path):
     placed = [p.placement for p in robot.parameters]
     assert np.any(fit.placed.values[placed] != robot.values[placed])
     np.testing.assert_array_equal(fit.placed.values[~np.array(placed)], robot.values[~np.array(placed)])
-    for found in (fit.identification, fit.validation):
-        rms = found.table()["before"]["rms"]
+    for errors in (fit.identification, fit.validation):
+        rms = errors.table()["before"]["rms"]
         assert 0.2 < rms < 5  # the robot's own 2 mrad, not the base's 700 mm

@@ -60,24 +60,24 @@ def optimum(model, columns, block, *, start, n_shared=0):
         tau[:n_shared] = np.exp(x[len(unstated) :])
         return scales, tau
 
-    found = minimize(
+    minimum = minimize(
         lambda x: deviance(model, *values(x), columns, block),
         np.log(start),
         method="Nelder-Mead",
         options={"xatol": 1e-6, "fatol": 1e-10, "maxiter": 4000, "maxfev": 4000},
     )
-    assert found.success
-    return *values(found.x), -0.5 * found.fun
+    assert minimum.success
+    return *values(minimum.x), -0.5 * minimum.fun
 
 
 @pytest.mark.parametrize("priors", [(), (0, 2), range(N_FREE)], ids=["none", "some", "all"])
 @pytest.mark.parametrize("seed", range(3))
 def test_scales_of_groups_are_where_the_restricted_likelihood_is_largest(seed, priors):
     model, columns, block = model_of(seed, priors=priors)
-    found = found_scales(model, np.array([1.0, 1.0]))
+    result = found_scales(model, np.array([1.0, 1.0]))
     scales, _, likelihood = optimum(model, columns, block, start=[1.0, 1.0])
-    np.testing.assert_allclose(found.scales, scales, rtol=1e-3)
-    assert found.log_likelihood == pytest.approx(likelihood, abs=1e-4)
+    np.testing.assert_allclose(result.scales, scales, rtol=1e-3)
+    assert result.log_likelihood == pytest.approx(likelihood, abs=1e-4)
 
 
 def test_the_start_does_not_matter():
@@ -88,17 +88,17 @@ def test_the_start_does_not_matter():
 
 def test_scales_that_are_stated_stay():
     model, columns, block = model_of(4, noise=(0.5, 1.0), stated=(1,))
-    found = found_scales(model, np.array([1.0, 1.0]))
+    result = found_scales(model, np.array([1.0, 1.0]))
     scales, _, _ = optimum(model, columns, block, start=[1.0])
-    assert found.scales[1] == 1.0
-    assert found.scales[0] == pytest.approx(scales[0], rel=1e-3)
+    assert result.scales[1] == 1.0
+    assert result.scales[0] == pytest.approx(scales[0], rel=1e-3)
 
 
 def test_one_group_without_priors_has_the_noise_of_the_textbook():
     model, _, _ = model_of(2, groups=(50,), noise=(0.7,))
     left = model.residuals - model.jacobian @ np.linalg.lstsq(model.jacobian, model.residuals, rcond=None)[0]
-    found = found_scales(model, np.array([1.0]))
-    assert found.scales[0] == pytest.approx(np.sqrt(left @ left / 46), rel=1e-6)
+    scales = found_scales(model, np.array([1.0]))
+    assert scales.scales[0] == pytest.approx(np.sqrt(left @ left / 46), rel=1e-6)
 
 
 def test_rows_that_were_not_read_take_no_part():
@@ -109,29 +109,29 @@ def test_rows_that_were_not_read_take_no_part():
     with_gaps = replace(model, residuals=residuals, jacobian=jacobian, group=group)
     kept = group >= 0
     without = replace(model, residuals=residuals[kept], jacobian=jacobian[kept], group=group[kept])
-    one = found_components(with_gaps, np.ones(2), seen, block)
+    components = found_components(with_gaps, np.ones(2), seen, block)
     other = found_components(without, np.ones(2), seen[kept], block[kept])
-    np.testing.assert_allclose(one.scales, other.scales, rtol=1e-9)
-    np.testing.assert_allclose(one.shared, other.shared, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(components.scales, other.scales, rtol=1e-9)
+    np.testing.assert_allclose(components.shared, other.shared, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("priors", [(), range(N_FREE)], ids=["none", "all"])
 @pytest.mark.parametrize("seed", range(3))
 def test_shared_errors_are_where_the_restricted_likelihood_is_largest(seed, priors):
     model, columns, block = model_of(seed, priors=priors, noise=(0.5, 1.0), shared=(2.0, 1.0))
-    found = found_components(model, np.array([1.0, 1.0]), columns, block)
+    components = found_components(model, np.array([1.0, 1.0]), columns, block)
     scales, tau, likelihood = optimum(model, columns, block, start=[1.0, 1.0, 1.0, 1.0], n_shared=2)
-    np.testing.assert_allclose(found.scales, scales, rtol=0.01)
-    np.testing.assert_allclose(found.shared, tau, rtol=0.03)  # the iteration stops at changes below 1 %
-    assert found.log_likelihood == pytest.approx(likelihood, abs=0.01)
+    np.testing.assert_allclose(components.scales, scales, rtol=0.01)
+    np.testing.assert_allclose(components.shared, tau, rtol=0.03)  # the iteration stops at changes below 1 %
+    assert components.log_likelihood == pytest.approx(likelihood, abs=0.01)
 
 
 def test_where_visits_share_nothing_nothing_is_found():
-    found = []
+    results = []
     for seed in range(30):
         model, columns, block = model_of(seed, noise=(0.5, 1.0))
-        found.append(np.any(found_components(model, np.ones(2), columns, block).shared > 0))
-    assert not any(found)  # a chance of 1 in 1000 each
+        results.append(np.any(found_components(model, np.ones(2), columns, block).shared > 0))
+    assert not any(results)  # a chance of 1 in 1000 each
 
 
 def test_too_few_rows_for_any_noise_are_an_error():
@@ -143,9 +143,9 @@ def test_too_few_rows_for_any_noise_are_an_error():
 def test_data_without_noise_have_none():
     model, columns, block = model_of(5, noise=(0.0, 0.0))
     exact = replace(model, residuals=model.jacobian @ np.ones(N_FREE))
-    found = found_components(exact, np.array([1e-4, 1e-4]), columns, block)
-    assert np.all(found.scales < 1e-8)
-    assert not np.any(found.shared > 0)
+    components = found_components(exact, np.array([1e-4, 1e-4]), columns, block)
+    assert np.all(components.scales < 1e-8)
+    assert not np.any(components.shared > 0)
 
 
 def with_families(seed):
@@ -155,9 +155,9 @@ def with_families(seed):
     jacobian = rng.standard_normal((120, 14)) * np.array([1.0, 1.0, *[0.5] * 6, *[3.0] * 6])
     u = rng.standard_normal(14) * np.array([1.0, 1.0, 3.0, 0.2])[[0, 1, *[2] * 6, *[3] * 6]]
     residuals = 0.5 * rng.standard_normal(120) - jacobian @ u
-    one = np.zeros(120, dtype=np.intp)
+    group = np.zeros(120, dtype=np.intp)
     return LinearModel(
-        residuals, jacobian, Prior(family >= 0), np.zeros(14), one, np.array([True]), family, n_families=2
+        residuals, jacobian, Prior(family >= 0), np.zeros(14), group, np.array([True]), family, n_families=2
     )
 
 
@@ -172,9 +172,9 @@ def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
         likelihood = deviance(scaled, np.exp(x[:1]), np.zeros(1), np.zeros((120, 1)), np.arange(120))
         return likelihood - 2.0 * float(np.sum(np.minimum(x[1:], 0.0)))  # the density rises up to what is expected
 
-    found = minimize(minus_twice_log, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
-    assert found.success
-    np.testing.assert_allclose([*scales, *sizes], np.exp(found.x), rtol=0.03)  # it stops at changes below 1 %
+    minimum = minimize(minus_twice_log, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
+    assert minimum.success
+    np.testing.assert_allclose([*scales, *sizes], np.exp(minimum.x), rtol=0.03)  # it stops at changes below 1 %
     x = np.array([0.1, 0.3, -0.7])
     by_products, at = FamilyModel.of(model), (np.exp(x[:1]), np.exp(x[1:]))
     evidence = log_evidence(by_products, by_products.solved(*at), at[0])

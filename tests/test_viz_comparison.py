@@ -27,7 +27,7 @@ def row(value, half, status="identified"):
 
 
 @pytest.fixture
-def found():
+def comparison():
     return ResultComparison(
         ("out/<b>first</b>", "out/second"),
         ("/data/out/<b>first</b>", None),
@@ -51,8 +51,8 @@ def text(html):
     return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style).*?</\1>", " ", html, flags=re.S)).split())
 
 
-def test_real_differences_are_marked_and_others_are_not(found):
-    html = comparison_page(found, created=NOON).html
+def test_real_differences_are_marked_and_others_are_not(comparison):
+    html = comparison_page(comparison, created=NOON).html
     rows = dict(re.findall(r'<tr[^>]*><th scope="row">([\w.]+)</th>(.*?)</tr>', html))
     assert rows["elbow.x"].count(" *") == 1
     assert "100.500 ± 0.030 *" in rows["elbow.x"]
@@ -63,37 +63,40 @@ def test_real_differences_are_marked_and_others_are_not(found):
     assert "noise is independent" in html
 
 
-def test_errors_on_the_same_readings_are_drawn_where_there_are_any(found):
-    html = comparison_page(found, created=NOON).html
+def test_errors_on_the_same_readings_are_drawn_where_there_are_any(comparison):
+    html = comparison_page(comparison, created=NOON).html
     assert 'id="same-rows"' in html
     assert 'id="intervals"' in html
-    alone = dataclasses.replace(found, sizes=(), errors_on=("readings that it did not use",) * 2)
+    alone = dataclasses.replace(comparison, sizes=(), errors_on=("readings that it did not use",) * 2)
     html = comparison_page(alone, created=NOON).html
     assert 'id="same-rows"' not in html
     assert "readings that it did not use" in html
-    held = dataclasses.replace(found, differences=found.differences[2:])
+    held = dataclasses.replace(comparison, differences=comparison.differences[2:])
     assert 'id="intervals"' not in comparison_page(held, created=NOON).html
 
 
-def test_it_asks_nobody_and_escapes_names(found):
-    html = comparison_page(found, created=NOON, command="calib compare '<script>'").html
+def test_it_asks_nobody_and_escapes_names(comparison):
+    html = comparison_page(comparison, created=NOON, command="calib compare '<script>'").html
     assert "<script" not in html
     assert "<b>first" not in html
     assert not re.search(r"""(?:src|href)\s*=\s*["']?(?!["']?(?:data:|#))""", html)
-    assert html == comparison_page(found, created=NOON, command="calib compare '<script>'").html
+    assert html == comparison_page(comparison, created=NOON, command="calib compare '<script>'").html
 
 
-def test_three_results_have_three_columns(found):
+def test_three_results_have_three_columns(comparison):
     three = ResultComparison(
         *(
-            (*getattr(found, name), getattr(found, name)[-1])
+            (*getattr(comparison, name), getattr(comparison, name)[-1])
             for name in ("names", "folders", "verdicts", "n_poses", "errors")
         ),
         "mm",
-        (*found.errors_on, found.errors_on[0]),
-        (*found.sizes, found.sizes[0]),
-        tuple(Difference(one.name, (*one.rows, one.rows[0]), (*one.p_values, 0.9)) for one in found.differences),
-        (*found.pairs, Pair((found.names[0], found.names[1]), (), (), 0.5)),
+        (*comparison.errors_on, comparison.errors_on[0]),
+        (*comparison.sizes, comparison.sizes[0]),
+        tuple(
+            Difference(difference.name, (*difference.rows, difference.rows[0]), (*difference.p_values, 0.9))
+            for difference in comparison.differences
+        ),
+        (*comparison.pairs, Pair((comparison.names[0], comparison.names[1]), (), (), 0.5)),
         (),
     )
     html = comparison_page(three, created=NOON).html

@@ -197,7 +197,7 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
         headline, *each = scene_data(scene)["others"]
         assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
         assert headline["sets"][0]["after"] == pytest.approx([after.mean(), after.max()], rel=1e-9)
-        assert [one["of"] for one in each] == ["wire", "other", "third"]
+        assert [item["of"] for item in each] == ["wire", "other", "third"]
     points, colours = points_of(scene)
     assert points.shape == colours.shape == (180, 3)  # where the readings have the target
     positions = fit.robot.positions(fit.identification.data.joints)[:, 0]
@@ -222,7 +222,10 @@ def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_p
 
 def _of_all(fit, state):
     sets = (fit.identification, fit.validation)
-    return {name: np.concatenate([getattr(one, state)[name] for one in sets]) for name in fit.identification.after}
+    return {
+        name: np.concatenate([getattr(error_set, state)[name] for error_set in sets])
+        for name in fit.identification.after
+    }
 
 
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):
@@ -332,32 +335,34 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     read |= {
         name: dataclasses.replace(looks[name], values=np.zeros((3, k))) for name, k in (("probe", 3), ("table", 1))
     }
-    found = {one.part.name: one for one in of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)}
+    by_name = {
+        layer.part.name: layer for layer in of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
+    }
     ball, second = nominal.positions(q).transpose(1, 0, 2)
     sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])
-    np.testing.assert_allclose(found["contact"].anchors, sockets, atol=1e-12)
-    np.testing.assert_allclose(found["contact"].before, ball - sockets, atol=1e-9)
-    assert found["contact"].targets == ("probe b", "probe a", "probe b")
+    np.testing.assert_allclose(by_name["contact"].anchors, sockets, atol=1e-12)
+    np.testing.assert_allclose(by_name["contact"].before, ball - sockets, atol=1e-9)
+    assert by_name["contact"].targets == ("probe b", "probe a", "probe b")
     above = np.zeros((3, 3))
     above[:, 2] = ball[:, 2] - 0.04 - 0.003
-    np.testing.assert_allclose(found["gap"].before, above, atol=1e-9)
+    np.testing.assert_allclose(by_name["gap"].before, above, atol=1e-9)
     along = second - [1, 0, 0]
     longer = np.linalg.norm(along, axis=1, keepdims=True)
     off = longer - np.linalg.norm(actual.positions(q)[:, 1] - [1, 0, 0], axis=1, keepdims=True)
-    np.testing.assert_allclose(found["distance"].before, off * along / longer, atol=1e-9)
-    np.testing.assert_allclose(found["distance"].after, 0, atol=1e-12)
-    body, moved = nominal.forward(q, "l6"), found["pixel"].before
+    np.testing.assert_allclose(by_name["distance"].before, off * along / longer, atol=1e-9)
+    np.testing.assert_allclose(by_name["distance"].after, 0, atol=1e-12)
+    body, moved = nominal.forward(q, "l6"), by_name["pixel"].before
     ray = np.einsum("nij,j->ni", body[:, :3], [-0.05, 0, 0.08, 1]) + np.array(
         [0, 0, 3]
     )  # to q, 10 mm along x of the target
     np.testing.assert_allclose(np.sum(moved * ray, axis=1), 0, atol=1e-9)  # square to the line of sight
     back = ray - moved
     missed = 800 * back[:, :2] / back[:, 2:] + [500, 400] - read["eye"].values  # by the pinhole
-    assert np.abs(missed).max() < 0.01 * np.abs(found["pixel"].residuals_before).max()
-    turned, measured = found["orientation"].before, Rotation.from_rotvec(read["turned"].values[:, 3:].copy())
+    assert np.abs(missed).max() < 0.01 * np.abs(by_name["pixel"].residuals_before).max()
+    turned, measured = by_name["orientation"].before, Rotation.from_rotvec(read["turned"].values[:, 3:].copy())
     predicted = Rotation.from_matrix(body[:, :3, :3])
     np.testing.assert_allclose((predicted * measured.inv()).as_rotvec(), turned, atol=1e-4)
-    assert [one.turns for one in found.values()] == [False] * 4 + [True]
+    assert [item.turns for item in by_name.values()] == [False] * 4 + [True]
 
 
 def test_what_has_no_derivative_has_no_arrow():

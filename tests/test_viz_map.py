@@ -21,7 +21,7 @@ def arm():
 
 
 def test_error_and_uncertainty_are_those_of_the_engine(arm):
-    fit, table, found = arm
+    fit, table, result = arm
     q = np.concatenate(
         [
             calib.sample(fit.robot, 30, seed=SEED).joints,
@@ -29,29 +29,29 @@ def test_error_and_uncertainty_are_those_of_the_engine(arm):
         ]
     )
     after, before = fit.robot.positions(q)[:, 0], fit.placed.positions(q)[:, 0]
-    np.testing.assert_allclose(found.places, after, atol=1e-12)
-    np.testing.assert_allclose(found.error, np.linalg.norm(before - after, axis=1), atol=1e-12)
-    np.testing.assert_allclose(found.std, fit.predict(q).distance[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(result.places, after, atol=1e-12)
+    np.testing.assert_allclose(result.error, np.linalg.norm(before - after, axis=1), atol=1e-12)
+    np.testing.assert_allclose(result.std, fit.predict(q).distance[:, 0], rtol=1e-9)
 
 
 def test_what_lies_beyond_the_measured_poses_is_known(arm):
-    _, table, found = arm
-    assert 0 < np.sum(found.within) < len(found.within)
+    _, table, result = arm
+    assert 0 < np.sum(result.within) < len(result.within)
     box = table.measured.min(axis=0), table.measured.max(axis=0)  # the hull is inside its box
-    assert np.all((found.places[found.within] >= box[0]) & (found.places[found.within] <= box[1]))
-    assert np.median(found.std[found.within]) < np.median(found.std[~found.within])
-    corners = found.hull.reshape(-1, 3)
+    assert np.all((result.places[result.within] >= box[0]) & (result.places[result.within] <= box[1]))
+    assert np.median(result.std[result.within]) < np.median(result.std[~result.within])
+    corners = result.hull.reshape(-1, 3)
     assert np.all(np.min(np.linalg.norm(corners[:, None] - table.measured[None], axis=2), axis=1) < 1e-12)
 
 
 def test_ellipsoids_hold_ninety_five_of_a_hundred_draws_of_the_prediction(arm):
-    fit, table, found = arm
+    fit, table, result = arm
     rng = np.random.default_rng(0)
-    row = int(np.argmin(np.linalg.norm(table.after - found.centres[5], axis=1)))
+    row = int(np.argmin(np.linalg.norm(table.after - result.centres[5], axis=1)))
     known = fit.predict(table.joints[row][None])
-    np.testing.assert_allclose(known.positions[0, 0], found.centres[5], atol=1e-9)
+    np.testing.assert_allclose(known.positions[0, 0], result.centres[5], atol=1e-9)
     draws = rng.multivariate_normal(np.zeros(3), known.covariance[0, 0], 20000)
-    inside = np.linalg.norm(np.linalg.solve(found.half_axes[5], draws.T), axis=0) <= 1
+    inside = np.linalg.norm(np.linalg.solve(result.half_axes[5], draws.T), axis=0) <= 1
     # the covariance's own size is estimated: half axes are longer by the coverage factor over the normal one
     assert 0.95 - 0.005 < np.mean(inside) < 0.975
 
@@ -59,10 +59,10 @@ def test_ellipsoids_hold_ninety_five_of_a_hundred_draws_of_the_prediction(arm):
 def test_a_robot_that_moves_in_a_plane_was_measured_within_an_outline():
     robot = calib.load("docs/examples/five_bar.yaml")
     fit = calib.fit(robot, calib.read_measurements("docs/examples/five_bar_simulated.csv", robot))
-    found = gather(robot, fit, mapped=100).scene.map
-    assert 10 < np.sum(found.within) < 100
-    corners = np.unique(found.hull.reshape(-1, 3), axis=0)
-    assert len(corners) == len(found.hull)  # a closed polygon has as many edges as corners
+    result = gather(robot, fit, mapped=100).scene.map
+    assert 10 < np.sum(result.within) < 100
+    corners = np.unique(result.hull.reshape(-1, 3), axis=0)
+    assert len(corners) == len(result.hull)  # a closed polygon has as many edges as corners
 
 
 def test_without_a_result_there_is_no_map_and_it_is_asked_for_in_vain(run_calib):

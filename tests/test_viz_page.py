@@ -131,12 +131,12 @@ def test_summary_and_ranges_are_in_their_units(scene):
     assert rows["validation"]["count"] == len(scene.poses) - 5
     assert "measured" not in rows
     sizes = {state: np.linalg.norm(scene.poses.error(state), axis=1) for state in ("before", "after")}
-    found = ranges(sizes, scene.poses.outlier)
+    result = ranges(sizes, scene.poses.outlier)
     usual = sizes["after"][~scene.poses.outlier]
     shown = scene_data(scene)["parts"][0]["range"]
     assert shown["after"] == [0.0, pytest.approx(1e3 * usual.max())]
-    assert found["after"] == [0.0, pytest.approx(usual.max())]
-    assert 0 < found["both"][0] < found["after"][1] < found["both"][1]
+    assert result["after"] == [0.0, pytest.approx(usual.max())]
+    assert 0 < result["both"][0] < result["after"][1] < result["both"][1]
 
 
 def test_of_very_many_rows_the_page_holds_those_that_matter_and_says_so(scene, monkeypatch):
@@ -234,11 +234,11 @@ def test_a_missing_mesh_warns_in_python(tmp_path):
 def test_the_noise_of_a_reading_and_of_a_mean_are_told_apart(scene):
     several = dataclasses.replace(scene.poses, readings=np.where(np.arange(len(scene.poses)) < 4, 4, 1))
     sigma = 8e-5 / np.sqrt(several.readings)
-    found = certainty(dataclasses.replace(scene, poses=dataclasses.replace(several, sigma=sigma)))
-    assert found["noise"] == pytest.approx(0.08)
-    assert found["means"] == pytest.approx([0.04, 0.08])
-    assert found["readings"] == [1, 4]
-    assert found["predicted"] == pytest.approx([0.02 * np.sqrt(3)] * 2)
+    result = certainty(dataclasses.replace(scene, poses=dataclasses.replace(several, sigma=sigma)))
+    assert result["noise"] == pytest.approx(0.08)
+    assert result["means"] == pytest.approx([0.04, 0.08])
+    assert result["readings"] == [1, 4]
+    assert result["predicted"] == pytest.approx([0.02 * np.sqrt(3)] * 2)
 
 
 def test_unknown_noise_is_unknown(scene):

@@ -9,9 +9,9 @@ from viz.pictures import figures, pages
 
 
 def test_the_pages_of_a_fit():
-    found = pages(medrue_fit(validation=None))
-    assert set(found) == {"report.html", "viewer.html"}
-    assert all(page.startswith(b"<!DOCTYPE html>") for page in found.values())
+    result = pages(medrue_fit(validation=None))
+    assert set(result) == {"report.html", "viewer.html"}
+    assert all(page.startswith(b"<!DOCTYPE html>") for page in result.values())
 
 
 def test_the_entry_points_are_installed():

@@ -69,12 +69,12 @@ def test_names_from_files_are_neither_mathematics_nor_markup(plots):
 
 
 def test_identifiers_do_not_clash_and_references_hit(plots):
-    found = [name for plot in plots for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
-    assert len(found) == len(set(found))
+    results = [name for plot in plots for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
+    assert len(results) == len(set(results))
     for plot in plots:
         used = re.findall(r'xlink:href="#([^"]+)"|url\(#([^)]+)\)', plot.svg)
         assert used
-        assert {first or second for first, second in used} <= set(found)
+        assert {first or second for first, second in used} <= set(results)
 
 
 def test_plots_ask_nobody_and_carry_no_date(plots):
@@ -131,9 +131,9 @@ def test_a_step_in_time_is_a_step_in_the_figure():
 def test_files_have_panels_of_their_own():
     series = ("a/first.csv (identification)",) * 40 + ("b/second.csv (validation)",) * 20
     shown = dataclasses.replace(table(place=np.array([*range(40), *range(20)])), series=series)
-    found = texts(error_by_pose(shown).svg)
-    assert found.count("pose, in the order of measurement") == 2
-    assert {"first.csv (identification)", "second.csv (validation)"} <= set(found)
+    result = texts(error_by_pose(shown).svg)
+    assert result.count("pose, in the order of measurement") == 2
+    assert {"first.csv (identification)", "second.csv (validation)"} <= set(result)
 
 
 def test_of_several_points_the_largest_error_is_drawn():
@@ -145,9 +145,9 @@ def test_long_joint_names_do_not_reach_into_their_neighbours_panel():
     name = "the_joint_whose_name_nobody_wanted_to_shorten_although_it_is_so_long_that_no_page_is_wide_enough"
     joints = (Joint(name, "deg", 1.0), Joint("the_joint_whose_name_takes_two_lines_at_least", "deg", 1.0))
     shown = dataclasses.replace(table(), joints=np.zeros((60, 2)))
-    found = texts(residual_by_joint(of_positions(shown), joints).svg)
-    assert max(len(text) for text in found) <= 36
-    assert any("…" in text for text in found)
+    result = texts(residual_by_joint(of_positions(shown), joints).svg)
+    assert max(len(text) for text in result) <= 36
+    assert any("…" in text for text in result)
 
 
 def test_long_names_lose_their_middle():

@@ -200,14 +200,14 @@ def test_no_zero_has_a_sign():
 
 def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure_that_is(html, fit):
     first, annex = text(html).split("Annex:")
-    found = fit.validation
-    row = int(np.argmax(np.linalg.norm(found.after["tool"], axis=1)))
-    assert f"pose {found.data.names[row]}, at x" in first
+    validation = fit.validation
+    row = int(np.argmax(np.linalg.norm(validation.after["tool"], axis=1)))
+    assert f"pose {validation.data.names[row]}, at x" in first
     assert millimetres(fit.validation_uncertainty.summary()["max"]) in annex
     assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm" in annex
     assert "degrees of freedom" not in first
     assert "rank" not in first.lower()
-    points = 1e3 * np.concatenate([errors.data.readings["tool"].values for errors in (fit.identification, found)])
+    points = 1e3 * np.concatenate([errors.data.readings["tool"].values for errors in (fit.identification, validation)])
     assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
 
 
@@ -283,15 +283,15 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
 
 
 @pytest.mark.parametrize(
-    ("asked", "answer"),
+    ("request", "answer"),
     [
         ("5 mm", "Tolerance 5 mm: met 95 of 100 positions are within "),
         ("0.001 mm", "Tolerance 0.001 mm: not met 95 of 100 positions are within "),
         ("<b>tight</b>", "Tolerance &lt;b&gt;tight&lt;/b&gt;: not judged This is not a length with a unit"),
     ],
 )
-def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, html, asked, answer):
-    page = text(undrawn(with_comments(fit, f"tolerance: {asked}")))
+def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, html, request, answer):
+    page = text(undrawn(with_comments(fit, f"tolerance: {request}")))
     assert answer in page.split("What was calibrated")[0]
     assert "Asked" not in text(html)
 

@@ -141,7 +141,7 @@ def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("typical", "wanted", "factor"),
+    ("typical", "expected", "factor"),
     [
         (1e-3, 0.05, 50.0),
         (1e-3, 0.049, 20.0),
@@ -151,8 +151,8 @@ def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_pat
         (0.0, 0.05, 1.0),
     ],
 )
-def test_exaggerations_are_round_numbers(typical, wanted, factor):
-    assert nice_factor(typical, wanted) == factor
+def test_exaggerations_are_round_numbers(typical, expected, factor):
+    assert nice_factor(typical, expected) == factor
 
 
 @pytest.mark.parametrize("code", ["nothing_to_correct", "no_gain"])

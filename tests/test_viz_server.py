@@ -58,8 +58,8 @@ def listen(server):
         connection.close()
 
 
-def read_until(connection, received, wanted):
-    while wanted not in received:
+def read_until(connection, received, expected):
+    while expected not in received:
         received += connection.recv(4096)
     return received
 

@@ -46,11 +46,11 @@ def test_covariance_agrees_with_the_scatter_over_draws() -> None:
     generator = np.random.default_rng(4)
     truth, sigma = some_pose(generator), 1e-4
     predicted = rigid_fit(NESTS, carried(truth, NESTS), sigma).covariance
-    found = []
+    results = []
     for _ in range(2000):
         fit = rigid_fit(NESTS, carried(truth, NESTS) + generator.normal(0, sigma, NESTS.shape), sigma)
-        found.append(np.concatenate([fit.translation - truth.translation, pin.log3(truth.rotation.T @ fit.rotation)]))
-    ratio = np.linalg.solve(predicted, np.cov(np.array(found).T))
+        results.append(np.concatenate([fit.translation - truth.translation, pin.log3(truth.rotation.T @ fit.rotation)]))
+    ratio = np.linalg.solve(predicted, np.cov(np.array(results).T))
     # eigenvalues of a Wishart matrix with 2000 draws in 6 dimensions stay within 1 +- 2 sqrt(6 / 2000) = 1 +- 0.11
     assert np.abs(np.linalg.eigvals(ratio) - 1).max() < 0.13
 
@@ -65,8 +65,8 @@ def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:
     generator = np.random.default_rng(6)
     far, sigma = np.array([2.0, -1.0, 0.5]), 1e-4
     predicted = rigid_fit(NESTS, NESTS, sigma).point_covariance(far[None])[0]
-    found = [rigid_fit(NESTS, NESTS + generator.normal(0, sigma, NESTS.shape)).apply(far) for _ in range(2000)]
-    assert np.abs(np.linalg.eigvals(np.linalg.solve(predicted, np.cov(np.array(found).T))) - 1).max() < 0.13
+    results = [rigid_fit(NESTS, NESTS + generator.normal(0, sigma, NESTS.shape)).apply(far) for _ in range(2000)]
+    assert np.abs(np.linalg.eigvals(np.linalg.solve(predicted, np.cov(np.array(results).T))) - 1).max() < 0.13
 
 
 @pytest.mark.parametrize("sigma", [1e-4, None])

@@ -32,12 +32,12 @@ def test_fit_of_84_poses(benchmark, problem, loss):
 def test_verdict_of_84_poses(benchmark, problem):
     fit = calib.fit(*problem)
 
-    def judged():
+    def verdict_of():
         for name in ("verdict", "patterns", "studentised", "outliers", "_root", "assembles"):
             fit.__dict__.pop(name, None)  # what is computed once on request
         return fit.verdict
 
-    assert benchmark(judged).grade in ("PASS", "CHECK")
+    assert benchmark(verdict_of).grade in ("PASS", "CHECK")
 
 
 def test_fit_of_the_extended_model(benchmark):

@@ -15,13 +15,13 @@ def robot():
     return calib.load(robot_file())
 
 
-@pytest.mark.parametrize("asked", ["full pose", "position and axis", "position"])
-def test_solve_420_targets(benchmark, robot, asked):
+@pytest.mark.parametrize("request", ["full pose", "position and axis", "position"])
+def test_solve_420_targets(benchmark, robot, request):
     T = np.array(target_workspace().T_world_tool)
     goals = Goals(
         T[:, :3, 3],
-        T[:, :3, :3] if asked == "full pose" else None,
-        T[:, :3, 2] if asked == "position and axis" else None,
+        T[:, :3, :3] if request == "full pose" else None,
+        T[:, :3, 2] if request == "position and axis" else None,
     )
     solution = benchmark.pedantic(solve, (robot, goals), rounds=3)
     assert solution.ok.all()

@@ -20,11 +20,11 @@ def test_every_public_name_is_on_the_first_page_with_what_it_is_and_on_one_other
 
 
 def test_names_stand_in_the_order_of_use_each_once():
-    found = by_task()
-    names = [name for step in found.values() for name in step]
+    result = by_task()
+    names = [name for step in result.values() for name in step]
     assert sorted(names) == sorted(importlib.import_module("calib").__all__)
     assert names.index("load") < names.index("check") < names.index("fit") < names.index("solve")
-    assert all(name.endswith("Error") for name in found["Errors"])
+    assert all(name.endswith("Error") for name in result["Errors"])
 
 
 def test_what_pages_cite_has_its_derivation():
@@ -36,9 +36,9 @@ def test_what_pages_cite_has_its_derivation():
 
 
 def test_the_navigation_has_every_page_once_and_they_are_few():
-    found = _paths(navigation())
-    assert sorted(found) == sorted(pages())
-    assert len(found) < 60 < len(list((ROOT / "calib").rglob("*.py")))
+    result = _paths(navigation())
+    assert sorted(result) == sorted(pages())
+    assert len(result) < 60 < len(list((ROOT / "calib").rglob("*.py")))
 
 
 def _paths(entry):

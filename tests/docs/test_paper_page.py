@@ -83,20 +83,20 @@ def test_percentages_of_the_text_are_those_of_table_2():
 
 
 def test_figures_about_the_error_before_are_those_of_the_closed_form():
-    q, (one, three) = np.array(target_workspace().q), (table1(), table3())
+    q, (nominal_case, three) = np.array(target_workspace().q), (table1(), table3())
     errors = errors_of(differences(three.identified, q))
-    nominal, true = (forward(q, parameters).p_world_tool for parameters in (one.nominal, three.identified))
+    nominal, true = (forward(q, parameters).p_world_tool for parameters in (nominal_case.nominal, three.identified))
     placed = errors_of(base_placed(nominal, true)).mean
     text = PAGE[PAGE.index("**The error before calibration") :]
     for value in (errors.smallest, errors.largest, errors.mean, placed):
         assert f"{value:.2f}" in text[:500]
-    ratio = errors_of(differences(one.actual, q)).mean / error_table(2)["before"]["mean"]
+    ratio = errors_of(differences(nominal_case.actual, q)).mean / error_table(2)["before"]["mean"]
     assert f"{ratio:.2f} times the paper's" in PAGE
 
 
 def numbers_and_rest(svg: str) -> tuple[np.ndarray, str]:
     number = r"-?\d+\.\d+"
-    return np.array([float(found) for found in re.findall(number, svg)]), re.sub(number, "#", svg)
+    return np.array([float(item) for item in re.findall(number, svg)]), re.sub(number, "#", svg)
 
 
 def test_figure_4_is_what_the_program_draws_now():

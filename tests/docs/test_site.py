@@ -92,11 +92,11 @@ def test_notebooks_become_pages_with_their_outputs_and_a_gallery_leads_to_them()
     for name in notebook_pages.names():
         notebook = nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", as_version=4)
         page = made[f"notebooks/{name}.md"]
-        outputs = [one for cell in notebook.cells for one in cell.get("outputs", ())]
-        pictures = [one for one in outputs if "image/png" in one.get("data", {})]
+        outputs = [item for cell in notebook.cells for item in cell.get("outputs", ())]
+        pictures = [output for output in outputs if "image/png" in output.get("data", {})]
         assert page.count("![Output](") == len(pictures) > 0
         assert all(f"notebooks/{name}-{k + 1}.png" in made for k in range(len(pictures)))
-        assert next(one.text.splitlines()[0] for one in outputs if one.output_type == "stream") in page
+        assert next(output.text.splitlines()[0] for output in outputs if output.output_type == "stream") in page
         assert f"]({name}.md)" in made["notebooks/index.md"]
 
 

@@ -54,8 +54,8 @@ def test_there_are_sixty_scenarios_and_three_robots():
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_scenario_makes_measurements_and_the_same_from_the_same_seed(scenario):
-    one = SCENARIOS[scenario]
-    first, second = (data_of(one.make(open_lab(one.robots[0], 5, one.measured))) for _ in range(2))
+    item = SCENARIOS[scenario]
+    first, second = (data_of(item.make(open_lab(item.robots[0], 5, item.measured))) for _ in range(2))
     assert len(first) > 5
     np.testing.assert_array_equal(first.joints, second.joints)
     for name, readings in first.readings.items():
@@ -86,15 +86,15 @@ def test_rows_count_what_was_said():
 
 def test_the_page_has_every_scenario_and_keeps_its_promise():
     text = (DOCS / "verdict.md").read_text(encoding="utf-8")
-    found = {cells[0].strip(): cells[1:] for cells in (line.strip("| ").split("|") for line in text.splitlines())}
-    assert set(SCENARIOS) <= set(found)
-    runs, *counts = (int(cell) for cell in found["all healthy"][:5])
+    by_name = {cells[0].strip(): cells[1:] for cells in (line.strip("| ").split("|") for line in text.splitlines())}
+    assert set(SCENARIOS) <= set(by_name)
+    runs, *counts = (int(cell) for cell in by_name["all healthy"][:5])
     grades = dict(zip(OUTCOMES, counts, strict=True))
     assert runs == sum(counts) >= 300
     assert grades["FAIL"] == grades["refused"] == 0
     assert grades["CHECK"] <= 0.05 * runs
-    runs, passed = (int(cell) for cell in found["all sick"][:2])
+    runs, passed = (int(cell) for cell in by_name["all sick"][:2])
     assert runs >= 100
     assert passed <= 0.05 * runs
-    counted = [int(cell) for cell in found["all counted"][:5]]
+    counted = [int(cell) for cell in by_name["all counted"][:5]]
     assert counted[0] == sum(counted[1:]) >= 50

@@ -23,7 +23,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import CalibrationError, DataError, NotIdentifiableError
 from calib.base.threads import one_blas_thread
 from calib.base.words import counted, listed
@@ -214,7 +214,9 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
     tried = [(_miss(robot, some), 0, empty)] if len(zeros) else []
     prefix = f"{empty}, and " if len(zeros) else ""
     if not tried or tried[0][0] > _CLOSER * now:
-        tried += [(_miss(robot, changed), joints, prefix + words) for joints, words, changed in _undone(robot, sound)]
+        undone = list(_undone(robot, sound))
+        misses = _misses(robot, [changed for _, _, changed in undone])
+        tried += [(miss, joints, prefix + words) for miss, (joints, words, _) in zip(misses, undone, strict=True)]
     best = max(min(miss for miss, _, _ in tried), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
         return ""
@@ -230,14 +232,25 @@ def _some(data: Measurements) -> Measurements:
 
 
 def _miss(robot: Robot, data: Measurements) -> float:
-    """Root mean square error of the nominal robot, placed where that is needed, over the spread of the positions."""
-    closed = robot.close(data.joints, thorough=False)
-    if 2 * np.sum(closed.ok) < len(data):  # no need to look for ways to the others
+    return _misses(robot, [data])[0]
+
+
+def _misses(robot: Robot, changed: list[Measurements]) -> list[float]:
+    """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once."""
+    closed = robot.close(np.vstack([data.joints for data in changed]), thorough=False)
+    starts = np.cumsum([len(data) for data in changed])[:-1]
+    each = zip(changed, np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True)
+    return [_miss_of(robot, data, ok, passive) for data, ok, passive in each]
+
+
+def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray) -> float:
+    """Error of the robot, placed where that is needed, by which of its poses close, and how."""
+    if 2 * np.sum(ok) < len(data):  # no need to look for ways to the others
         return float("inf")
     try:
         placed = register(robot, data) if any(p.placement for p in robot.parameters) else robot
         points = data.points(robot)
-        errors = placed.positions(data.joints, seed=closed.passive) - points
+        errors = placed.positions(data.joints, seed=passive) - points
     except CalibrationError:  # a loop stays open, or nothing can be placed
         return float("inf")
     spread = np.sum((points - points.mean(axis=0)) ** 2)

@@ -36,7 +36,10 @@ Where priors are wide, the minimum lies at the end of a long valley, which bends
 and the square of that move is much for what they see well. Straight steps are then short, and there are hundreds. A
 trial point tells the bend, b = r(x + d) - r - J d. Where the cost fell by less than three quarters of what was
 promised, the step is tried once more with what takes the bend away, the minimum of |b + J c| with c at most half as
-long as d; the lower of the two points counts.
+long as d; the lower of the two points counts. Along a valley one bend is like the next: within a ball, the trial point
+itself is moved by what takes away the bend that the last step s, with C = J - J_before, tells of d = a s + rest,
+
+    d^T H d / 2  =  a C (d - a s / 2)      but for what is of second order in the rest,      a = s^T d / s^T s
 
 D is one of
 
@@ -54,9 +57,9 @@ where only the scales are wrong.
 The iteration ends as converged when the decrease that the linear model still promises, |R f|^2, is at most `tolerance`
 of the cost. That is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
 covariance is s^2 G^-1, and |R f|^2 / s^2 the sum of (step left / its standard deviation)^2 over independent directions,
-at most N tolerance. Where a step that promised less than ten times as much did not lower the cost, rounding decides
-about it, and it ends too; or where the step is below 1e-12 of the unknowns; and as not converged after
-`max_evaluations` trial points.
+at most N tolerance. Where a step promised less than ten times as much, no bend is looked for; if it did not lower the
+cost, rounding decides about it, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns,
+and as not converged after `max_evaluations` trial points.
 
 When it fails. It finds the minimum in whose valley it starts; `calib.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
@@ -311,6 +314,7 @@ class _Path:
         self._past: list[_Point] = []
         self._undone = False  # whether the last step was
         self._step: FloatArray = np.zeros(len(start.x))
+        self._taken: FloatArray = self._step
         self._promised = start.cost
 
     def _length(self, step: FloatArray) -> float:
@@ -334,15 +338,29 @@ class _Path:
         current = self.current
         curvature = current.curvature(self._past) if 2.0 * current.decrease <= current.cost else None
         self._step, self._promised = current.step(curvature, self._radius, self._scale)
-        return np.asarray(current.x + self._step)
+        back = self._back(self._expected_bend()) if np.isfinite(self._radius) and self._past else None
+        self._taken = self._step if back is None else self._step + back
+        return np.asarray(current.x + self._taken)
+
+    def _expected_bend(self) -> FloatArray:
+        """Return how the rows bend along the next step if they bend as along the last one, (m,)."""
+        before = self._past[-1]
+        last = self.current.x - before.x
+        along = float(last @ self._step) / float(last @ last)
+        way = along * (self._step - 0.5 * along * last)
+        return np.asarray(self.current.jacobian @ way - before.jacobian @ way)
+
+    def _back(self, bend: FloatArray) -> FloatArray | None:
+        """Return what takes a bend away, (n,)."""
+        return self.current.straightened(bend, _BEND * self._length(self._step), self._scale)
 
     def bent(self, values: FloatArray) -> FloatArray | None:
         """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
         reached, promised = _cost(values), self.current.cost - self._promised
-        if not np.isfinite(reached) or promised <= 0 or self.current.cost - reached >= _GOOD * promised:
+        little = promised <= _ROUNDING * self._tolerance * self.current.cost
+        if not np.isfinite(reached) or little or self.current.cost - reached >= _GOOD * promised:
             return None
-        bend = values - self.current.residuals - self.current.jacobian @ self._step
-        back = self.current.straightened(bend, _BEND * self._length(self._step), self._scale)
+        back = self._back(values - self.current.residuals - self.current.jacobian @ self._taken)
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
     def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:

@@ -82,12 +82,13 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     lengths = scale(setting)
     if fit.computed or not np.any(lengths):
         return
-    alone, _ = _cost_with(fit, lengths[:, :0])
     scaled, part = _cost_with(fit, lengths, is_scale=True)
+    if abs(part) <= SCALED:
+        return
+    alone, _ = _cost_with(fit, lengths[:, :0])
     geared, _ = _cost_with(fit, gains(setting))
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
-    explained = alone - scaled
-    if abs(part) > SCALED and explained > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
+    if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than in the"
             " description: no robot is that far off. Look at the unit of the measurements, the scale of the"

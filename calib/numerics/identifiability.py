@@ -129,9 +129,12 @@ def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
     """Return the rank of a Jacobian whose columns are scaled, (n_rows, n_columns)."""
-    n_columns = scaled_jacobian.shape[1]
+    return rank_of(np.linalg.svd(scaled_jacobian, compute_uv=False), scaled_jacobian.shape[1])
+
+
+def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
+    """Return the rank of a matrix with these singular values, largest first, and so many columns."""
     values = np.zeros(n_columns)
-    singular_values = np.linalg.svd(scaled_jacobian, compute_uv=False)
     values[: len(singular_values)] = singular_values
     threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0
     rank = int(np.sum(values > threshold))

@@ -37,7 +37,7 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.parameter import Parameter
 from calib.numerics.graphs import connected_parts
-from calib.numerics.identifiability import numerical_rank, reduced
+from calib.numerics.identifiability import rank_of, reduced
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 ZERO = 1e-6
@@ -106,7 +106,8 @@ def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
     """Orthonormal basis, (n_columns, nullity)."""
     factor = reduced(scaled_jacobian)
-    return np.linalg.svd(factor)[2][numerical_rank(factor).rank :].T
+    _, values, directions = np.linalg.svd(factor)
+    return directions[rank_of(values, factor.shape[1]).rank :].T
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:

@@ -41,7 +41,7 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.parameter import Parameter
 from calib.base.units import PER_SI
-from calib.numerics.identifiability import Rank, numerical_rank, reduced
+from calib.numerics.identifiability import Rank, numerical_rank, rank_of, reduced
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
@@ -193,6 +193,6 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
     factor = reduced(rows.reshape(-1, rows.shape[-1]))
     if priors is not None and len(priors):
         factor = reduced(np.vstack([factor, priors]))
-    rank = numerical_rank(factor)
-    directions = np.linalg.svd(factor)[2][: rank.rank].T
-    return Information(rank, directions, rank.singular_values[: rank.rank].copy())
+    _, values, directions = np.linalg.svd(factor)
+    rank = rank_of(values, factor.shape[1])
+    return Information(rank, directions[: rank.rank].T, rank.singular_values[: rank.rank].copy())

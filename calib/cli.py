@@ -12,10 +12,10 @@ from calib.commands.program import run_program
 
 _COMMANDS = {
     "init": ("calib.commands.init", "Write a robot description to start from."),
-    "check": ("calib.commands.check", "Say what poses determine, and what they cannot."),
+    "check": ("calib.commands.check", "Say which parameters poses determine, and how well."),
     "sample": ("calib.commands.sample", "Write poses that a robot can take."),
     "compare": ("calib.commands.compare", "Show results side by side."),
-    "fleet": ("calib.commands.fleet", "Learn from robots of one model what the next one is like."),
+    "fleet": ("calib.commands.fleet", "Make a prior for the next robot of a model."),
     "select": ("calib.commands.select", "Choose the poses to measure."),
     "simulate": ("calib.commands.simulate", "Simulate measurements."),
     "study": ("calib.commands.study", "Calibrate many times from simulated measurements."),
@@ -25,7 +25,7 @@ _COMMANDS = {
     "compensate": ("calib.commands.compensate", "Change a program so that the calibrated robot does what was meant."),
     "verify": ("calib.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.commands.export", "Write the robot in formats of other programs."),
-    "watch": ("calib.commands.watch", "Follow a file while a robot is measured."),
+    "watch": ("calib.commands.watch", "Say while measuring which pose is next, and when to stop."),
     "detect": ("calib.commands.detect", "Find a printed board in photographs."),
     "board": ("calib.commands.boards", "Write a board to print."),
     "hand-eye": ("calib.commands.hand_eye", "Find where a camera is, from photographs of a board."),

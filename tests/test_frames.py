@@ -246,7 +246,8 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
         assert f"the verdict of {folder} is that nothing is to be corrected" in one.out
         assert "is expected to be off by 0.0" in one.out
         assert (
-            "Errors are in the robot's own base frame, laid where the nominal and the calibrated robot agree" in one.out
+            "Errors are in the robot's own base frame, placed where the nominal and the calibrated robot agree"
+            in one.out
         )
     written = (tmp_path / "out_part.gcode").read_text()
     assert written.splitlines()[1:-1] == (tmp_path / "part.gcode").read_text().splitlines()

@@ -267,14 +267,14 @@ FIRST = "G1 X0 Y0 Z0\n"
         (FIRST + "G43 H1\n", (), "line 2: G43"),
         (FIRST + "G92 X0\n", (), "line 2: G92: moves the zero"),
         (FIRST + "G93\n", (), "line 2: G93: speeds per move"),
-        (FIRST + "M665 L500\n", (), "line 2: M665 changes what the machine makes"),
+        (FIRST + "M665 L500\n", (), "line 2: M665 changes the meaning of X"),
         (FIRST + "M98 P2\n", (), "line 2: M98 calls another program"),
         (FIRST + "G1 X#5\n", (), "line 2: 'X#5' is not read"),
         (FIRST + "G1 X1..2\n", (), "line 2: '.2' is not read"),
         (FIRST + "G1 X1 X2\n", (), "line 2: has a letter twice"),
         (FIRST + "G0 G1 X1\n", (), "line 2: has two motions"),
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
-        (FIRST + "/G1 X1\n", (), "line 2: whether a line behind / is run"),
+        (FIRST + "/G1 X1\n", (), "line 2: whether lines with / are run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),
@@ -305,7 +305,7 @@ def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_pa
     (tmp_path / "a.gcode").write_text("M83\nG90\nG1 X0 Y0 Z0\nG1 X10 E1\n")
     program = read_gcode(tmp_path / "a.gcode")
     ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
-    with pytest.raises(calib.DataError, match="line 4: is cut into 2 pieces, and what its E means is not said"):
+    with pytest.raises(calib.DataError, match="line 4: is cut into 2 pieces, and nothing says what its E means"):
         program.rewritten(ways)
     assert "G1 X10 Y0 Z0 E1" in program.rewritten([ways[0], ways[1][1:]])
 
@@ -320,7 +320,9 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
     names = sorted(p.name for p in robot.parameters if p.name.startswith("y.") and p.name != "y.rz")
     rough = robot.with_parameters({names[0]: 2e-6})
     moves = StraightMoves(np.array([[0, -0.01, 0]]), np.array([[0, 0.01, 0.0]]), ("line 1",))
-    with pytest.raises(calib.ComputationError, match=r"line 1: off by 0.0.* between points, and no pieces of 0.05 mm"):
+    with pytest.raises(
+        calib.ComputationError, match=r"line 1: off by 0.0.* between points, and pieces of 0.05 mm do not"
+    ):
         compensate_moves(rough, moves, 5e-7)
 
 

@@ -343,7 +343,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, instrument, said):
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        ((",q\n", ",quu\n"), "column 'probe': 'quu' is nothing that 'probe' touches"),
+        ((",q\n", ",quu\n"), "column 'probe': 'probe' touches nothing called 'quu'"),
         (("probe", "prob"), "has no column of any instrument; expected: probe"),
         (("probe", "j1"), "column"),
     ],
@@ -405,7 +405,7 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     data = written(tmp_path, joints(30), [""] * 30, ("probe", "remark"))
     run = run_calib("check", tmp_path / "arm.yaml", data)
     assert run.code == 0
-    assert "give poses at contact, with a column 'probe'" in run.err
+    assert "Give poses at contact, with a column 'probe'" in run.err
     refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--out", tmp_path / "new.csv")
     assert refused.code == 2
     assert "nothing says what instrument 'probe' touches at which pose" in refused.err
@@ -452,7 +452,7 @@ def test_terms_that_look_alike_in_one_place_of_the_tool_are_not_added(shared_dat
     told = {one.term: one for one in fit.terms.tried}
     assert not any(one.added for one in told.values())
     assert told["gain"].why.startswith(
-        "the data cannot tell it from harmonics, curve, and it costs more than it brings"
+        "the data cannot tell it from harmonics, curve, and its cost is larger than its gain"
     )
     asked = calib.fit(robot, data, terms="gain,harmonics")  # 4.4 mm off in another place, where origins are 1.5 mm off
     assert "terms_untested" in asked.verdict.to_dict()["codes"]

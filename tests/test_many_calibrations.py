@@ -348,7 +348,7 @@ def test_drawing_poses_again_finds_the_scatter_that_uneven_noise_makes(arm, amou
     assert np.array_equal(found.draws.truth[0], fit.robot.values[fit.free])
     assert np.isnan(found.chi_square)
     assert f"{amount} calibrations of six axes, each from 150 of its 150 poses, with replacement" in str(found)
-    assert "intervals hold what all poses give" in str(found)
+    assert "intervals contain what all poses give" in str(found)
     assert "outlier" not in str(found)
     assert found.to_dict()["resampled"] is True
 

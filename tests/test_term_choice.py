@@ -226,7 +226,7 @@ def test_what_would_make_an_added_term_superfluous_is_not_added():
     assert groups == (("gain",), ("harmonics",))
     assert [search.outcome(one, groups).evidence for one in search.tried[:2]] == [30, 20]  # each beside the other
     left_out = search.outcome(search.tried[2], groups)
-    assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
+    assert left_out.why == "gain is not worth adding beside it: poses of blocks left out are not predicted better"
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
     assert search.chosen() == (("gain",), ("harmonics",), ("curve",))
 
@@ -249,8 +249,8 @@ def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_o
     assert groups == chosen
     if not chosen:
         why = search.outcome(search.tried[0], groups).why
-        assert why.startswith("the data cannot tell it from harmonics, and it costs more than it brings: ")
-        assert why.endswith("are known to 9.49 mm, to 1 mm without it")
+        assert why.startswith("the data cannot tell it from harmonics, and its cost is larger than its gain: ")
+        assert why.endswith("are known to 9.49 mm with, to 1 mm without it")
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_o
         ((16.9, 21), (("gain",),), True),
         ((17.1, 21), (("gain", "harmonics"),), False),  # odds below 20 to 1
         ((10, 20), (("gain", "harmonics"),), False),  # predicts blocks as well
-        ((3, 20), (("gain",),), True),  # the same, but would not earn its place: less evidence than chance gives
+        ((3, 20), (("gain",),), True),  # the same, but not worth adding: less evidence than chance gives
         ((5.2, 21), (("gain",),), True),
     ],
 )

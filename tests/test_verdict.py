@@ -492,7 +492,7 @@ def test_a_joint_that_moved_too_little_is_told(prior_arm):
     q[:, 2] = 0.3 + 0.01 * q[:, 2]
     fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1), sigma=SIGMA)
     found = reason(fit, "joint_moved_little")
-    assert found.text.startswith("joint j3 moved through 1.7 deg only")
+    assert found.text.startswith("joint j3 moved through only 1.7 deg")
     wide = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
     assert "joint_moved_little" not in [reason.code for reason in wide.verdict.reasons]
 

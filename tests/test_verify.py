@@ -259,7 +259,7 @@ def test_iso_figures_are_there_where_their_cycles_are(arm):
         if one.name == "RP":  # noise alike on three axes: mean 1.596, deviation 0.673 of the Maxwell distribution
             assert one.figure.low95 < (1.596 + 3 * 0.673) * SIGMA < one.figure.high95
     assert plain.placed == 9  # base 6, reflector 3: of the means of 15 coordinates
-    assert "takes 9 degrees of freedom out of AP" in text_report(plain, figures, missing)
+    assert "so AP has 9 degrees of freedom less" in text_report(plain, figures, missing)
     sides = np.repeat([[1.0], [-1.0]], 75, axis=0) * np.ones((1, 6))
     time = np.linspace(0, 9 * 3600, 150)
     stated = tuple(f"{key}: as usual" for key in CONDITIONS)

@@ -305,7 +305,7 @@ def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
     assert file.changed().names == tuple(line.split(",")[0] for line in good[:4])
     (said,) = file.remarks()
     assert said.startswith(f"{path}, line {HEADER + 4}: 1 cells for")
-    assert said.endswith("; this line is passed over until it is corrected")
+    assert said.endswith("; this line is skipped until it is corrected")
     with path.open("a") as stream:
         stream.write(word + good[4])
     assert len(file.changed()) == 5

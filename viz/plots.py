@@ -62,7 +62,7 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
         "error-budget",
         "What made the error before",
         f"Squares add up to that of {budget['rms_before']:.3g} {unit}; the scale is logarithmic."
-        " Lines reach one standard deviation further; a cause without a bar brought nothing.",
+        " Lines reach one standard deviation further; a cause without a bar contributed nothing.",
         figure,
     )
 

@@ -209,8 +209,8 @@ def why_withheld(reached: Accuracy) -> str:
     if reached.rms <= _SAME * reached.before + COMPUTED:
         return ""
     return (
-        f"it is worse than the nominal robot: {reached.shown(reached.rms)} RMS where that has"
-        f" {reached.shown(reached.before)} ({reached.where})"
+        f"it is worse than the nominal robot: {reached.shown(reached.rms)} RMS, and"
+        f" {reached.shown(reached.before)} for the nominal one ({reached.where})"
     )
 
 

@@ -81,9 +81,9 @@ def command(
             model = placed(model, pose_set)
     for instrument in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
         output.note(
-            f"note: these poses do not touch what '{instrument.name}' touches, or do not say what: they count as"
-            " touching everything wherever they are, so the result is too good (one socket does not show the robot's"
-            f" size); give poses at contact, with a column '{instrument.text_columns()[0]}'"
+            f"note: nothing says what '{instrument.name}' touches at these poses, or they are not at contact. They"
+            " count as touching everything, so the result is too good (one socket does not show the robot's size)."
+            f" Give poses at contact, with a column '{instrument.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
     output.remarks(wrapped_terms(model, pose_set.joints))

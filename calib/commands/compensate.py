@@ -54,7 +54,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
 @click.option(
     "--tolerance-mm",
     type=float,
-    help="G-code: how far the tool may be off between points; moves are cut until it is not.  [default: 0.01]",
+    help="G-code: largest error of the tool between points; moves are cut to meet it.  [default: 0.01]",
 )
 @click.option(
     "--zero",
@@ -109,8 +109,8 @@ def command(
     solve`, in the measurement frame of the description. The written table has the joint values to command, and for
     each row how far the tool is off before and after. For poses it also has the poses to send to a controller that
     computes joints with the nominal model. The tool is where the description has it. If the base is unknown, the
-    program is meant in the robot's own base frame, laid where the nominal and the calibrated robot agree best over the
-    measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
+    program is meant in the robot's own base frame, placed where the nominal and the calibrated robot agree best over
+    the measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
     inclinometers measure joints, each row also has the columns of these joints or of their sensors.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
@@ -126,7 +126,7 @@ def command(
     known = load_known(result, nominal)
     if not len(known.joints):
         output.note(
-            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are laid where"
+            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are placed where"
             " the robots agree best around home; fit again"
         )
     suffix = Path(program).suffix.lower()

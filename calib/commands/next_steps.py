@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calib.planning.assessment import Assessment
 
 _MEANINGS = {
-    "PASS": ("green", "nothing speaks against this fit at poses like those measured"),
+    "PASS": ("green", "this fit can be used at poses like those measured"),
     "CHECK": ("yellow", "read the reasons above before you use this fit; intervals may be too narrow"),
     "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
 }

@@ -151,12 +151,12 @@ def tie_lines(model: ClosedModel) -> list[str]:
     """Return what a user must know of the loops, as lines of a comment."""
     if not model.ties:
         return []
-    lines = ["loops are held softly by every simulator; poses that count come from calib predict"]
+    lines = ["simulators close loops only approximately; take important poses from calib predict"]
     if not model.gaps:
         return lines
     return [
         *lines,
-        "a closure here holds fewer directions than a 3D constraint does:",
+        "a closure here constrains fewer directions than a 3D constraint does:",
         *(f"  {gap.text()}" for gap in model.gaps),
         "  (the gap at home is built into the constraint; the variant with free slides leaves nothing to absorb)",
     ]

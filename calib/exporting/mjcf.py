@@ -163,7 +163,9 @@ class _Writer:
                 return
         possible = possible_inertia(inertial.inertia)
         if not np.array_equal(possible, inertial.inertia):
-            self.remarks.append(f"link {name}: no body has its moments of inertia; the nearest possible ones are taken")
+            self.remarks.append(
+                f"link {name}: its moments of inertia are impossible; the nearest possible ones are taken"
+            )
         xx, yy, zz = np.diag(possible)
         SubElement(
             element,

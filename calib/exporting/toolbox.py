@@ -67,7 +67,7 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
     lines += provenance_lines(robot)
     gaps = loop_gaps(robot)
     if gaps:
-        lines += ["the toolbox holds all directions of a closure; calib those of closed_loop_axes only:"]
+        lines += ["the toolbox constrains all directions of a closure; calib only those of closed_loop_axes:"]
         lines += [f"  {gap.text()}" for gap in gaps]
     content = description.model_dump(mode="json", exclude_defaults=True)
     content = {key: content[key] for key in Description.model_fields if key in content}

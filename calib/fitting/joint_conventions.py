@@ -205,10 +205,10 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
         wrong: What follows them and counts turns.
     """
     return (
-        f"all values of {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}, without limits in the URDF, lie"
-        f" within one turn: if they were wrapped, whole turns are not known, and {listed(wrong)} cannot be right; give"
-        " values that count turns, or limits if the joint turns no further, or take harmonics or a curve, which repeat"
-        " with the turn"
+        f"all values of {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} lie within one turn, and the URDF"
+        f" states no limits. If these values were wrapped, {listed(wrong)} cannot be right. Give values that count"
+        " turns; or give limits, if the joint turns no further; or use harmonics or a curve, which repeat with the"
+        " turn"
     )
 
 

@@ -219,8 +219,8 @@ class Pixel(FrameInstrument):
         return (
             f"camera '{self.name}': {int(np.sum(away))} of {len(readings)} readings lie outside an image of {size},"
             f" {source} (they reach u = {largest[0]:.0f}, v = {largest[1]:.0f}): the image was turned by 90 degrees,"
-            " cut or scaled after the intrinsics were found, or u and v are exchanged; bring pixels and intrinsics"
-            " together",
+            " cut or scaled after the intrinsics were found, or u and v are exchanged; give the intrinsics of these"
+            " images",
         )
 
     def _check(self, sightings: Sightings, guessed: Sequence[tuple[FloatArray, FloatArray]]) -> None:

@@ -128,7 +128,7 @@ class Touch(FrameInstrument):
         for k, text in enumerate(texts[self.name]):
             if text and text not in self.touched:
                 raise DataError(
-                    f"{where[k]}, column '{self.name}': '{text:.60}' is nothing that '{self.name}' touches"
+                    f"{where[k]}, column '{self.name}': '{self.name}' touches nothing called '{text:.60}'"
                     f"{nearest(text, self.touched)}"
                 )
             which[k] = self.touched.index(text) if text else 0

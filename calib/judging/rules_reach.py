@@ -63,7 +63,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
             dimension = robot.mechanism.dimensions[name]
             unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"joint {name} moved through {reach:.2g} {unit} only. Positions are known to {millimetres(at_used):.2g}"
+                f"joint {name} moved through only {reach:.2g} {unit}. Positions are known to {millimetres(at_used):.2g}"
                 f" mm at the poses used, but to {millimetres(away):.2g} mm RMS where it moves further. Measure poses"
                 " that move it through its range"
             )
@@ -171,8 +171,8 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     apart = fit.regions
     if apart is not None and apart.surely:
         yield Code.BLOCKS_DISAGREE.says(
-            f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
-            " model leaves out something that differs from place to place. Intervals and the"
+            f"if {apart.cut} are left out in turn, parameters change {apart.ratio:.2g} times as much as noise explains:"
+            " the model leaves out something that differs from place to place. Intervals and the"
             " uncertainty of positions include it; in places unlike those measured, errors may be larger"
         )
 

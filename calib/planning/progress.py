@@ -171,7 +171,7 @@ class Progress(ReadOnlyArrays):
 
     def _verdict(self) -> str:
         if self.stop:
-            return "STOP: it holds with 95 %"
+            return "STOP: it is met, with 95 % confidence"
         if self.out_of_reach:
             return (
                 "not reached, and more poses will not help: unseen errors are beyond what noise explains; look for"

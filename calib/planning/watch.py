@@ -229,7 +229,7 @@ class GrowingFile:
             if not rows or len(self._bad) >= _MOST_BAD:
                 raise first
             self._bad[bad] = lines[bad]
-            self._told.append(f"{problem}; this line is passed over until it is corrected")
+            self._told.append(f"{problem}; this line is skipped until it is corrected")
         return None
 
     def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:

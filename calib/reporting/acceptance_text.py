@@ -164,8 +164,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
 
 def _said_of_placing(acceptance: Acceptance) -> str:
     return (
-        f"base and targets were placed by these readings, which takes {acceptance.placed} degrees of freedom out of AP;"
-        " --same-setup leaves them in"
+        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
+        " with --same-setup it has all"
     )
 
 

@@ -176,7 +176,7 @@ def _accuracy(a: Assessment) -> list[str]:
     rms, largest = _pair(a.accuracy)
     lines = [
         f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise alone."
-        " What the model leaves out (backlash, bending) comes on top, and more poses do not remove it."
+        " It does not include what the model leaves out (backlash, bending), which more poses do not reduce."
     ]
     if a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(

@@ -108,7 +108,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
     if verdict.get("grade") == "FAIL" and not verdict.get("forced") and not failed_too:
         raise ComputationError(
             f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
-            " if you want these numbers all the same"
+            " if you want these numbers anyway"
         )
     calibrated = robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
     for row, parameter, value in zip(content["parameters"], robot.parameters, calibrated.values, strict=True):

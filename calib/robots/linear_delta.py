@@ -260,7 +260,7 @@ parametrisation: {NAME}
 _N_PARAMETERS = 9
 _HELD = """\
 
-# So few rows leave nothing to judge a fit by if arms may be others: they are what they are said to be.
+# With so few rows, free arms would leave no degrees of freedom to judge a fit. So the arms are held.
 held: [arm_a, arm_b, arm_c]
 """
 

@@ -111,7 +111,7 @@ urdf: {json.dumps(urdf, ensure_ascii=False)}
 # Joints with a motor, in the order of every joint vector. Measurement files have one column for each.
 name_mot: [{", ".join(plan.motors)}]
 
-# The loops, cut open in the URDF: these frames coincide, in the directions that the mechanism holds.
+# The loops, cut open in the URDF: these frames coincide, in the directions that the mechanism constrains.
 closed_loop: [{pairs}]
 type: [{", ".join(["3d"] * len(plan.loops))}]
 closed_loop_axes: [{", ".join([f"[{plan.axes}]"] * len(plan.loops))}]

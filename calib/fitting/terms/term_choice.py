@@ -196,7 +196,7 @@ class _Search:
             why = self.failed(without, self.of((*rest, group[:1]))) or self.guessed(group, without, trial)
             if why:
                 name = " or ".join(group)
-                return why if group == groups[-1] else f"beside it {name} would not earn its place: {why}"
+                return why if group == groups[-1] else f"{name} is not worth adding beside it: {why}"
         return ""
 
     def guessed(self, group: Group, without: Trial, trial: Trial) -> str:
@@ -211,8 +211,8 @@ class _Search:
             return ""
         known, otherwise = (millimetres(float(np.sqrt(prediction.unsure))) for prediction in (now, before))
         return (
-            f"the data cannot tell it from {listed(alike)}, and it costs more than it brings: positions at other"
-            f" combinations of the joint values measured are known to {known:.3g} mm, to {otherwise:.3g} mm without it"
+            f"the data cannot tell it from {listed(alike)}, and its cost is larger than its gain: at other combinations"
+            f" of measured joint values, positions are known to {known:.3g} mm with, to {otherwise:.3g} mm without it"
         )
 
     def instead(self, term: str, trial: Trial) -> dict[str, Trial]:

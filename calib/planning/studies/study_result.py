@@ -212,7 +212,7 @@ class Study(ReadOnlyArrays):
         coverage = 100 * np.array([parameter.coverage for parameter in self.parameters])
         truth = "what all poses give" if self.resampled else "the truth"
         lines = [
-            f"95 % intervals hold {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
+            f"95 % intervals contain {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
             f" is {chance:.1f} %"
         ]
         biased = [parameter.name for parameter in self.parameters if abs(parameter.bias) > _SURE * parameter.bias_std]
@@ -220,12 +220,12 @@ class Study(ReadOnlyArrays):
             lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
         if self.draws.errors.size:
             lines.append(
-                f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals hold"
+                f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals contain"
                 f" {truth} in {_range(100 * self.position_coverage)} %"
             )
         if np.isfinite(self.chi_square):
             lines.append(
-                f"chi-square over its degrees of freedom: {self.chi_square:.3f} on average; a test at 5 % refuses"
+                f"chi-square over its degrees of freedom: {self.chi_square:.3f} on average; a test at 5 % rejects"
                 f" {100 * self.chi_square_refused:.1f} % of the draws"
             )
         if not self.resampled:

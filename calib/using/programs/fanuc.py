@@ -91,10 +91,10 @@ def _target(
         raise DataError(f"{source.where(place.start())}: P[{place[1]}] is not in /POS; save the program again")
     groups = _GROUP.findall(position[2])
     if groups != ["1"]:
-        raise LeftOutError("moves other motion groups, of which the description knows nothing")
+        raise LeftOutError("moves other motion groups, which the description does not have")
     fields = {match[1]: match for match in _FIELD.finditer(source.code, *position.span(2))}
     if any(float(match[4]) for name, match in fields.items() if name.startswith("E")):
-        raise LeftOutError("moves external axes, of which the description knows nothing")
+        raise LeftOutError("moves external axes, which the description does not have")
     name, line = f"P[{place[1]}]", source.line(position.start())
     if set(_JOINTS) <= set(fields):
         return ProgramTarget(line, source.path, name, _cells(source, fields, _JOINTS), None)

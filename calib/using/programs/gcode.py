@@ -147,7 +147,7 @@ class GcodeProgram:
             return move.e_text
         if move.e is None:
             raise DataError(
-                f"{self.label(move)}: is cut into {n} pieces, and what its E means is not said; write M82 and G92 E0,"
+                f"{self.label(move)}: is cut into {n} pieces, and nothing says what its E means; write M82 and G92 E0,"
                 " or M83, before it and after every G90 and G91"
             )
         decimals = max(_E_DECIMALS, len(move.e_text.partition(".")[2]))
@@ -226,7 +226,7 @@ class _Reader:
     def _words(self, code: str) -> list[tuple[str, str]] | None:
         """Letters and numbers of a line; None for a text that an M needs."""
         if code.startswith("/"):
-            raise self._refuse("whether a line behind / is run is not known; remove the line, or the mark")
+            raise self._refuse("whether lines with / are run is not known; remove the line, or the mark")
         words, end = [], 0
         while match := _WORD.match(code, end):
             words.append((match[1], match[2]))
@@ -264,7 +264,7 @@ class _Reader:
 
     def _m(self, code: str) -> None:
         if code in _CHANGED:
-            raise self._refuse(f"M{code} changes what the machine makes of X, Y and Z; set it outside the program")
+            raise self._refuse(f"M{code} changes the meaning of X, Y and Z; set it outside the program")
         if code in _CALLS:
             raise self._refuse(f"M{code} calls another program; write it out")
         if code in ("82", "83"):

@@ -94,8 +94,8 @@ class _Reader:
         for file, source in enumerate(sources):
             self._declarations(file, source)
         self.set_later = {match[1].upper() for match in _ASSIGNED.finditer(sources[0].code)}
-        self.tool: pin.SE3 | str = "nothing before it says with which tool (BAS, $TOOL, an inline form)"
-        self.base: pin.SE3 | str = "nothing before it says in which base (BAS, $BASE, an inline form)"
+        self.tool: pin.SE3 | str = "nothing before it selects a tool (BAS, $TOOL, an inline form)"
+        self.base: pin.SE3 | str = "nothing before it selects a base (BAS, $BASE, an inline form)"
         self.outside = False
 
     def _declarations(self, file: int, source: Source) -> None:
@@ -212,7 +212,7 @@ class _Reader:
             span = start, start + len(stop.sub("", source.code[slice(*span)]).rstrip())
             try:
                 if match[2]:
-                    raise LeftOutError("counts from where the robot stands")
+                    raise LeftOutError("is relative to where the robot is")
                 self.collector.take(self._target(span), source, start)
             except LeftOutError as why:
                 self.collector.leave(source, start, source.shown(*span), str(why))
@@ -232,13 +232,13 @@ class _Reader:
         code = self.sources[literal.file].code
         numbers = {key: float(code[slice(*place)]) for key, place in literal.components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
-            raise LeftOutError("moves external axes, of which the description knows nothing")
+            raise LeftOutError("moves external axes, which the description does not have")
         path, line = self.sources[literal.file].path, self.sources[literal.file].line(literal.start)
         if set(_AXES) <= set(numbers):
             return ProgramTarget(line, path, literal.name, self._cells(literal, _AXES), None)
         if not set(_POSE) <= set(numbers):
-            raise LeftOutError("says only a part of a position; the rest is where the robot stands")
-        for frame in (self.tool, self.base, "the tool stands in the room" if self.outside else None):
+            raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
+        for frame in (self.tool, self.base, "the tool is not on the robot" if self.outside else None):
             if isinstance(frame, str):
                 raise LeftOutError(frame)
         assert isinstance(self.tool, pin.SE3)

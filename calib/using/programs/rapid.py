@@ -146,7 +146,7 @@ class _Reader:
         try:
             if declared.type == "tooldata":
                 return (
-                    self._pose_value(groups[1]) if texts[0] == "TRUE" else f"tool '{declared.name}' stands in the room"
+                    self._pose_value(groups[1]) if texts[0] == "TRUE" else f"tool '{declared.name}' is not on the robot"
                 )
             if texts[0] == "TRUE":
                 return f"the robot holds work object '{declared.name}'"
@@ -213,7 +213,7 @@ class _Reader:
             )
             raise LeftOutError(f"is worked out at run time{along}" if "(" in name else "is declared nowhere here")
         if self.displaced:
-            raise LeftOutError("a program displacement (PDispOn, PDispSet, EOffsOn) holds here")
+            raise LeftOutError("a program displacement (PDispOn, PDispSet, EOffsOn) is active here")
         groups, line = self._groups(declared.start, declared.end), self.source.line(declared.start)
         expected = 2 if declared.type == "jointtarget" else 4
         if len(groups) != expected:
@@ -233,7 +233,7 @@ class _Reader:
     def _without_external(self, span: tuple[int, int]) -> None:
         values = [float(self.code[a:b]) for a, b in self._numbers(span, 6, "extax")]
         if any(value < _NONE for value in values):
-            raise LeftOutError("moves external axes, of which the description knows nothing")
+            raise LeftOutError("moves external axes, which the description does not have")
 
     def _configuration(self, span: tuple[int, int]) -> Configuration:
         """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""

@@ -239,7 +239,7 @@ def _require_length(
     """Raise `ComputationError` for a move that would have to be cut into too short pieces, (n_active,) [m]."""
     for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
         raise ComputationError(
-            f"{moves.labels[active[k]]}: off by {millimetres(float(off[k])):.4f} mm between points, and no pieces of"
-            f" {millimetres(_SHORTEST):g} mm bring that below {millimetres(tolerance):g} mm; the robot is near a"
+            f"{moves.labels[active[k]]}: off by {millimetres(float(off[k])):.4f} mm between points, and pieces of"
+            f" {millimetres(_SHORTEST):g} mm do not bring that below {millimetres(tolerance):g} mm; the robot is near a"
             " singular pose there: keep away from it, or allow more"
         )

@@ -145,9 +145,7 @@ class _Reader:
         try:
             literal, frame, near = self._target(start, end)
             if literal.is_pose and self.tool is None:
-                raise LeftOutError(
-                    "no set_tcp before it says with which tool; add one, or TCP to the frames (--frames)"
-                )
+                raise LeftOutError("no set_tcp before it selects a tool; add one, or TCP to the frames (--frames)")
         except LeftOutError as why:
             self.collector.leave(self.source, start, self.source.shown(start, end), str(why))
             return

@@ -66,6 +66,16 @@ def test_poses_where_the_robot_does_something_else_break_the_claim(arm, truth):
     assert {reason.grade for reason in fit.verdict.reasons if reason.counted} == {"CHECK"}
 
 
+@pytest.mark.parametrize(("by", "grade"), [(5e-5, "PASS"), (1.5e-4, "CHECK")])
+def test_a_robot_that_surely_goes_on_growing_is_a_check(arm, truth, by, grade):
+    """By 150 ppm in the course of the measurement, half of the error left: poses measured later are further off."""
+    read = noisy(truth, joints(80, 1), SIGMA, 1).points(arm)
+    grown = read + by * np.linspace(0, 1, 80)[:, None, None] * (read - read.mean(axis=0))
+    fit = calib.fit(arm, measurements(arm, joints(80, 1), grown))
+    assert fit.verdict.grade == grade
+    assert [reason.code for reason in fit.verdict.reasons if reason.grade == "CHECK"] == ["systematic"] * (by > 1e-4)
+
+
 def test_a_calibration_that_does_harm_elsewhere_fails(tmp_path):
     """Poses of one corner decide free lengths that noise and waves drag away; elsewhere the nominal robot is better."""
     arm = calib.load(write_six_axis(tmp_path, NO_PRIORS + YAML + FREE))

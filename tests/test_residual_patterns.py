@@ -238,6 +238,19 @@ def test_lengths_that_grow_while_measuring_are_found(arm):
     assert "warms up" in describe(found, arm.mechanism.dimensions)
 
 
+def test_an_error_that_follows_a_joint_is_no_sure_change_where_poses_are_sorted_by_it(arm):
+    q = joints(80)
+    q = q[np.argsort(q[:, 1])]
+    noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
+    sagged = arm.positions(q + 2e-4 * np.eye(6)[1] * np.sin(2 * q[:, 1:2]))
+    sagging = calib.fit(arm, measurements(arm, q, sagged + noise))
+    assert ("zero", "j2") in [(p.kind, p.name) for p in significant(sagging)]
+    assert findings.changes(sagging) == ()
+    points = arm.positions(q)
+    grown = points + 3e-4 * course() * (points - points.mean(axis=0))
+    assert findings.changes(calib.fit(arm, measurements(arm, q, grown + noise)))[0].kind == "growth"
+
+
 def test_rows_with_a_time_may_stand_in_any_order(arm):
     shift = course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))
     data = noisy_data(arm, arm.positions(joints(80)) + shift)

@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -53,8 +53,12 @@ FAMILIES: tuple[tuple[Kind, ...], ...] = (
     ("wave",),
 )
 """Kinds that share an equal part of the chance of a false finding: the many waves must not hide the others."""
+KINDS: tuple[Kind, ...] = tuple(kind for family in FAMILIES for kind in family)
+"""All kinds."""
 IN_COURSE: tuple[Kind, ...] = ("drift", "turning", "growth", "slip", "zero")
 """Kinds that change in the course of the measurement, and go on changing after it."""
+FOLLOW_JOINTS: tuple[Kind, ...] = ("joint", "coupling")
+"""Kinds that follow the values of joints: at poses like those measured they stay as they are."""
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15
@@ -175,6 +179,7 @@ class Waves:
     Only orders of which the joint went through half a cycle count: the height of less is not known.
     """
 
+    kind: ClassVar[Kind] = "wave"
     name: str
     column: FloatArray
     visit: IntArray
@@ -195,7 +200,7 @@ class Waves:
         """Return the wave of one order."""
         angle = order * self.phase[self.visit]
         columns = self.column[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return Effect("wave", self.name, columns, self.detail(order))
+        return Effect(self.kind, self.name, columns, self.detail(order))
 
 
 def effects(setting: EffectSetting) -> Iterator[Effect | Waves]:

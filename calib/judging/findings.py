@@ -17,7 +17,7 @@ from calib.fitting.fit import errors_on
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, left_out_with, outliers_of
 from calib.judging import residual_patterns
-from calib.judging.effects import EffectSetting
+from calib.judging.effects import FOLLOW_JOINTS, IN_COURSE, Effect, EffectSetting, effects
 from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.residual_patterns import Pattern, Residuals
 from calib.numerics import losses
@@ -102,7 +102,7 @@ def linear(fit: Fit) -> Residuals:
     rows = fit.rows.weighted(fit.weights)
     shared = fit.statistics.shared
     pose_freedom = np.inf if shared is None else shared.freedom
-    return Residuals(rows, fit.root, fit.statistics.freedom, factor, pose_freedom)
+    return Residuals(rows, rows.jacobian @ fit.root, fit.statistics.freedom, factor, pose_freedom)
 
 
 @remembered
@@ -110,6 +110,25 @@ def linear(fit: Fit) -> Residuals:
 def patterns(fit: Fit) -> tuple[Pattern, ...]:
     """Return systematic patterns that were looked for in the residuals, most significant first."""
     return () if fit.computed else residual_patterns.patterns(linear(fit), setting(fit))
+
+
+@remembered
+@one_blas_thread
+def changes(fit: Fit) -> tuple[Pattern, ...]:
+    """Return what surely changes in the course of the measurement, beside all that follows the values of joints.
+
+    Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
+    errors that follow joints are parameters here.
+    """
+    if not any(pattern.significant and pattern.kind in IN_COURSE for pattern in patterns(fit)):
+        return ()
+    columns = [
+        effect.columns
+        for effect in effects(setting(fit))
+        if isinstance(effect, Effect) and effect.kind in FOLLOW_JOINTS
+    ]
+    beside = linear(fit).beside(np.hstack(columns)) if columns else linear(fit)
+    return tuple(p for p in residual_patterns.patterns(beside, setting(fit), IN_COURSE) if p.significant)
 
 
 @remembered

@@ -33,7 +33,7 @@ Reference: cook1982, chapter 2.4 (added variables).
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,7 +41,7 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.judging.effects import FAMILIES, ORDERS, Effect, EffectSetting, Kind, Waves, effects
+from calib.judging.effects import FAMILIES, KINDS, ORDERS, Effect, EffectSetting, Kind, Waves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.rows.rows import Rows
 
@@ -86,7 +86,7 @@ class Residuals:
 
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
-        root: T of `calib.numerics.observability`, (n_free, rank).
+        pulled: J T, whose span it has absorbed, (n_rows, rank), with T of `calib.numerics.observability`.
         freedom: Degrees of freedom.
         factor: Found over assumed noise.
         pose_freedom: Degrees of freedom of the scatter of poses, where they scatter by more than independent readings
@@ -94,7 +94,7 @@ class Residuals:
     """
 
     rows: Rows
-    root: FloatArray
+    pulled: FloatArray
     freedom: float
     factor: float
     pose_freedom: float = np.inf
@@ -103,10 +103,23 @@ class Residuals:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
         return effect - self.pulled @ (self.pulled.T @ effect)
 
-    @cached_property
-    def pulled(self) -> FloatArray:
-        """J T, whose span the fit has absorbed, (n_rows, rank)."""
-        return np.asarray(self.rows.jacobian @ self.root)
+    def beside(self, effects: FloatArray) -> Residuals:
+        """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
+        size = np.linalg.norm(effects, axis=0)
+        columns = effects[:, size > 0] / size[size > 0]
+        left = self.after_fit(columns)
+        values, vectors = np.linalg.eigh(columns.T @ left)
+        seen = values > _ABSORBED
+        root = vectors[:, seen] / np.sqrt(values[seen])
+        absorbed, fewer = left @ root, int(np.sum(seen))
+        residuals = self.rows.residuals - absorbed @ (root.T @ (columns.T @ self.rows.residuals))
+        return replace(
+            self,
+            rows=replace(self.rows, residuals=residuals),
+            pulled=np.hstack([self.pulled, absorbed]),
+            freedom=self.freedom - fewer,
+            pose_freedom=self.pose_freedom - fewer,
+        )
 
     @cached_property
     def square(self) -> float:
@@ -147,16 +160,18 @@ class _Tested:
     coefficients: FloatArray
 
 
-def patterns(residuals: Residuals, setting: EffectSetting) -> tuple[Pattern, ...]:
-    """Test all effects.
+def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind] = KINDS) -> tuple[Pattern, ...]:
+    """Test effects.
 
     Args:
         residuals: The fit.
         setting: What effects are made of.
+        kinds: Which of them are tested.
     """
     if residuals.factor * setting.metre < EXACT:
         return ()
-    all_moments = (moments for effect in effects(setting) for moments in _moments(residuals, effect))
+    tested = (effect for effect in effects(setting) if effect.kind in kinds)
+    all_moments = (moments for effect in tested for moments in _moments(residuals, effect))
     tests = [test for moments in all_moments if (test := _test(residuals, moments)) is not None]
     kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
     for family in FAMILIES:

@@ -35,9 +35,14 @@ FEW_POSES = 6
 """Validation poses from which a rigid motion explains errors only if there is one."""
 EXPLAINED = 0.3
 """Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
-LASTING = 0.55
-"""What changes in the course of the measurement, over all that is left, up to which a claim holds at its end: what
-grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of all."""
+AT_END = 0.55
+"""What looks like a change in the course of the measurement, over all that is left, up to which a claim holds at its
+end: what grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of
+all."""
+AFTER = 0.3
+"""What surely changes in that course, over all that is left, up to which a claim holds afterwards, for half as long as
+the measurement took: what grows evenly has seven times its mean square there, so that all is 1.25 times as large at
+sqrt(0.09) of all."""
 _AT_LIMIT = 1e-6  # distance of a passive joint from its limit, where it stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # that the sentence names
 OTHER_MINIMUM = 10.0
@@ -267,6 +272,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     changing = [pattern for pattern in patterns if pattern.kind in IN_COURSE]
     left = fit.identification.rms("after")
+    grows = max((change.size for change in findings.changes(fit)), default=0.0)
     for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
         if kinds:
             largest = max(pattern.size for pattern in kinds)
@@ -274,7 +280,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
                 " intervals do not include it",
-                counted=kinds is not changing or largest < LASTING * left,
+                counted=kinds is not changing or (largest < AT_END * left and grows < AFTER * left),
             )
 
 

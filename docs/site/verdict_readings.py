@@ -199,14 +199,15 @@ READINGS: dict[str, Scenario] = {
     "the reflector slips by 0.2 mm half-way": Scenario("sick", slipped_reflector, stated=False),
     "the reflector was taken off and put on": Scenario("sick", other_tool, stated=False),
     "a base called known stands 20 mm elsewhere": Scenario(
-        "sick", base_elsewhere, robots=("arm", "MedRUE"), measured="base known"
+        "sick", base_elsewhere, robots=("arm",), measured="base known"
     ),
+    "a base 20 mm elsewhere, which free parameters describe": Scenario("counted", base_elsewhere, robots=("MedRUE",)),
     "a base called known is turned by 20 mrad": Scenario(
         "sick", base_a_little_elsewhere, robots=("arm",), measured="base known"
     ),
     "tracker moved before validation": Scenario("sick", moved_between),
     "lengths read 300 ppm too long": Scenario("hidden", wrong_scale, stated=False, named="scale error"),
     "a robot 80 ppm longer by heat": Scenario("hidden", warm_robot, stated=False, named="scale error"),
-    "the frame turns, rows shuffled, no time": Scenario("hidden", turning_shuffled, stated=False, named="shuffled"),
+    "the frame turns, rows shuffled, no time": Scenario("hidden", turning_shuffled, stated=False, named="random order"),
 }
 """Sick scenarios of instruments, by name."""

@@ -50,7 +50,12 @@ def group() -> None:
 
 @group.command("demo", short_help="Calibrate MedRUE from simulated measurements.")
 @click.option(
-    "--out", default="out/demo", show_default=True, metavar="DIR", help="Folder for the result, as of `calib fit`."
+    "-o",
+    "--out",
+    default="out/demo",
+    show_default=True,
+    metavar="DIR",
+    help="Folder for the result, as of `calib fit`.",
 )
 @shared_options(json_output=True)
 def demo_command(out: str, output: Output) -> None:
@@ -94,7 +99,7 @@ def examples_command(output: Output) -> None:
 
 
 @group.command("poses", short_help="Write the 420 poses of the target workspace.")
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options(json_output=True)
 def poses_command(out: str, output: Output) -> None:
     """Write the 420 poses of the target workspace: joint values, and the nominal position of the tool."""
@@ -124,10 +129,13 @@ def poses_command(out: str, output: Output) -> None:
 def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
     """Options that all simulations share."""
     options = (
-        click.option("--out", required=True, metavar="DIR", help="Folder to write tables, figures and a page to."),
+        click.option(
+            "-o", "--out", required=True, metavar="DIR", help="Folder to write tables, figures and a page to."
+        ),
         click.option("--quick", is_flag=True, help="Few draws: seconds instead of minutes."),
         click.option("--draws", type=click.IntRange(min=2), help="Draws of the noise, instead of the usual number."),
         click.option(
+            "-j",
             "--jobs",
             type=click.IntRange(min=1),
             default=os.cpu_count() or 1,

@@ -262,7 +262,7 @@ BAD_OPTIONS = {
     "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
     "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
     "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
-    "no out": ("fit arm.yaml data.csv", "Missing option '--out'"),
+    "no out": ("sample arm.yaml --count 3", "Missing option '-o' / '--out'"),
     "no data": ("fit arm.yaml --out out", "Missing argument 'DATA...'"),
     "unknown command": ("fitt arm.yaml data.csv --out out", "No such command 'fitt'. Did you mean 'fit'?"),
     "unknown option": (f"{FIT} --sigma 1", "no option '--sigma'; here: --sigma-mm 0.04"),

@@ -261,7 +261,7 @@ def test_command_prints_the_gaps_as_json(tmp_path: Path) -> None:
         (("--format", "mjcf", "--out", "."), "cannot be written"),
         (("--format", "toolbox", "--out", "."), "cannot be written"),
         (("--format", "mjfc", "--out", "x.xml"), "'mjfc' is not one of"),
-        (("--format", "mjcf",), "Missing option '--out'"),
+        (("--format", "mjcf",), "Missing option '-o' / '--out'"),
         (("--format", "mjcf", "--result", "nowhere", "--out", "x.xml"), "holds no result"),
         (("--format", "mjcf", "--parameters", "a", "--result", "b", "--out", "x.xml"), "not both"),
     ],

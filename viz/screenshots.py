@@ -107,7 +107,7 @@ def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> by
 
 @click.command("screenshots")
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the PNG files.")
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the PNG files.")
 @shared_options()
 def command(folder: Path, out: Path, output: Output) -> None:
     """Take pictures of the pages in the result FOLDER."""

@@ -68,7 +68,7 @@ def given_board(text: str) -> Board:
 )
 @click.option("--photographs", metavar="DIR", help="Write 12 simulated photographs too, with poses, to try it.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the photographs.")
-@click.option("--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
 @shared_options()
 def command(board: str, paper: str | None, photographs: str | None, seed: int, out: str, output: Output) -> None:
     """Write a board to print, in true size, with a ruler to check the print.

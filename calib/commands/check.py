@@ -41,7 +41,7 @@ from calib.rows.observed import unsaid_touches
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @values_options
 @click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
-@click.option("--verbose", is_flag=True, help="Print everything: all groups, and a table of all parameters.")
+@click.option("-v", "--verbose", is_flag=True, help="Print everything: all groups, and a table of all parameters.")
 @shared_options(json_output=True)
 def command(
     robot: str,

@@ -163,15 +163,17 @@ def shared_options(
                     1,
                 ) from None
 
-        run = click.option("--force", is_flag=True, help=forced)(run)
+        run = click.option("-f", "--force", is_flag=True, help=forced)(run)
         run = click.option("--debug", is_flag=True, help="Show the traceback of an error.")(run)
-        run = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(run)
+        run = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")(run)
         if json_output:
             run = click.option(
                 "--json",
                 "json_target",
                 metavar="FILE",
-                help="Write the result as JSON; with '-' to standard output, and nothing else there.",
+                is_flag=False,
+                flag_value="-",
+                help="Write the result as JSON; without FILE, or with '-', to standard output, and nothing else there.",
             )(run)
         return run
 
@@ -201,6 +203,7 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
         default: How many of them, if not told.
     """
     return click.option(
+        "-j",
         "--jobs",
         type=click.IntRange(min=1),
         default=default,

@@ -82,7 +82,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
     is_flag=True,
     help="Also write what cannot be compensated: rows are empty and marked; targets of a program stay as they are.",
 )
-@click.option("--out", required=True, metavar="FILE", help="File to write: the compensated program.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
 def command(
     robot: str,

@@ -30,7 +30,7 @@ from calib.photographs.pages import Picture, page, small_copy
     "--columns", metavar="NAME", default="camera", show_default=True, help="Names of the columns: NAME_u, NAME_v."
 )
 @click.option("--page", "page_file", metavar="FILE", help="HTML page that shows what was found in each image.")
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write: pose, point, and its pixels.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write: pose, point, and its pixels.")
 @shared_options(json_output=True)
 def command(
     images: tuple[str, ...],

@@ -62,7 +62,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     help="urdf, toolbox, joint-tables: say in a comment where the numbers come from; numpy, c, jax, torch and casadi"
     " always do.",
 )
-@click.option("--out", required=True, metavar="FILE", help="File to write; for joint-tables, the folder.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="File to write; for joint-tables, the folder.")
 @shared_options(
     json_output=True,
     forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"

@@ -20,6 +20,8 @@ from calib.reporting.result_content import to_dict
 from calib.reporting.results import RESULT_FILES
 from calib.robots.robot import Robot
 
+_FOLDER = "out/robot"  # in what is proposed next, if no folder was given
+
 
 @click.command("fit")
 @click.argument("robot")
@@ -48,6 +50,13 @@ from calib.robots.robot import Robot
     help="Joint terms to add to those of the description. auto: those that improve the prediction of poses left out."
     " LIST: TERM for every joint or JOINT=TERM, such as curve,elbow=backlash. none: not even those of the description.",
 )
+@click.option("--fix", metavar="NAMES", help="Parameters to leave as they are, such as joint_2.y,joint_3.z.")
+@click.option("--free", metavar="NAMES", help="Parameters to find though the description holds them.")
+@click.option(
+    "--prior",
+    metavar="NAME=VALUE,...",
+    help="How far off parameters are expected to be, one standard deviation with its unit, such as joint_3.z=0.1mm.",
+)
 @click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; show both results.")
 @click.option("--starts", type=int, default=1, show_default=True, help="Number of starting points.")
 @click.option(
@@ -58,10 +67,12 @@ from calib.robots.robot import Robot
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
 @jobs_option("folds and starts")
-@click.option("--verbose", is_flag=True, help="Print everything: all reasons, tables and remarks.")
+@click.option("-v", "--verbose", is_flag=True, help="Print everything: all reasons, tables and remarks.")
 @click.option("--no-pages", is_flag=True, help="Do not write report.html and viewer.html; this saves most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
-@click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
+@click.option(
+    "-o", "--out", metavar="DIR", help="Folder for the result. If not given, it is printed, and nothing is written."
+)
 @shared_options(
     json_output=True,
     forced="Write calibrated.urdf even after FAIL, or if it is worse than the nominal robot; the file says so. Also"
@@ -75,6 +86,9 @@ def command(
     sigma_mm: float | None,
     loss: str,
     terms: str | None,
+    fix: str | None,
+    free: str | None,
+    prior: str | None,
     exclude_outliers: bool,
     starts: int,
     seed: int,
@@ -82,7 +96,7 @@ def command(
     verbose: bool,
     no_pages: bool,
     logo: str | None,
-    out: str,
+    out: str | None,
     output: Output,
 ) -> None:
     """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV, or a ROS 2 bag).
@@ -91,8 +105,8 @@ def command(
     visit each row belongs.
     """
     if logo is not None:
-        if no_pages:
-            raise InputError("--logo is for report.html: leave out --no-pages")
+        if no_pages or out is None:
+            raise InputError(f"--logo is for report.html: {'leave out --no-pages' if no_pages else 'give --out DIR'}")
         image_address(logo)
     model = loaded(robot, output)
     identification = read_measurements(data, model)
@@ -113,23 +127,26 @@ def command(
             folds=_folds(folds),
             seed=seed,
             terms=terms,
+            fix=_names(fix),
+            free=_names(free),
+            prior=_priors(prior),
             executor=jobs,
             progress=progress,
         )
     failed = result.verdict.grade == "FAIL"
-    result.save(out, force=output.force, pages=not no_pages, logo=logo)
+    if out is not None:
+        result.save(out, force=output.force, pages=not no_pages, logo=logo)
     output.say(result.report(verbose=verbose))
-    output.say(_written(Path(out)))
-    withheld = "" if failed or output.force else why_no_origins(result)
+    output.say(_written(Path(out)) if out is not None else "Nothing is written: --out DIR writes report, viewer, URDF")
+    withheld = "" if out is None or failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
-    output.say(after_fit(result, robot, data, out))
+    output.say(after_fit(result, robot, data, _FOLDER if out is None else out))
     if output.json_target is not None:
         output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:
-        raise ComputationError(
-            f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"
-        )
+        unwritten = "" if out is None else "; calibrated.urdf was not written (--force writes it)"
+        raise ComputationError(f"verdict FAIL: {result.verdict.reasons[0].text}{unwritten}")
 
 
 def _written(folder: Path) -> str:
@@ -146,6 +163,22 @@ def _folds(text: str) -> int | Literal["setups"]:
         return int(text)
     except ValueError:
         raise InputError(f"--folds {text}: must be a number of folds, or 'setups'") from None
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    """The names in a list that was typed."""
+    return () if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _priors(text: str | None) -> dict[str, str]:
+    """The prior of each name in a list that was typed; a bare number could be in mm or in m."""
+    priors = {}
+    for entry in _names(text):
+        name, equals, value = (part.strip() for part in entry.rpartition("="))
+        if not equals or value[-1:].isdecimal():
+            raise InputError(f"--prior {entry}: is not a name and a value with its unit, such as joint_3.z=0.1mm")
+        priors[name] = value
+    return priors
 
 
 def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tuple[Measurements, Measurements]:

@@ -12,6 +12,7 @@ from calib.reporting.fleet import fleet, urdf_beside
 @click.command("fleet")
 @click.argument("results", nargs=-1, required=True, metavar="DIR DIR...")
 @click.option(
+    "-o",
     "--out",
     metavar="FILE",
     help="YAML file to write: the next robot, with its prior; its URDF goes beside.",

@@ -66,7 +66,7 @@ FILES = (
 @click.option("--camera-on", type=click.Choice(["tool", "base"]), help="Where the camera is; found if not given.")
 @click.option("--topic", metavar="NAME", help="Topic of the images, if a ROS 2 bag has several.")
 @click.option("--frames", metavar="BASE,TOOL,CAMERA", help="Names of frames in the exported files.")
-@click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
+@click.option("-o", "--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(json_output=True, forced="Write the transform even if the verdict is FAIL, and replace files.")
 def command(
     images: tuple[str, ...],

@@ -85,10 +85,11 @@ _LENGTHS = "; ".join(
     help="Write the JSON schema of robot descriptions instead; editors use it to check descriptions.",
 )
 @click.option(
+    "-o",
     "--out",
-    required=True,
     metavar="FILE",
-    help="YAML file to write; the URDF of --dh, --template or a printer goes beside it, and its measurements (.csv).",
+    help="YAML file to write. Default: in the current folder, with the name of what is given. The URDF of --dh,"
+    " --template or a printer goes beside it, and its measurements (.csv).",
 )
 @shared_options()
 def command(
@@ -105,7 +106,7 @@ def command(
     duet: str | None,
     lengths: tuple[str, ...],
     schema: bool,
-    out: str,
+    out: str | None,
     output: Output,
 ) -> None:
     """Write a commented robot description to start from, for URDF or a MuJoCo file (MJCF).
@@ -120,6 +121,7 @@ def command(
     if schema:
         if urdf or dh or template or printers:
             raise InputError("--schema is the same for all robots; give nothing but --out")
+        out = out or "robot.schema.json"
         output.check(out)
         write_files({Path(out): schema_text().encode()}, force=output.force)
         output.say(f"{out} written; first line of a description: # yaml-language-server: $schema={Path(out).name}")
@@ -129,6 +131,7 @@ def command(
             "give one of these: a URDF, a Denavit-Hartenberg table (--dh), a --template, or a printer (--klipper,"
             " --marlin or --duet)"
         )
+    out = out or next(f"{Path(source).stem}.yaml" for source in (urdf, dh, template, *printers.values()) if source)
     if template and target:
         raise InputError("--target is for a URDF or a table; a template has its own targets")
     if (template or printers) and measure:

@@ -26,7 +26,7 @@ from calib.rows.told_positions import ToldPositions
 @click.argument("robot")
 @click.argument("joints")
 @values_options
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options(json_output=True)
 def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:
     """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed.

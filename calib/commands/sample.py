@@ -22,7 +22,7 @@ _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<un
 
 @click.command("sample")
 @click.argument("robot")
-@click.option("--count", type=int, required=True, help="How many poses.")
+@click.option("-n", "--count", type=int, required=True, help="How many poses.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the joint values.")
 @click.option(
     "--within",
@@ -32,7 +32,7 @@ _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<un
     " a target, such as joint_2=-90..30deg or tool_z=200..900mm. May be repeated.",
 )
 @values_options
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(
     robot: str,

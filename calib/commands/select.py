@@ -37,6 +37,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @click.argument("robot")
 @click.argument("candidates")
 @click.option(
+    "-n",
     "--count",
     required=True,
     help="How many poses to choose; or how many with each instrument, such as tracker=12,sockets=18.",
@@ -88,7 +89,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @values_options
 @click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")
 @click.option(
-    "--out", required=True, metavar="FILE", help="CSV file to write: the chosen poses in order of measurement."
+    "-o", "--out", required=True, metavar="FILE", help="CSV file to write: the chosen poses in order of measurement."
 )
 @shared_options(json_output=True)
 def command(

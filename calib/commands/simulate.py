@@ -45,7 +45,7 @@ from calib.rows.simulate import simulate, unstated_noise
     metavar="DIR",
     help="Write what the camera photographs of its board, an image for each pose, in place of its pixels.",
 )
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(
     robot: str,

@@ -31,7 +31,9 @@ from calib.using.inverse import Solution, solve
 @click.argument("targets")
 @values_options
 @click.option("--skip-unreachable", is_flag=True, help="List targets that are out of reach, and write the others.")
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write: joint values and positions reached.")
+@click.option(
+    "-o", "--out", required=True, metavar="FILE", help="CSV file to write: joint values and positions reached."
+)
 @shared_options(json_output=True)
 def command(
     robot: str,

@@ -36,7 +36,7 @@ from calib.robots.robot import Robot
 @click.option("--elsewhere", metavar="FILE", help="Other poses (CSV) to predict, beside POSES.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the whole study.")
 @jobs_option("the draws", os.cpu_count() or 1)
-@click.option("--verbose", is_flag=True, help="Print all parameters, not only those with the lowest coverage.")
+@click.option("-v", "--verbose", is_flag=True, help="Print all parameters, not only those with the lowest coverage.")
 @shared_options(json_output=True)
 def command(
     robot: str,

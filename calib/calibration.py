@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import pictures
+from calib.base.errors import InputError
 from calib.base.other_words import worded
 from calib.base.units import ERROR_UNIT, in_si
-from calib.base.words import titled_html
+from calib.base.words import listed, titled_html
 from calib.base.workers import Progress, Workers
 from calib.calibrating.calibrate import calibrate
 from calib.calibrating.file_robots import with_files
@@ -35,6 +36,7 @@ from calib.reporting.report_text import summary, text_report, verdict_lines
 from calib.reporting.result_content import to_dict
 from calib.reporting.results import save
 from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +74,7 @@ class Calibration(JudgedFit):
         """
         return pictures.plots(self)
 
+    @worded
     def report(self, *, verbose: bool = False) -> str:
         """Return the result as text.
 
@@ -155,15 +158,15 @@ class Calibration(JudgedFit):
         )
 
     @worded
-    def export(self, path: Path | str, file_format: str | None = None, *, force: bool = False) -> None:
+    def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
         """Write the calibrated robot for another program; see `calib.export`.
 
         Args:
             path: File to write.
-            file_format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
+            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
-        export(self.robot, file_format or format_of(path), path, force=force)
+        export(self.robot, format or format_of(path), path, force=force)
 
     @worded
     def save(
@@ -217,8 +220,9 @@ def fit(
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
-        fix: Parameters to leave as they are, beside those that the description holds.
-        free: Parameters to find though the description holds them.
+        fix: Parameters to leave as they are, beside those that the description holds; `all` stands for all but those
+            that only say where base and targets are.
+        free: Parameters to find though the description or `fix="all"` holds them.
         prior: How far off parameters are expected to be, one standard deviation by name: a number [m or rad], or text
             such as `0.1 mm`.
         executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
@@ -226,7 +230,7 @@ def fit(
         progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
             fit, one more for each start and each fold.
     """
-    robot = as_robot(robot).free(free).fix(fix)
+    robot = _freed(as_robot(robot).fix(fix), free)
     for name, how_far in (prior or {}).items():
         robot = robot.with_prior(name, how_far)
     used, held = as_measurements(robot, data), None
@@ -249,3 +253,12 @@ def fit(
     )
     fitted = with_files(calibrate(robot, used, held, settings, executor, progress), settings, executor)
     return Calibration.of(fitted)
+
+
+def _freed(robot: Robot, free: str | Sequence[str]) -> Robot:
+    """The robot with these parameters free; that all of them are free already is an `InputError`."""
+    freed = robot.free(free)
+    if len(free) and bool(np.all(freed.is_free == robot.is_free)):
+        names = free if isinstance(free, str) else listed(free)
+        raise InputError(f"free: {names}: free already; to find nothing else, give fix='all' too")
+    return freed

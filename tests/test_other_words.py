@@ -1,7 +1,9 @@
 """What someone types who is fluent in lmfit, scikit-learn, SciPy, pandas, Pinocchio or ROS runs, or names the way."""
 
 import importlib
+import json
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +41,7 @@ def t(tmp_path_factory):
     robot = calib.load(ARM)
     data = calib.read_measurements(READ, robot)
     fit = calib.fit(robot, data, validation=0.25, seed=1)
-    frame = Frame({name: np.array(cells, dtype=object) for name, cells in data.columns().items()})
+    frame = Frame({name: np.array(cells, dtype=object) for name, cells in data.to_dict().items()})
     return SimpleNamespace(
         robot=robot, data=data, fit=fit, frame=frame, q=data.joints[:5], folder=tmp_path_factory.mktemp("out")
     )
@@ -59,7 +61,7 @@ RUN = {
     ),
     "fit(robot, [a, b])": lambda t: len(calib.read_measurements([t.frame, t.frame], t.robot)) == 160,
     "read_measurements(frame)": lambda t: np.allclose(calib.read_measurements(t.frame, t.robot).joints, t.data.joints),
-    "read_measurements(dict)": lambda t: len(calib.read_measurements(t.data.columns(), t.robot)) == 80,
+    "read_measurements(dict)": lambda t: len(calib.read_measurements(t.data.to_dict(), t.robot)) == 80,
     "read_poses(frame)": lambda t: calib.read_poses(t.frame, t.robot).joints.shape == (80, 6),
     "check(robot, path)": lambda t: calib.check(t.robot, READ).n_poses == 80,
     "check(robot, frame)": lambda t: calib.check(ARM, t.frame).n_poses == 80,
@@ -68,19 +70,31 @@ RUN = {
     "predict(frame)": lambda t: t.fit.predict(t.frame).positions.shape == (80, 1, 3),
     "simulate(path of a robot)": lambda t: len(calib.simulate(ARM, t.q, "0.04 mm", seed=1)) == 5,
     "sample(path of a robot)": lambda t: len(calib.sample(ARM, 5, seed=1)) == 5,
+    "read_measurements(path, path)": lambda t: len(calib.read_measurements(READ, ARM)) == 80,
+    "as_measurements(path, q, xyz)": lambda t: len(calib.as_measurements(ARM, t.q, t.q[:, :3])) == 5,
+    "predict(path, q)": lambda t: calib.predict(ARM, t.q).positions.shape == (5, 1, 3),
+    "solve(path, positions)": lambda t: calib.solve(ARM, calib.load(ARM).positions(t.q)[:, 0]).ok.all(),
+    "check(robot)": lambda t: calib.check(t.robot).n_poses == 100,
     "as_measurements(path)": lambda t: len(calib.as_measurements(t.robot, READ)) == 80,
     "as_measurements(q, xyz)": lambda t: np.allclose(
         calib.as_measurements(t.robot, t.data.joints, t.data.points()[:, 0]).points(), t.data.points()
     ),
     "points()": lambda t: t.data.points().shape == (80, 1, 3),
-    "columns()": lambda t: "reflector_x [mm]" in t.data.columns(),
+    "to_dict of data": lambda t: "reflector_x [mm]" in t.data.to_dict(),
     # fit: names, priors, noise, what is held out
     "fix=": lambda t: calib.fit(t.robot, t.data, fix=["joint_3.z"]).parameters["joint_3.z"].status == "held",
+    "free= and nothing else": lambda t: (
+        moving(t, calib.fit(t.robot, t.data, fix="all", free=["joint_3.z", "joint_4.x"])) == ["joint_3.z", "joint_4.x"]
+    ),
     "fix= a name": lambda t: calib.fit(t.robot, t.data, fix="joint_3.z").parameters["joint_3.z"].status == "held",
     "free=": lambda t: calib.fit(t.robot.fix("joint_3.z"), t.data, free="joint_3.z").parameters["joint_3.z"].std > 0,
     "prior=": lambda t: (
         calib.fit(t.robot, t.data, prior={"joint_3.z": "0.1 um"}).parameters["joint_3.z"].value
         == pytest.approx(440, abs=1e-3)
+    ),
+    "prior= of a place": lambda t: (
+        calib.fit(t.robot, t.data, prior={"reflector.x": "0.1 um"}).parameters["reflector.x"].value
+        == pytest.approx(20, abs=1e-3)
     ),
     "sigma= with a unit": lambda t: calib.fit(t.robot, t.data, sigma="0.03 mm").sigma_stated == pytest.approx(3e-5),
     "sigma= of each row": lambda t: np.allclose(
@@ -106,9 +120,17 @@ RUN = {
     "rms": lambda t: 1e3 * t.fit.rms == pytest.approx(t.fit.errors["validation"]["after"]["rms"]),
     "correlation": lambda t: t.fit.correlation["joint_3.z", "joint_3.z"] == pytest.approx(1.0),
     "cross_validate": lambda t: np.mean(t.fit.cross_validate(3, seed=1).rms) == pytest.approx(5e-5, rel=0.5),
+    "residuals as an array": lambda t: (
+        1e3 * np.sqrt(3.0) * np.std(t.fit.residuals)
+        == pytest.approx(t.fit.errors["identification"]["after"]["rms"], rel=0.01)  # their mean is near zero
+    ),
     "bootstrap": lambda t: len(t.fit.bootstrap(4, seed=1).parameters) == len(t.fit.free_names),
     "progress= of a bootstrap": lambda t: progress_of(lambda told: t.fit.bootstrap(3, progress=told))[-1] == (3, 3),
     "plot()": lambda t: t.fit.plot().get_xlabel().endswith("[mm]"),
+    "plot.residuals()": lambda t: t.fit.plot.residuals().get_xlabel() == "joint_1 [deg]",
+    "export with format=": lambda t: (
+        t.fit.export(t.folder / "arm.txt", format="mjcf") is None and "<mujoco" in (t.folder / "arm.txt").read_text()
+    ),
     "export": lambda t: t.fit.export(t.folder / "arm.urdf") is None and (t.folder / "arm.urdf").exists(),
     "nominal beside calibrated": lambda t: np.any(t.fit.nominal.values != t.fit.robot.values),
     # robots
@@ -124,6 +146,11 @@ RUN = {
     ),
 }
 """Lines that run as they are typed, beside those of tests/test_python_interface.py."""
+
+
+def moving(t, fit):
+    """The free parameters of a fit that do not only say where base and target are."""
+    return [name for name in fit.free_names if not t.robot.parameters[name].placement]
 
 
 def progress_of(call):
@@ -177,12 +204,31 @@ ANSWERED = {
     "t.fit.verdict.status": "valid: claim, grade",
     "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
     "calib.fit(t.robot, t.data, units='mm')": "numbers are SI",
+    "calib.fit(t.robot, t.data, free=['joint_3.z'])": "give fix='all' too",
+    "setattr(t.robot.parameters['joint_3.z'], 'vary', False)": "fix=",
+    "setattr(t.robot, 'values', t.robot.values)": "robot.with_parameters({...})",
+    "setattr(t.fit.parameters['joint_3.z'], 'value', 1.0)": "never changes",
     # what is left out, or comes in another order
     "calib.fit(t.robot)": "data is missing; it takes robot, data in this order",
     "calib.fit(READ, ARM)": "the robot comes first",
     "calib.robot(ARM)": "calib.load(",
     "calib.verify('folder', t.data)": "calib.load_result(folder)",
     "calib.verify(t.robot, t.data)": "not Robot",
+    # arguments of a wrong type
+    "calib.fit(t.robot, t.data, seed='a')": "fit: seed: expected a whole number, not 'a'",
+    "calib.fit(t.robot, t.data, starts=2.5)": "starts: expected a whole number",
+    "calib.fit(t.robot, t.data, prior=0.1)": 'values by name, such as {"joint_3.z": "0.1 mm"}',
+    "calib.fit(t.robot, t.data, fix=3)": "a name, or a list of names",
+    "calib.fit(t.robot, t.data, progress=True)": "lambda done, total",
+    "calib.load(3)": "load: path: expected a path",
+    "t.fit.save(None)": "folder: expected a path",
+    "t.fit.cross_validate(1.5)": "1.5",
+    "t.data.split('a')": "fraction: expected a number",
+    "t.robot.fix(3)": "named by text",
+    "t.fit.covariance['joint_3.z']": "takes two names",
+    "t.fit.predict()": "predict: poses is missing",
+    "t.fit.report(3)": "report: takes",
+    "calib.Watch(t.robot)": "Watch: goal is missing",
     # scikit-learn
     "t.fit.score(t.data)": "calib.verify",
     "t.fit.coef_": "fit.parameters",
@@ -217,6 +263,9 @@ ANSWERED = {
     "calib.load_robot('x.yaml')": "calib.load",
     "t.robot.fk(t.q)": "robot.forward",
     "t.robot.forward_kinematics(t.q)": "robot.forward",
+    "calib.read_measurements(t.robot, READ)": "the data come first here",
+    "t.robot.forward(READ)": "expected numbers",
+    "calib.solve(t.fit, 'goals.csv')": "goals: expected numbers",
     "t.robot.forward(t.q, link='flange')": "frame=",
     "t.robot.ik(t.q)": "calib.solve",
     "t.robot.inverse_kinematics(t.q)": "calib.solve",
@@ -255,7 +304,7 @@ ANSWERED = {
     "calib.solve(t.fit, t.q[:, :3], q0=t.q)": "near=q",
     "calib.verify(t.fit, t.data, alpha=0.05)": ".p_value",
     "calib.select(t.robot, t.q, k=3)": "count=40",
-    "t.fit.export(format='mjcf')": "file_format=",
+    "t.fit.export(fmt='mjcf')": "format=",
     "t.robot.jacobian(t.q, reference_frame='LOCAL')": "axes of the measurement frame",
     # controllers, MoveIt, metrology
     "t.robot.mastering": "joint-offsets",
@@ -331,7 +380,7 @@ def test_noise_that_makes_no_sense_is_told(t, sigma, words):
 
 
 def test_a_table_in_memory_is_checked_like_a_file(t):
-    columns = t.data.columns()
+    columns = t.data.to_dict()
     with pytest.raises(calib.DataError, match="line 2, column 'joint_1': 'x' is not a number"):
         calib.read_measurements(columns | {"joint_1 [deg]": [0.0, "x", *[0.0] * 78]}, t.robot)
     with pytest.raises(calib.DataError, match="column 'joint_2 \\[deg\\]' has 3 cells, and others 80"):
@@ -381,6 +430,33 @@ def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):
     assert ended.value.code == 2
     assert words in told
     assert len(told.splitlines()) == 1
+
+
+def test_a_command_without_out_prints_and_writes_nothing(run_calib, tmp_path):
+    run = run_calib("fit", ARM, READ, cwd=tmp_path)
+    assert run.code == 0
+    assert "Verdict: PASS" in run.out
+    assert "Nothing is written: --out DIR" in run.out
+    assert not list(tmp_path.iterdir())
+
+
+def test_parameters_are_fixed_freed_and_given_priors_by_name_on_the_command_line(run_calib, tmp_path):
+    typed = ("--fix", "all", "--free", "joint_3.z, joint_4.x", "--prior", "joint_4.x=0.1um", "--json")
+    run = run_calib("fit", ARM, READ, *typed, cwd=tmp_path)
+    told = {parameter["name"]: parameter for parameter in json.loads(run.out)["parameters"]}
+    assert told["joint_3.x"]["status"] == "held"
+    assert told["joint_3.z"]["std"] > 0
+    assert told["joint_4.x"]["value"] == pytest.approx(told["joint_4.x"]["nominal"], abs=1e-3)  # mm
+    assert "is not a name and a value" in run_calib("fit", ARM, READ, "--prior", "joint_3.z=0.1", cwd=tmp_path).err
+
+
+def test_short_letters_are_those_of_other_programs(run_calib, tmp_path):
+    assert run_calib("sample", ARM, "-n", "3", "-o", "poses.csv", "-q", cwd=tmp_path).out == ""
+    assert run_calib("sample", ARM, "-n", "4", "-o", "poses.csv", "-f", cwd=tmp_path).code == 0
+    assert len(calib.read_poses(tmp_path / "poses.csv", ARM)) == 4
+    shutil.copy(EXAMPLES / "arm.urdf", tmp_path)
+    assert run_calib("init", "arm.urdf", cwd=tmp_path).code == 0
+    assert (tmp_path / "arm.yaml").exists()
 
 
 def test_the_page_is_made_of_the_table(monkeypatch):

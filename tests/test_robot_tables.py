@@ -29,7 +29,7 @@ def untold():
 
 def renamed(data, names):
     """The table of measurements under other names."""
-    return {names.get(name, name): cells for name, cells in data.columns().items()}
+    return {names.get(name, name): cells for name, cells in data.to_dict().items()}
 
 
 def foreign(joint, axis):

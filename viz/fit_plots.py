@@ -55,17 +55,18 @@ class FitPlots(Worded):
         drawn.legend()
         return drawn
 
-    def residuals(self, joint: str, axes: Axes | None = None) -> Axes:
+    def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the components of what is left against a joint.
 
         Args:
-            joint: Its name.
+            joint: Its name; the first joint if not given.
             axes: Where to.
 
         Raises:
             InputError: There is no such joint.
         """
         names = self._fit.robot.joint_names
+        joint = names[0] if joint is None else joint
         if joint not in names:
             raise InputError(f"no joint '{joint}'{nearest(joint, names)}")
         drawn, number, errors = _axes(axes), names.index(joint), of_positions(self._table())

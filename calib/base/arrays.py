@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from calib.base.errors import InputError
 from calib.base.other_words import Worded
@@ -47,6 +47,21 @@ def _short(value: object) -> str:
 @cache
 def _names_of_fields(of: type) -> tuple[str, ...]:
     return tuple(field.name for field in fields(of))
+
+
+def numbers_in(given: ArrayLike, what: str) -> FloatArray:
+    """Return an array of numbers; an `InputError` where there are others, such as text.
+
+    Args:
+        given: The numbers.
+        what: What they are, in the message.
+    """
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{what}: expected numbers, not {given!r:.60}") from None
 
 
 class ReadOnlyArrays(Worded):

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import functools
 from abc import ABCMeta
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import Parameter, get_annotations, signature
+from numbers import Real
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 
@@ -84,6 +86,10 @@ class _Worded(ABCMeta):
                 raise AttributeError(name)
             raise UnknownNameError(_no_name(f"class {cls.__name__}", name, cls._other_words, dir(cls)))
 
+        def __setattr__(cls, name: str, value: Any) -> None:
+            """Set an attribute of the class; that of frozen dataclasses which refuses to assign says what to do."""
+            super().__setattr__(name, _refuse if name == "__setattr__" else value)
+
         def __call__(cls, *args: Any, **options: Any) -> Any:
             """Make one; who meant to load one is told how."""
             try:
@@ -92,6 +98,12 @@ class _Worded(ABCMeta):
                 if not cls._made_by or isinstance(error, InputError) or _binds(cls.__init__, args, options):
                     raise
                 raise UnknownOptionError(f"{cls.__name__}: is made by {cls._made_by}") from None
+
+
+def _refuse(never_changed: Worded, name: str, value: object) -> None:
+    place = never_changed._other_words
+    hint = way(name, place) or way("=", place)
+    raise UnknownNameError(f"{type(never_changed).__name__}: never changes, so '{name}' cannot be set{hint}")
 
 
 def _binds(function: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any]) -> bool:
@@ -146,8 +158,33 @@ def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
     return UnknownNameError(_no_name("module 'calib'", name, "`calib` itself", names))
 
 
+def _is_whole(value: object) -> bool:
+    return hasattr(value, "__index__")
+
+
+def _is_path(value: object) -> bool:
+    return isinstance(value, (str, PathLike))
+
+
+_MEANT: dict[str, tuple[Callable[[object], bool], str]] = {
+    "int": (_is_whole, "a whole number"),
+    "float": (lambda value: isinstance(value, Real), "a number"),
+    "Path | str": (_is_path, "a path"),
+    "str | Sequence[str]": (lambda value: isinstance(value, (str, Sequence)), "a name, or a list of names"),
+    "Mapping[str, float | str] | None": (
+        lambda value: value is None or isinstance(value, Mapping),
+        'values by name, such as {"joint_3.z": "0.1 mm"}',
+    ),
+    "Progress | None": (
+        lambda value: value is None or callable(value),
+        "what is called with two numbers: lambda done, total: ...",
+    ),
+}
+"""What an argument with such an annotation may be: the test, and its words."""
+
+
 def worded(function: Callable[P, R]) -> Callable[P, R]:
-    """Answer an argument that a function does not take with the one that is meant.
+    """Answer an argument that a function does not take with the one that is meant; and one of a wrong type.
 
     Args:
         function: The function.
@@ -160,25 +197,30 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
     in_order = [name for name, parameter in parameters.items() if parameter.kind is not Parameter.KEYWORD_ONLY]
     needed = [name for name in in_order if parameters[name].default is Parameter.empty]
     place = f"arguments of {function.__name__}"
+    called_as = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
 
     @functools.wraps(function)
     def called(*args: P.args, **options: P.kwargs) -> R:
         for name in options:
             if name not in known:
                 hint = way(name, place) or way(name, "arguments") or nearest(name, known)
-                raise UnknownOptionError(f"{function.__name__}: takes no argument '{name}'{hint}")
+                raise UnknownOptionError(f"{called_as}: takes no argument '{name}'{hint}")
         if len(args) > len(in_order):
             names = ", ".join(name for name in in_order if name != "self")
             raise UnknownOptionError(
-                f"{function.__name__}: takes {names} in this order, and the rest by name{way('another', place)}"
+                f"{called_as}: takes {names} in this order, and the rest by name{way('another', place)}"
             )
         missing = [name for name in needed[len(args) :] if name not in options]
         if missing:
             names = ", ".join(name for name in in_order if name != "self")
             raise UnknownOptionError(
-                f"{function.__name__}: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing;"
+                f"{called_as}: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing;"
                 f" it takes {names} in this order, and the rest by name"
             )
+        for name, value in (*zip(in_order, args, strict=False), *options.items()):
+            meant = _MEANT.get(parameters[name].annotation)
+            if meant is not None and not meant[0](value):
+                raise UnknownOptionError(f"{called_as}: {name}: expected {meant[1]}, not {value!r:.40}")
         return function(*args, **options)
 
     return called

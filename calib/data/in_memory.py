@@ -20,6 +20,7 @@ from calib.data.plan_files import read_pose_files
 from calib.data.tables import Source, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.configurations import joint_vector
+from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 
 PosesLike = Poses | Source | ArrayLike
@@ -29,11 +30,12 @@ MeasurementsLike = Measurements | Source | Sequence[Source]
 _SOURCE = "arrays"
 
 
-def as_poses(robot: Robot, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
+@worded
+def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
     """Return joint values as `Poses`, named by their row if they have no names.
 
     Args:
-        robot: Whose joints they are.
+        robot: Whose joints they are; loaded, or its description or URDF.
         poses: Poses with names; a file or a data frame, with headers as in files; or actuated joints alone,
             (n_poses, n_actuated) [m or rad].
         names: Pose names of joint values, n_poses of them.
@@ -43,6 +45,7 @@ def as_poses(robot: Robot, poses: PosesLike, names: Sequence[str] | None = None)
     """
     if isinstance(poses, Poses):
         return poses
+    robot = as_robot(robot)
     if _is_table(poses):
         return read_pose_files([cast(Source, poses)], robot)
     joints = joint_vector(robot, cast(ArrayLike, poses))
@@ -61,7 +64,7 @@ def _is_table(given: object) -> bool:
 
 @worded
 def as_measurements(
-    robot: Robot,
+    robot: RobotLike,
     poses: PosesLike | Sequence[Source],
     readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     names: Sequence[str] | None = None,
@@ -69,7 +72,7 @@ def as_measurements(
     """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
-        robot: Whose joints and instruments they are.
+        robot: Whose joints and instruments they are; likewise.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
             which are returned as they are; or a file or a data frame of them, or several (`read_measurements`).
         readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.
@@ -82,6 +85,7 @@ def as_measurements(
         DataError: Wrong shape, values that are not finite, an unknown instrument, or rows of one pose whose joint
             values differ.
     """
+    robot = as_robot(robot)
     if readings is None:
         return _measured(robot, poses)
     poses = as_poses(robot, cast(ArrayLike, poses), names)

@@ -30,35 +30,45 @@ from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
 from calib.joint_terms.gravity import GravitySection, check_read, columns_of, read_down
 from calib.joint_terms.term import CONTEXT
 from calib.robots.gravity import contradicted, turned_joints
+from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 
 
+def robot_of_data(path: object, robot: RobotLike) -> Robot:
+    """Return the robot of data that are to be read; an `InputError` where it stands in their place."""
+    if isinstance(path, Robot):
+        raise InputError('the data come first here, then the robot: calib.read_measurements("data.csv", robot)')
+    return as_robot(robot)
+
+
 @worded
-def read_poses(path: Source, robot: Robot) -> Poses:
+def read_poses(path: Source, robot: RobotLike) -> Poses:
     """Read joint values; one column for each actuated joint, other columns are ignored.
 
     Raises:
         DataError: The message names file, line and column.
     """
+    robot = robot_of_data(path, robot)
     table = read_robot_table(path, robot)
     return poses_of_table(table, robot, used=set())
 
 
 @worded
 def read_measurements(
-    path: Source | Sequence[Source], robot: Robot, *, growing: Sequence[str] | None = None
+    path: Source | Sequence[Source], robot: RobotLike, *, growing: Sequence[str] | None = None
 ) -> Measurements:
     """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
 
     Args:
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
             or dictionaries of columns, with the headers that files have.
-        robot: Whose joints and instruments they are.
+        robot: Whose joints and instruments they are; loaded, or its description or URDF.
         growing: For one file that is still being written: its lines so far, which may have no reading yet.
 
     Raises:
         DataError: The message names file, line and column.
     """
+    robot = robot_of_data(path, robot)
     paths = sources(path)
     files = [Path(source).resolve() if isinstance(source, (str, Path)) else None for source in paths]
     for k, again in enumerate(paths):
@@ -356,7 +366,7 @@ def _expected(robot: Robot) -> str:
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
     """Return measurements as CSV text in mm and degrees; see `calib.data.measurement_columns`."""
-    return format_table(list(data.columns(robot).items()), comments)
+    return format_table(list(data.to_dict(robot).items()), comments)
 
 
 def format_positions(
@@ -375,7 +385,7 @@ def format_positions(
         comments: Lines to put first.
         std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
     """
-    columns = poses.columns(robot)
+    columns = poses.to_dict(robot)
     for suffix, numbers in (("", positions), ("std_", std)):
         for t, target in enumerate(robot.target_names):
             for a, axis in enumerate("xyz"):

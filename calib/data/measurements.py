@@ -106,7 +106,7 @@ class Poses(ReadOnlyArrays):
             raise InputError(f"{self.path}: says nothing about its robot; give it")
         return known
 
-    def columns(self, robot: Robot | None = None) -> dict[str, list[object]]:
+    def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of the visits, in mm and degrees: the cells below each header, as in files.
 
         Args:
@@ -120,8 +120,8 @@ class Poses(ReadOnlyArrays):
         return columns
 
     def to_dataframe(self, robot: Robot | None = None) -> Any:
-        """Return `columns` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
-        columns = self.columns(robot)
+        """Return `to_dict` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
+        columns = self.to_dict(robot)
         return pandas().DataFrame({key: [np.nan if x == "" else x for x in cells] for key, cells in columns.items()})
 
     def subset(self, index: IntArray) -> Self:
@@ -204,7 +204,7 @@ class Measurements(Poses):
     def _tables(self) -> tuple[list[dict[str, object]], ...]:
         return ([{"instrument": name, "readings": len(readings)} for name, readings in self.readings.items()],)
 
-    def columns(self, robot: Robot | None = None) -> dict[str, list[object]]:
+    def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
 
         Args:
@@ -215,7 +215,7 @@ class Measurements(Poses):
         """
         robot = self._robot(robot)
         visits, read = reading_columns(robot, len(self), self.readings)
-        return {key: [cells[k] for k in visits] for key, cells in super().columns(robot).items()} | read
+        return {key: [cells[k] for k in visits] for key, cells in super().to_dict(robot).items()} | read
 
     def subset(self, index: IntArray) -> Self:
         """Return the visits with these indices (n,), in this order, with their readings."""

@@ -6,26 +6,30 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.base.errors import DataError, InputError, ParameterError, nearest
+from calib.base.other_words import worded
 from calib.base.parameter import index_of
 from calib.base.units import per_si
 from calib.data.tables import check_plausible, format_table, read_number, read_table
+from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 
 COLUMNS = ("parameter", "value", "unit")
 _LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
 
 
-def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -> dict[str, float]:
+@worded
+def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = False) -> dict[str, float]:
     """Read parameter values in SI by name; parameters that the file does not name are absent.
 
     Args:
         path: The file.
-        robot: Whose parameters.
+        robot: Whose parameters; loaded, or its description or URDF.
         complete: Whether a parameter that the file does not name is an error.
 
     Raises:
         DataError, ParameterError: The message names file, line and parameter.
     """
+    robot = as_robot(robot)
     table = read_table(path)
     for name in COLUMNS:
         if name not in table.names:

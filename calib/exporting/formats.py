@@ -57,7 +57,7 @@ def format_of(path: Path | str) -> str:
 @worded
 def export(
     robot: RobotLike,
-    file_format: str,
+    format: str,
     path: Path | str,
     *,
     free_slide: bool = False,
@@ -73,7 +73,7 @@ def export(
 
     Args:
         robot: The robot.
-        file_format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
+        format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
@@ -104,35 +104,35 @@ def export(
     """
     robot = as_robot(robot)
     path = Path(path)
-    if file_format not in HELD:
-        raise InputError(f"format '{file_format}': unknown{nearest(file_format, HELD)}")
-    if free_slide and file_format not in ("mjcf", "drake"):
-        raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
-    if meshes and file_format not in _WITH_URDF:
-        raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
+    if format not in HELD:
+        raise InputError(f"format '{format}': unknown{nearest(format, HELD)}")
+    if free_slide and format not in ("mjcf", "drake"):
+        raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
+    if meshes and format not in _WITH_URDF:
+        raise InputError(f"format '{format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
     sources = (robot.urdf.path, robot.path)
-    if file_format == JOINT_TABLES:
+    if format == JOINT_TABLES:
         _write_tables(robot, path, provenance or (), note, force=force)
         return ()
-    with_urdf = file_format == "toolbox" and path.name
+    with_urdf = format == "toolbox" and path.name
     urdf = path.with_suffix(".urdf") if with_urdf else path
     if with_urdf and path == urdf:
         raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
     for file in {urdf, path}:
         check_file(file, inputs=sources, force=force)
-    holds = held_of(robot, file_format)
-    held, said = robot_for(robot, file_format, force=force), said_of(robot, holds)
+    holds = held_of(robot, format)
+    held, said = robot_for(robot, format, force=force), said_of(robot, holds)
     lines: list[str] | None = [*said, *(provenance or ())]
     if loses(robot, holds):
         for line in said:
             note(line)
-    elif provenance is None and file_format in _UNTOUCHED:
+    elif provenance is None and format in _UNTOUCHED:
         lines = None
-    files = _contents(held, file_format, path, free_slide, lines, note, force=force)
+    files = _contents(held, format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, comment={**COMMENTS, **PRINTER_COMMENTS}.get(file_format, ""), inputs=sources, force=force)
-    return () if free_slide or file_format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
+    write_files(files, comment={**COMMENTS, **PRINTER_COMMENTS}.get(format, ""), inputs=sources, force=force)
+    return () if free_slide or format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
 
 
 def _write_tables(

@@ -138,6 +138,8 @@ class Covariance(ReadOnlyArrays):
     values: FloatArray
 
     def __getitem__(self, pair: tuple[str, str]) -> float:
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise InputError(f"{type(self).__name__}: takes two names, such as [{pair!r:.40}, {self.names[-1]!r}]")
         for name in pair:
             if name not in self.names:
                 raise InputError(f"no free parameter '{name}'{nearest(name, self.names)}")

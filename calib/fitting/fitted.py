@@ -8,9 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.base.other_words import Worded
+from calib.base.errors import InputError
+from calib.base.other_words import Worded, worded
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.estimates import Correlation, Covariance, Estimates, estimates
@@ -81,9 +83,16 @@ class Errors(dict[str, dict[str, dict[str, object]]], Worded):
 
 
 class Residuals(dict[str, FloatArray], Worded):
-    """Residuals by instrument."""
+    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`."""
 
     _other_words = "residuals of a fit"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if len(self) != 1:
+            raise InputError(
+                f"residuals of {len(self)} instruments are not one array; take one: residuals['{min(self)}']"
+            )
+        return np.array(next(iter(self.values())), dtype=dtype)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -305,6 +314,7 @@ class Fit(ReadOnlyArrays):
             np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
         )
 
+    @worded
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
 

@@ -42,7 +42,11 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
 
 def n_folds(data: Measurements, folds: int | Literal["setups"]) -> int:
     """Return how many folds there are."""
-    return len(_setups(data)) if folds == "setups" else folds
+    if folds == "setups":
+        return len(_setups(data))
+    if not isinstance(folds, int):
+        raise InputError(f"folds {folds!r:.40}: must be a number of folds, or 'setups'")
+    return folds
 
 
 def _setups(data: Measurements) -> list[int]:

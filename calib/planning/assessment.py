@@ -32,6 +32,7 @@ from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.planning.exchange import Spacing, exchange, uniform_start
+from calib.planning.pose_sampling import sample
 from calib.planning.selection_problem import TASK, build_problem
 from calib.robots.configurations import Configurations
 from calib.robots.loading import RobotLike, as_robot
@@ -43,6 +44,8 @@ from calib.rows.prediction import beside_common_motion
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
+_SAMPLED = 100
+"""Poses that are checked if none are given."""
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
 HARDLY = 0.5
@@ -163,14 +166,14 @@ class Assessment(ReadOnlyArrays):
 @worded
 @one_blas_thread
 def check(
-    robot: RobotLike, poses: PosesLike, *, task: PosesLike | None = None, sigma: float | str | None = None
+    robot: RobotLike, poses: PosesLike | None = None, *, task: PosesLike | None = None, sigma: float | str | None = None
 ) -> Assessment:
     """Say what poses determine, at the robot's present values.
 
     Args:
         robot: The robot.
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
-            Or joint values alone, (n, n_actuated) [m or rad].
+            Or joint values alone, (n, n_actuated) [m or rad]. If not given: a hundred, spread over the joint limits.
         task: Poses whose accuracy counts, in the same form; `poses` if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
 
@@ -181,7 +184,8 @@ def check(
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     require_free(robot)
-    poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
+    poses = sample(robot, _SAMPLED) if poses is None else as_poses(robot, poses)
+    task = None if task is None else as_poses(robot, task)
     outside_families = np.array([not p.family for p in robot.parameters])
     parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[outside_families]
     noise, assumed = assumed_sigma(robot, sigma)

@@ -30,6 +30,7 @@ from calib.base.errors import (
     UnreachablePoseError,
 )
 from calib.base.files import read_lines
+from calib.base.other_words import worded
 from calib.base.units import quantity
 from calib.calibrating.calibrate import calibrate
 from calib.data.in_memory import PosesLike, as_poses
@@ -41,6 +42,7 @@ from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 from calib.robots.joint_errors import term_columns
+from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 from calib.rows.candidates import configurations_at, require_free
 from calib.rows.jacobian import linearise
@@ -67,17 +69,19 @@ class Watch:
         DataError: No candidates can be sampled.
     """
 
+    @worded
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotLike,
         goal: str | float,
         *,
         candidates: PosesLike | None = None,
         sigma: float | None = None,
         seed: int = 0,
     ) -> None:
+        self.robot = robot = as_robot(robot)
         require_free(robot)
-        self.robot, self.goal = robot, quantity(goal, "length", "goal")
+        self.goal = quantity(goal, "length", "goal")
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
         self.candidates = sample(robot, CANDIDATES, seed) if candidates is None else as_poses(robot, candidates)

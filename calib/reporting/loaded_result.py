@@ -19,6 +19,7 @@ from calib.judging.promise import Promise
 from calib.judging.reasons import Code
 from calib.reporting.result_reading import joints_used, load, load_promise, load_uncertainty, read_result
 from calib.robots.held import Holds
+from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 from calib.rows.known_robot import KnownRobot
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
@@ -139,7 +140,7 @@ def load_result(folder: Path | str) -> LoadedResult:
 
 
 @worded
-def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:
+def predict(calibrated: RobotLike | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:
     """Predict positions of all targets, loops closed.
 
     Args:
@@ -151,8 +152,9 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> Positio
         DataError: Joint values of the wrong shape.
         UnreachablePoseError: A loop stays open.
     """
-    if not isinstance(calibrated, Robot):
+    if isinstance(calibrated, (Fit, LoadedResult)):
         return calibrated.predict(poses)
-    pose_set = as_poses(calibrated, poses)
-    positions = calibrated.positions(pose_set.joints, pose_set.conditions)
+    robot = as_robot(calibrated)
+    pose_set = as_poses(robot, poses)
+    positions = robot.positions(pose_set.joints, pose_set.conditions)
     return PositionUncertainty(positions, np.full((*positions.shape, 3), np.nan), np.nan)

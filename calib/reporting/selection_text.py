@@ -104,7 +104,7 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
     comment += ", then moved off the grid"
     if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
         return format_positions(robot, moved, selection.positions, (f"{comment}; positions are predicted",))
-    return format_table(list(moved.columns(robot).items()), (comment,))
+    return format_table(list(moved.to_dict(robot).items()), (comment,))
 
 
 def _plan(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays, numbers_in
 from calib.base.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
 from calib.robots import loops
@@ -43,7 +43,7 @@ def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
     Raises:
         DataError: Wrong shape, or values that are not finite.
     """
-    values = np.atleast_2d(np.asarray(q, dtype=float))
+    values = np.atleast_2d(numbers_in(q, "joint values"))
     if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
         raise DataError(
             f"joint values of shape {np.shape(q)}; expected (n, {len(robot.joint_names)}) in the order"

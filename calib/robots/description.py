@@ -141,6 +141,7 @@ class Description(Section):
     elimination_order: tuple[str, ...] = ()
     fleet: FleetSection | None = None
     priors: bool = True
+    prior: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
@@ -183,22 +184,6 @@ class Description(Section):
         """Return the description with these joint terms in place of its own."""
         listed = self.parametrisation if isinstance(self.parametrisation, str) else self.origins
         return self.model_copy(update={"parametrisation": listed, "joint_terms": tuple(sections)})
-
-    def with_sigma(self, origin: str, component: Component, sigma: float | str) -> Description:
-        """Return the description with another expected error of one component of an origin that it lists."""
-        listed: list[OriginSection | TermSection] = []
-        unit = None
-        for section in () if isinstance(self.parametrisation, str) else self.parametrisation:
-            if isinstance(section, OriginSection) and component in section.components:
-                if section.origin == origin:
-                    unit = section.unit
-                    others = tuple(other for other in section.components if other != component)
-                    listed += [section.model_copy(update={"components": others})] if others else []
-                    continue
-                unit = section.unit if section.origin == "all" and unit is None else unit
-            listed.append(section)
-        entry = {"origin": origin, "components": (component,), "sigma": sigma} | ({"unit": unit} if unit else {})
-        return self.model_copy(update={"parametrisation": (OriginSection.model_validate(entry), *listed)})
 
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""

@@ -137,6 +137,27 @@ class OriginComponents:
 
 
 @dataclass(frozen=True, eq=False)
+class WithPriors:
+    """A parametrisation whose parameters have other priors.
+
+    Attributes:
+        plain: It, with its own.
+        parameters: Its parameters, with the others.
+    """
+
+    plain: Parametrisation
+    parameters: tuple[Parameter, ...]
+
+    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
+        """Return the edited origins; see `Parametrisation`."""
+        return self.plain.placements(values)
+
+    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return the derivative of each origin; see `Parametrisation`."""
+        return self.plain.twists(values)
+
+
+@dataclass(frozen=True, eq=False)
 class Stacked:
     """Several parametrisations of different origins, one after another.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
-from typing import cast
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from calib.robots import linear_delta
 from calib.robots.described_instruments import places_of
 from calib.robots.description import Description, OriginSection
 from calib.robots.mechanism import Mechanism
-from calib.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked
+from calib.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked, WithPriors
 from calib.robots.robot_data import SomeRobot
 from calib.robots.urdf.text import UrdfText
 
@@ -37,7 +36,7 @@ DEFAULT_ANGLE_SIGMA = 5e-3
 def build_parametrisation(
     description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
-    """Build the parametrisation that a description names or lists, plus unknown places.
+    """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
 
     Args:
         description: The robot description.
@@ -47,8 +46,26 @@ def build_parametrisation(
         where: File of the description, for messages.
 
     Raises:
-        DescriptionError: Unknown plugin, origin or unit, or a component listed twice.
+        DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.
     """
+    plain = _without_names(description, urdf, mechanism, places, where)
+    parameters = list(plain.parameters)
+    for name, sigma in description.prior.items():
+        try:
+            place = index_of(parameters, name, f"{where}: prior")
+            sigma_si = quantity(sigma, parameters[place].dimension, f"{where}: prior of '{name}'")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+        if sigma_si <= 0:
+            raise DescriptionError(f"{where}: prior of '{name}': sigma must be positive; 'held' keeps it at nominal")
+        parameters[place] = replace(parameters[place], sigma_si=sigma_si, prior=True)
+    return WithPriors(plain, tuple(parameters)) if description.prior else plain
+
+
+def _without_names(
+    description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
+) -> Parametrisation:
+    """The parametrisation before what `prior` says of single parameters."""
     origins = _nominal_origins(urdf, mechanism, places)
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
@@ -188,23 +205,16 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
 
 
 def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str) -> SomeRobot:
-    """Return a robot of which components of origins are expected to be off by `sigma`; see `Robot.with_prior`."""
-    description = robot.description
-    if not description.priors:
-        raise ParameterError(f"{robot.path}: says priors: false, so a prior has no effect; leave that out")
+    """Return a robot of which parameters are expected to be off by `sigma`; see `Robot.with_prior`."""
+    priors = dict(robot.description.prior)
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)
-        parameter = robot.parameters[place]
-        origin, _, component = name.rpartition(".")
-        listed = place < robot.n_origin_parameters and component in COMPONENTS and bool(description.origins)
-        if not listed or parameter.placement:
-            raise ParameterError(
-                f"parameter '{name}' is not a component of an origin in the list 'parametrisation'; its sigma stands"
-                " in the robot description"
-            )
-        if quantity(sigma, parameter.dimension, f"prior of '{name}'") <= 0:
+        if place >= robot.n_origin_parameters:
+            raise ParameterError(f"parameter '{name}' is of a joint term, whose sigma stands in the robot description")
+        if quantity(sigma, robot.parameters[place].dimension, f"prior of '{name}'") <= 0:
             raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
-        description = description.with_sigma(origin, cast(Component, component), sigma)
+        priors[name] = sigma
+    description = robot.description.model_copy(update={"prior": priors})
     places = places_of(description, robot.instruments, robot.path)
     parametrisation = build_parametrisation(description, robot.urdf, robot.nominal, places, robot.path)
     known = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))

@@ -60,12 +60,14 @@ class Robot(RobotData):
         """Return a robot with these parameters held, too.
 
         Args:
-            names: As arguments, or as a list.
+            names: As arguments, or as a list. `all` stands for all but those that only say where base and targets are.
 
         Raises:
             ParameterError: An unknown name.
         """
-        named = _flat(names)
+        placed = {parameter.name for parameter in self.parameters if parameter.placement}
+        every = [parameter.name for parameter in self.parameters if parameter.name not in placed]
+        named = tuple(each for name in _flat(names) for each in (every if name == "all" else [name]))
         return self._held((*self.description.held, *named), named)
 
     def free(self, *names: str | Sequence[str]) -> Robot:
@@ -79,15 +81,16 @@ class Robot(RobotData):
         changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
         return replace(self, description=changed)
 
+    @worded
     def with_prior(self, names: str | Sequence[str], sigma: float | str) -> Robot:
-        """Return a robot with the expected error `sigma` of these components of origins.
+        """Return a robot with the expected error `sigma` of these parameters.
 
         Args:
             names: A parameter, or several.
             sigma: One standard deviation [m or rad], or text with a unit, such as `0.5 mm`.
 
         Raises:
-            ParameterError: An unknown name, or one that is not a component of an origin that the description lists.
+            ParameterError: An unknown name, or one of a joint term.
             InputError: Sigma is not a positive number of this dimension.
         """
         return with_prior(self, names, sigma)
@@ -305,6 +308,9 @@ class Robot(RobotData):
 
 def _flat(names: Sequence[str | Sequence[str]]) -> tuple[str, ...]:
     """Names that were given one after the other, or as a list."""
+    for entry in names:
+        if not isinstance(entry, (str, Sequence)):
+            raise InputError(f"parameters are named by text, such as 'joint_3.z', not by {entry!r:.40}")
     return tuple(name for entry in names for name in ((entry,) if isinstance(entry, str) else entry))
 
 

@@ -8,7 +8,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Robot
 from calib.rows.prediction import ParameterUncertainty
 
 
@@ -38,7 +39,7 @@ class Calibrated(Protocol):
         """The robot, with how well it is known."""
 
 
-def known_robot(calibrated: Robot | Calibrated | KnownRobot) -> KnownRobot:
+def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
     """Return what is known of a robot; of a robot alone no more than its values.
 
     Raises:
@@ -48,5 +49,5 @@ def known_robot(calibrated: Robot | Calibrated | KnownRobot) -> KnownRobot:
         return calibrated
     if isinstance(calibrated, Calibrated):
         return calibrated.known
-    require_robot(calibrated)
-    return KnownRobot(calibrated, None, np.zeros((0, len(calibrated.joint_names))), nothing_to_correct=False)
+    robot = as_robot(calibrated)
+    return KnownRobot(robot, None, np.zeros((0, len(robot.joint_names))), nothing_to_correct=False)

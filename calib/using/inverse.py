@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.base.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.base.other_words import worded
 from calib.base.units import millimetres
@@ -22,6 +22,7 @@ from calib.joint_terms.term import Context
 from calib.robots import loops
 from calib.robots.configurations import joint_vector
 from calib.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.robots.loading import RobotLike
 from calib.robots.robot import Robot
 from calib.rows.frames import measurement_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -88,14 +89,14 @@ class Solution(ReadOnlyArrays):
 
 @worded
 def solve(
-    calibrated: Robot | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
+    calibrated: RobotLike | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
 ) -> Solution:
     """Find joint values that bring a target to its goals in the measurement frame.
 
     Args:
-        calibrated: The robot, with nominal or calibrated parameters. With a fit or a loaded result, errors to expect
-            are known too; if its verdict finds nothing to correct, the nominal robot is used, with base and targets
-            where they agree best.
+        calibrated: The robot, with nominal or calibrated parameters; or its description or URDF. With a fit or a
+            loaded result, errors to expect are known too; if its verdict finds nothing to correct, the nominal robot is
+            used, with base and targets where they agree best.
         goals: Goals of the target; or positions of the first target alone, (n, 3) [m], with
             NaN throughout for a coordinate that is not asked for. `Goals` may differ in that from row to row.
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
@@ -128,7 +129,7 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     if isinstance(goals, Goals):
         return goals
-    goals = Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
+    goals = Goals(np.atleast_2d(numbers_in(goals, "goals")))
     odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
     if np.any(odd):
         raise DataError(

@@ -180,7 +180,7 @@ def main() -> None:
         "| robot | poses used, and judging | before [mm] | unused [mm] | claimed [mm] | ratio | grade | first reason |",
         "|---|---|---:|---:|---:|---:|---|---|",
     ]
-    right, n_splits, ratios = [0, 0], [0, 0], []
+    right, n_splits, ratios, elsewhere = [0, 0], [0, 0], [], []
     for split in splits(options.folder):
         if options.only not in f"{split.robot} {split.how}":
             continue
@@ -196,6 +196,9 @@ def main() -> None:
         n_splits[good] += 1
         right[good] += (fit.verdict.grade == "PASS") == good
         ratios.append(after / told)
+        if made and made.told.is_position:
+            there = made.at(float(np.sqrt(np.mean(fit.validation_uncertainty.located**2))))
+            elsewhere.append((after / told, after / (1e3 * there.rms)))
         codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
         first = codes[0].replace("_", "\\_") if codes else ""
         numbers = f"{before:.3f} | {after:.3f} | {told:.3f} | {after / told:.2f}"
@@ -207,6 +210,12 @@ def main() -> None:
         f" {right[True]} are PASS. Of the {n_splits[False]} others, {right[False]} are CHECK or FAIL. Errors of poses"
         f" that were not used, over those claimed: median {np.median(passed):.2f}."
     )
+    if elsewhere:
+        near = [sum(0.75 <= ratio <= 1.33 for ratio in ratios) for ratios in zip(*elsewhere, strict=True)]
+        words += (
+            f" Of {len(elsewhere)} fits that claim positions, {near[0]} are within 0.75 to 1.33 times the claim at"
+            f" poses like those measured, and {near[1]} within 0.75 to 1.33 times that at the poses in question."
+        )
     print(words)
     if options.page:
         text = "\n".join([*lines, "", *textwrap.wrap(words, 120)])

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
 from calib.reporting.result_reading import load_calibrated, load_uncertainty
@@ -210,13 +210,45 @@ def test_a_point_at_a_known_place_makes_the_measurement_frame_count(tmp_path):
     assert fit.identification_uncertainty.summary() == fit.predict(joints(60, seed=3)).summary()
 
 
-def test_predict_says_what_the_fit_claims(tmp_path, run_calib):
-    """What positions are known to counts noise alone; the claim counts what the model leaves out."""
+@pytest.mark.parametrize(("reach", "further"), [(1.0, False), (0.3, True)])
+def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, reach, further):
+    """Measured in all of the space, or in a part of it, where errors of parameters do less than elsewhere."""
     robot = six_axis_arm(tmp_path)
-    fit = calib.fit(robot, noisy(robot, joints(60), 4e-5, 1))
+    fit = calib.fit(robot, noisy(robot, reach * joints(60), 4e-5, 1))
     fit.save(tmp_path / "out", pages=False)
-    (tmp_path / "q.csv").write_text("j1,j2,j3,j4,j5,j6\n0.1,0.2,0.3,0.1,0.2,0.3\n")
+    q = joints(20, 7)
+    rows = [",".join(map(repr, row)) for row in q.tolist()]
+    (tmp_path / "q.csv").write_text("\n".join(["j1,j2,j3,j4,j5,j6", *rows, ""]))
     run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
                     tmp_path / "p.csv")  # fmt: skip
-    limit = 1e3 * fit.verdict.claim.told.limit95
-    assert f"The real tool is within {limit:.3g} mm of these positions, 95 % of the time, at poses like" in run.out
+    told = fit.verdict.claim.told
+    known, there = (np.mean(fit.predict(poses).distance ** 2) for poses in (fit.identification.data, q))
+    grown = np.sqrt(1 + max(there - known, 0.0) / told.rms**2)
+    here = fit.claim_at(q)
+    assert (here.times, here.rms) == (pytest.approx(grown), pytest.approx(grown * told.rms))
+    assert (here.times > 1.05) == further
+    like = "at poses like the 60 measured"
+    end = f"{here.times:.2g} times as far as {like}, which say less of these" if further else like
+    said = f"The real tool is within {1e3 * here.limit95:.3g} mm of these positions, 95 % of the time, {end}"
+    assert said in " ".join(run.out.split())
+
+
+def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(tmp_path):
+    """Simulated: measured in a part of the joints' range, and asked for in all of it."""
+    robot, claimed, expected = six_axis_arm(tmp_path), [], []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
+        true = robot.with_parameters(robot.values + np.where(robot.is_free, off, 0.0))
+        fit = calib.fit(robot, measurements(robot, 0.3 * joints(60, seed), _read(true, 0.3 * joints(60, seed), rng)))
+        q = joints(200, 50 + seed)
+        error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - _read(true, q, rng)) ** 2, axis=2)))
+        claimed.append(error / fit.verdict.claim.told.rms)
+        expected.append(error / fit.claim_at(q).rms)
+    assert np.sqrt(np.mean(np.square(claimed))) > 1.5
+    assert 0.75 < np.sqrt(np.mean(np.square(expected))) < 1.33
+
+
+def _read(true, q, rng):
+    positions = true.positions(q)
+    return positions + 4e-5 * rng.standard_normal(positions.shape)

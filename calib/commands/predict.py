@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from calib.base.words import counted
@@ -16,10 +18,14 @@ from calib.commands.common import (
 )
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
+from calib.judging.claim import ErrorElsewhere
 from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
 from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
 from calib.rows.told_positions import ToldPositions
+
+_FURTHER = 1.05
+"""Errors expected at the poses asked for, over those at poses like those measured, from which both are told apart."""
 
 
 @click.command("predict")
@@ -31,7 +37,8 @@ from calib.rows.told_positions import ToldPositions
 def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:
     """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed.
 
-    With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
+    With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise;
+    and how far off the real tool is expected to be there.
     """
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
@@ -47,6 +54,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         text, summary, remark = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
         content["claim"] = claim = read_result(result)["verdict"].get("claim")
+        content["expected"], expected = _expected(claim, summary)
         content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
         remarks = remarks + beyond
     else:
@@ -55,11 +63,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
     if result:
-        if claim and claim["part"] == "position" and claim["limit95"] is not None:
-            output.say(
-                f"The real tool is within {claim['limit95']:.3g} {claim['unit']} of these positions, 95 % of the time,"
-                f" {claim['region']}"
-            )
+        if expected:
+            output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
             f" (pose {summary['worst_pose']}); from measurement noise alone{remark}"
@@ -67,9 +72,27 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     output.json(content)
 
 
+def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
+    """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
+
+    Args:
+        claim: What the fit claims, as in `result.json`.
+        known: Summary of how well positions are known at these poses [mm].
+    """
+    if not claim or claim["part"] != "position" or None in (claim["limit95"], claim.get("known")):
+        return None, ""
+    here = ErrorElsewhere.of(claim["rms"], claim["limit95"], claim["known"], known["rms"])
+    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time,"
+    if here.times < _FURTHER:
+        words += f" {claim['region']}"
+    else:
+        words += f" {here.times:.2g} times as far as {claim['region']}, which say less of these"
+    return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
+
+
 def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
-) -> tuple[str, dict[str, object], str]:
+) -> tuple[str, dict[str, Any], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
     known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
     predicted = known.at(poses.joints, poses.conditions)

@@ -11,9 +11,17 @@ as many degrees of freedom as coordinates were read, or as poses where the readi
 Whether the robot gets better. On poses that were not used, if there are any, by `calib.judging.better_or_worse`; else
 by Student's t of what each pose's squared error, left out, is above that of the nominal robot.
 
-When it fails. New poses unlike those measured may be worse: in another region, under another load, at another place of
-what was touched. What changes in the course of the measurement goes on changing after it. Poses that are copies of
-others foretell each other.
+At other poses. The mean square error claimed is that of what no parameter describes, and of what the measurements leave
+uncertain of the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean
+squares (`calib.rows.prediction`),
+
+    rms'^2 = rms^2 + k'^2 - k^2        where k' is larger
+
+and `limit95` grows in proportion. How well that holds on real robots is in docs/verdict.md.
+
+When it fails. New poses unlike those measured may be worse by what the model leaves out there: in another region, under
+another load, at another place of what was touched. What changes in the course of the measurement goes on changing after
+it. Poses that are copies of others foretell each other.
 """
 
 from __future__ import annotations
@@ -48,6 +56,32 @@ class Gain(Enum):
 
 
 @dataclass(frozen=True)
+class ErrorElsewhere:
+    """How far off a robot is expected to be at other poses than those measured.
+
+    Attributes:
+        rms, limit95: As of `Accuracy`, in the unit of the claim.
+        times: How many times as far as at the poses measured.
+    """
+
+    rms: float
+    limit95: float
+    times: float
+
+    @staticmethod
+    def of(rms: float, limit95: float, known: float, known_there: float) -> ErrorElsewhere:
+        """Return it by the module docstring.
+
+        Args:
+            rms, limit95: Claimed at the poses measured.
+            known: Root mean square to which positions are known there.
+            known_there: The same at the other poses. All in one unit.
+        """
+        times = float(np.sqrt(1.0 + max(known_there**2 - known**2, 0.0) / rms**2))
+        return ErrorElsewhere(times * rms, times * limit95, times)
+
+
+@dataclass(frozen=True)
 class Claim:
     """What a calibration claims.
 
@@ -58,6 +92,7 @@ class Claim:
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
         narrow: Joints that moved through less than half of their limits at these poses, and how far.
+        known: Root mean square to which positions are known at these poses [m]; NaN where it is not about positions.
     """
 
     told: Accuracy
@@ -66,6 +101,11 @@ class Claim:
     gain: Gain
     region: str
     narrow: tuple[str, ...]
+    known: float
+
+    def at(self, known: float) -> ErrorElsewhere:
+        """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
+        return ErrorElsewhere.of(self.told.rms, self.told.limit95, self.known, known)
 
     @property
     def holds(self) -> bool:
@@ -96,6 +136,7 @@ class Claim:
             "rms": scale * told.rms,
             "rms_before": scale * told.before,
             "n_poses": told.n_poses,
+            "known": scale * self.known,
             "region": self.region,
             "joints_moved_little": list(self.narrow),
             "not_used": [
@@ -121,7 +162,13 @@ def claim_of(fit: Fit) -> Claim | None:
     shown = tuple(accuracy for accuracy in unused if (accuracy.part, accuracy.dimension) == (told.part, told.dimension))
     broken = tuple(accuracy for accuracy in shown if accuracy.rms > _most(fit, told, accuracy) * told.rms)
     n = fit.identification.data.n_poses
-    return Claim(told, shown, broken, _gain(fit, foretold), f"at poses like the {n} measured", _narrow(fit))
+    region = f"at poses like the {n} measured"
+    return Claim(told, shown, broken, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+
+
+def _known(fit: Fit, told: Accuracy) -> float:
+    """Root mean square to which positions are known at the poses used [m]; NaN where the claim is not about them."""
+    return float(np.sqrt(np.mean(fit.identification_uncertainty.located**2))) if told.is_position else float("nan")
 
 
 def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:

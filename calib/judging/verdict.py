@@ -20,15 +20,19 @@ from dataclasses import dataclass, fields, replace
 from importlib.metadata import entry_points
 from typing import Self
 
+import numpy as np
+
 from calib.base.errors import InputError
 from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
+from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.pose_checks import likely_mistake
+from calib.joint_terms.term import Context
 from calib.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered
-from calib.judging.claim import Gain, claim_of
+from calib.judging.claim import ErrorElsewhere, Gain, claim_of
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Code, Reason, Verdict
 from calib.judging.residual_patterns import Pattern
@@ -152,6 +156,24 @@ class JudgedFit(Fit):
     def verdict(self) -> Verdict:
         """PASS, CHECK or FAIL, with reasons."""
         return judge(self)
+
+    def claim_at(self, poses: PosesLike, context: Context | None = None) -> ErrorElsewhere | None:
+        """Return how far off the tool is expected to be at other poses than those measured.
+
+        None where nothing is claimed, or nothing about positions.
+
+        Args:
+            poses, context: As of `predict`.
+
+        Raises:
+            DataError, UnreachablePoseError: As of `predict`.
+        """
+        claim = self.verdict.claim
+        if claim is None or not claim.told.is_position:
+            return None
+        told = as_poses(self.robot, poses)
+        known = self.told_positions.at(told.joints, told.conditions if context is None else context)
+        return claim.at(float(np.sqrt(np.mean(known.located**2))))
 
     @property
     def outliers(self) -> tuple[Outlier, ...]:

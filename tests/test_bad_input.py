@@ -405,6 +405,6 @@ def test_a_validation_with_one_pose_has_no_number_that_is_none(tmp_path, run_cal
     done = run_calib(*command.split(), cwd=tmp_path)
     assert done.code == 0, done
     assert not re.search(r"\b(nan|inf)\b", done.out + done.err)
-    found = json.loads((tmp_path / "found.json").read_text(), parse_constant=pytest.fail)
-    assert found["errors"]["validation"]["after"]["std"] is None  # of one number
+    content = json.loads((tmp_path / "found.json").read_text(), parse_constant=pytest.fail)
+    assert content["errors"]["validation"]["after"]["std"] is None  # of one number
     assert "repeatability" not in done.out

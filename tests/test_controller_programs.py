@@ -60,7 +60,7 @@ def written(folder, suffix, make, q=Q):
     """The files of a program, by path and text."""
     made = make(q)
     texts = made if isinstance(made, tuple) else (made,)
-    paths = [folder / f"part{one}" for one in ((suffix, ".dat") if len(texts) > 1 else (suffix,))]
+    paths = [folder / f"part{item}" for item in ((suffix, ".dat") if len(texts) > 1 else (suffix,))]
     for path, text in zip(paths, texts, strict=True):
         path.write_bytes(text.encode())
     return paths, texts
@@ -72,13 +72,13 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
     suffix, make, run, options = LANGUAGES[language]
     paths, before = written(folder, suffix, make)
     program = read_program(paths[0], [folder / "frames.csv"] if language == "FANUC" else [])
-    found = compensate_program(fit, program, **options)
-    assert not any(found.reasons)
-    after = [content.decode() for content in found.files()]
+    result = compensate_program(fit, program, **options)
+    assert not any(result.reasons)
+    after = [content.decode() for content in result.files()]
 
     def errors(texts):
         went, rows = run(*texts, Q)
-        meant, did = (one.forward(q, "l6") @ programs.TOOL for one, q in ((robot, Q[rows]), (true, went)))
+        meant, did = (item.forward(q, "l6") @ programs.TOOL for item, q in ((robot, Q[rows]), (true, went)))
         return np.linalg.norm((meant - did)[:, :3, 3], axis=1)
 
     assert errors(before).max() > 3e-3
@@ -110,21 +110,23 @@ def test_what_is_worked_out_at_run_time_is_listed_with_its_line(cell, language, 
     program = read_program(paths[0], [cell[0] / "frames.csv"])
     assert len(program.left_out) == len(left)
     lines = texts[0].split("\n")
-    for one, (_, why) in zip(program.left_out, left, strict=True):
-        assert why in str(one)
-        assert one.text[:8] in lines[one.line - 1]
+    for place, (_, why) in zip(program.left_out, left, strict=True):
+        assert why in str(place)
+        assert place.text[:8] in lines[place.line - 1]
 
 
 def test_a_joint_that_leaves_its_configuration_is_named_with_its_line(cell):
     folder, *_, fit = cell
     q = np.array([[-2e-5, 0.1, 0.6, 0.3, 0.8, 0.2], [0.4, 0.1, 0.6, 0.3, 0.8, 0.2]])
-    found = compensate_program(fit, read_program(written(folder, ".mod", programs.rapid, q)[0][0]))
-    crossed = found.compensation.q[0, 0] > 0 or found.compensation.q[1, 0] > 0
+    result = compensate_program(fit, read_program(written(folder, ".mod", programs.rapid, q)[0][0]))
+    crossed = result.compensation.q[0, 0] > 0 or result.compensation.q[1, 0] > 0
     assert crossed
     assert [
-        one for one in found.configurations if "(p0): its configuration ([-1,0,0,0]) stays" in one and "j1 at" in one
+        remark
+        for remark in result.configurations
+        if "(p0): its configuration ([-1,0,0,0]) stays" in remark and "j1 at" in remark
     ]
-    assert len(found.configurations) == 1
+    assert len(result.configurations) == 1
 
 
 def test_the_branch_is_the_one_that_the_program_says(cell):
@@ -140,8 +142,8 @@ def test_the_branch_is_the_one_that_the_program_says(cell):
             if np.abs(meant).max() > 3:  # the limits of the arm
                 continue
             program = read_program(written(folder, suffix, make, meant)[0][0], [folder / "frames.csv"])
-            found = compensate_program(fit, program, third_joint="j2+j3")
-            assert np.abs(found.compensation.program - meant).max() < 1e-4
+            result = compensate_program(fit, program, third_joint="j2+j3")
+            assert np.abs(result.compensation.program - meant).max() < 1e-4
 
 
 def test_numbers_of_orientations_stay_the_same_turn_and_near():
@@ -173,7 +175,7 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     content = json.loads((tmp_path / "new.json").read_text())
     assert content["n_compensated"] == 7
     assert content["expected_mm"]["rms"] < 0.02 < 1 < content["before_mm"]["rms"]
-    assert [one["line"] for one in content["not_compensated"]] == [len(src.split("\n")) - 3, len(src.split("\n")) - 2]
+    assert [item["line"] for item in content["not_compensated"]] == [len(src.split("\n")) - 3, len(src.split("\n")) - 2]
     assert (tmp_path / "new.src").read_text().count("\n") == src.count("\n")
     assert (tmp_path / "new.dat").read_text().startswith("&ACCESS RVP\nDEFDAT")
     again = CliRunner().invoke(command, arguments)  # its own files may be replaced, those of others not
@@ -344,11 +346,11 @@ def test_what_cannot_be_read_is_named_with_its_line(suffix, k, tmp_path):
     path = tmp_path / f"part{suffix}"
     path.write_text(good.replace(old, new))
     try:
-        heard = [str(one) for one in read_program(path).left_out]
+        heard = [str(place) for place in read_program(path).left_out]
     except CalibrationError as error:
         heard = [str(error)]
-    assert [one for one in heard if said in one], heard
-    assert all(f"part{suffix}" in one and "\n" not in one for one in heard)
+    assert [message for message in heard if said in message], heard
+    assert all(f"part{suffix}" in message and "\n" not in message for message in heard)
 
 
 @pytest.mark.parametrize("suffix", BAD)
@@ -358,8 +360,8 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
     (tmp_path / f"part{suffix}").write_text(good)
     program = read_program(tmp_path / f"part{suffix}")
     assert program.left_out == ()
-    found = compensate_program(cell[3], program, third_joint="j3")
-    assert not any(found.reasons)
+    result = compensate_program(cell[3], program, third_joint="j3")
+    assert not any(result.reasons)
 
 
 @pytest.mark.parametrize(

@@ -113,14 +113,14 @@ def test_export_load_export_is_identical(values: str, tmp_path: Path, request: p
     loaded = calib.load(tmp_path / "robot.yaml")
     assert plain(urdf_bytes(loaded)) == urdf_bytes(robot)
     for file_format in ("toolbox", "mjcf", "drake"):
-        one, two = tmp_path / "one" / "robot.yaml", tmp_path / "two" / "robot.yaml"
-        for path, source in ((one, robot), (two, loaded)):
+        first, two = tmp_path / "one" / "robot.yaml", tmp_path / "two" / "robot.yaml"
+        for path, source in ((first, robot), (two, loaded)):
             path.parent.mkdir(exist_ok=True)
             export(source, file_format, path)
         if file_format == "toolbox":
-            assert yaml.safe_load(one.read_text()) == yaml.safe_load(two.read_text())
+            assert yaml.safe_load(first.read_text()) == yaml.safe_load(two.read_text())
         else:
-            assert without_comments(one.read_bytes()) == without_comments(two.read_bytes())
+            assert without_comments(first.read_bytes()) == without_comments(two.read_bytes())
 
 
 def test_the_loaded_robot_stands_where_the_exported_one_did(calibrated: calib.Robot, tmp_path: Path) -> None:
@@ -141,10 +141,10 @@ def test_a_found_base_and_target_are_in_the_exported_description(tmp_path: Path)
     del content["held"], content["elimination_order"]
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(content))
     robot = calib.load(tmp_path / "arm.yaml")
-    found = robot.with_parameters({"base.x": 0.3, "base.rz": 0.4, "base.rx": -0.2, "tool.y": 0.05})
-    export(found, "toolbox", tmp_path / "robot.yaml")
+    placed = robot.with_parameters({"base.x": 0.3, "base.rz": 0.4, "base.rx": -0.2, "tool.y": 0.05})
+    export(placed, "toolbox", tmp_path / "robot.yaml")
     q = target_workspace().q[:3]
-    assert np.abs(calib.load(tmp_path / "robot.yaml").positions(q) - found.positions(q)).max() < 1e-12
+    assert np.abs(calib.load(tmp_path / "robot.yaml").positions(q) - placed.positions(q)).max() < 1e-12
 
 
 # ---------------------------------------------------------------- MJCF and Drake
@@ -158,21 +158,21 @@ def test_mjcf_bodies_stand_at_the_assembled_home(calibrated: calib.Robot) -> Non
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array([values[name] for name in model.names[1:]]))
     root = ElementTree.fromstring(mjcf(closed_model(calibrated)).content)
-    found = {}
+    by_name = {}
 
     def walk(element: ElementTree.Element, pose: pin.SE3) -> None:
         for body in element.iterfind("body"):
             w, x, y, z = map(float, body.get("quat", "1 0 0 0").split())
             place = np.array(body.get("pos", "0 0 0").split(), dtype=float)
-            found[body.get("name")] = pose * pin.SE3(pin.Quaternion(w, x, y, z), place)
-            walk(body, found[body.get("name")])
+            by_name[body.get("name")] = pose * pin.SE3(pin.Quaternion(w, x, y, z), place)
+            walk(body, by_name[body.get("name")])
 
     walk(root.find("worldbody"), pin.SE3.Identity())
     links = set(calibrated.urdf.links)
-    assert set(found) == links - {"world"} | {"world_link", "measurement_frame", "target_tool"}
+    assert set(by_name) == links - {"world"} | {"world_link", "measurement_frame", "target_tool"}
     for link in links - {"world"}:
         expected = data.oMf[model.getFrameId(link, pin.FrameType.BODY)]
-        assert np.abs(found[link].homogeneous - expected.homogeneous).max() < 1e-12, link
+        assert np.abs(by_name[link].homogeneous - expected.homogeneous).max() < 1e-12, link
     refs = {joint.get("name"): float(joint.get("ref")) for joint in root.iter("joint")}
     assert refs == pytest.approx(values, abs=1e-12)
 
@@ -209,7 +209,7 @@ def test_link_poses_of_the_text_are_those_of_the_engine(calibrated: calib.Robot)
 
 def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path: Path) -> None:
     before = calibrated.positions(calibrated.home)
-    for file_format in (one for one in FORMATS if one not in NOT_OURS):
+    for file_format in (item for item in FORMATS if item not in NOT_OURS):
         export(calibrated, file_format, tmp_path / f"out.{file_format}")
     assert np.array_equal(calibrated.positions(calibrated.home), before)
 
@@ -218,7 +218,7 @@ def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path:
 
 
 def test_command_writes_every_format(tmp_path: Path) -> None:
-    for file_format in (one for one in FORMATS if one not in NOT_OURS):
+    for file_format in (item for item in FORMATS if item not in NOT_OURS):
         result = run(ROBOT, "--format", file_format, "--out", tmp_path / f"{file_format}.yaml")
         assert result.exit_code == 0, result.output
         assert (tmp_path / f"{file_format}.yaml").stat().st_size > 500

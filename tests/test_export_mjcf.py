@@ -57,8 +57,8 @@ def written(robot: calib.Robot) -> Element:
 
 
 def body(root: Element, name: str) -> Element:
-    (found,) = (element for element in root.iter("body") if element.get("name") == name)
-    return found
+    (result,) = (element for element in root.iter("body") if element.get("name") == name)
+    return result
 
 
 def floats(element: Element | None, key: str) -> list[float]:
@@ -113,12 +113,12 @@ def test_possible_inertia_is_possible_and_changes_nothing_that_is(moments: tuple
     turn = pin.rpy.rpyToMatrix(0.3, -0.4, 1.1)
     given = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
     given = (given + given.T) / 2
-    found = possible_inertia(given)
-    least, middle, most = np.linalg.eigvalsh(found)
+    result = possible_inertia(given)
+    least, middle, most = np.linalg.eigvalsh(result)
     assert least > 0
     assert least + middle >= most * (1 - 1e-12)
     if min(moments) > 0 and sum(sorted(moments)[:2]) > max(moments):
-        assert np.array_equal(found, given)
+        assert np.array_equal(result, given)
 
 
 def test_a_follower_gets_an_equality_about_where_both_stand(tmp_path: Path) -> None:
@@ -185,12 +185,12 @@ def test_a_collada_mesh_becomes_one_obj_file_for_each_colour_and_is_said(tmp_pat
     assert "arm_meshes" in run.err
     root = ElementTree.fromstring((tmp_path / "out" / "arm.xml").read_bytes())
     files = {mesh.get("name"): tmp_path / "out" / mesh.attrib["file"] for mesh in root.find("asset")}
-    found = {}
+    by_name = {}
     for geom in body(root, "main").findall("geom"):
         mesh = trimesh.load(files[geom.get("mesh")], force="mesh")
-        found[tuple(floats(geom, "rgba"))] = mesh.bounds.tolist()
+        by_name[tuple(floats(geom, "rgba"))] = mesh.bounds.tolist()
         assert (len(mesh.faces), mesh.is_watertight) == (12, True)
-    assert found == {
+    assert by_name == {
         (1, 0, 0, 1): [[-0.5, -1, -2], [0.5, 1, 2]],
         (0, 0, 1, 1): [[2.5, -0.5, -0.5], [3.5, 0.5, 0.5]],
     }
@@ -292,9 +292,9 @@ def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: 
     (tmp_path / "arm.urdf").write_bytes(content)
     robot = calib.load(tmp_path / "arm.yaml")
     comments = re.compile(rb"<!--.*?-->", re.DOTALL)
-    found = closed_model(robot)
-    assert comments.sub(b"", mjcf(found).content) == comments.sub(b"", mjcf(expected).content)
-    for_drake = parse_urdf(drake_bytes(found))
+    model = closed_model(robot)
+    assert comments.sub(b"", mjcf(model).content) == comments.sub(b"", mjcf(expected).content)
+    for_drake = parse_urdf(drake_bytes(model))
     assert for_drake.links == parse_urdf(drake_bytes(expected)).links
     assert for_drake.source.startswith(content[:25])
     if variant == "CRLF and BOM":

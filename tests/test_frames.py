@@ -80,9 +80,9 @@ def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(
     after, expected, high95, *_ = FORMS["joints"](trial, trial.known(False))[""]
     assert expected == pytest.approx(np.hypot(0.8 * together, 1e-3 * np.sqrt(0.2)), rel=0.02)  # the noise is small
     assert 0.5 * rms(expected) < rms(after) < rms(high95)
-    found = calib.compensate(trial.known(False), trial.program)
-    for angles in (found.expected_angle, found.high95_angle):  # nothing turns this robot
-        assert np.all(angles[found.ok] == 0)
+    compensation = calib.compensate(trial.known(False), trial.program)
+    for angles in (compensation.expected_angle, compensation.high95_angle):  # nothing turns this robot
+        assert np.all(angles[compensation.ok] == 0)
     unharmed = Trial.of(nominal, errors=False, seed=1)
     moved = FORMS["joints"](unharmed, unharmed.known(False))[""][0]
     assert rms(moved) < 0.05e-3  # though the point is elsewhere by 0.5 mm
@@ -156,7 +156,7 @@ def test_a_platform_that_never_turns_does_not_tell_base_and_tool_apart(nominal_d
         ("unknown", "known", "", Loose(True, (0,), (), ())),
         ("known", "unknown", "", Loose(False, (0,), (0,), ())),
         ("known", "known", "", Loose(False, (0,), (), ())),
-        ("unknown", "known", f"held: [{', '.join(f'base.{one}' for one in ('x', 'y', 'z', 'rx', 'ry', 'rz'))}]\n",
+        ("unknown", "known", f"held: [{', '.join(f'base.{axis}' for axis in ('x', 'y', 'z', 'rx', 'ry', 'rz'))}]\n",
          Loose(False, (0,), (), ())),
         ("known", "known", SOCKET.replace("P", "unknown"), Loose(True, (0,), (), ())),
         ("known", "known", SOCKET.replace("P", "known"), Loose(False, (0,), (), ())),
@@ -196,11 +196,11 @@ def test_goals_in_the_measurement_frame_are_missed_by_what_is_expected(nominal_d
     """The nominal robot reaches them where nothing is to be corrected, laid on the calibrated one."""
     trial, _ = nominal_delta
     goals = trial.fit.robot.positions(trial.program[:20])[:, 0]
-    found = calib.solve(trial.fit, goals)
-    assert found.ok.all()
-    missed = lengths(trial.truth.positions(found.q)[:, 0] - goals)
-    assert rms(missed) < rms(found.expected.distance) < 0.1e-3
-    assert np.abs(found.q - trial.program[:20]).max() > 1e-6
+    solution = calib.solve(trial.fit, goals)
+    assert solution.ok.all()
+    missed = lengths(trial.truth.positions(solution.q)[:, 0] - goals)
+    assert rms(missed) < rms(solution.expected.distance) < 0.1e-3
+    assert np.abs(solution.q - trial.program[:20]).max() > 1e-6
     corrected = calib.solve(replace(trial.fit.known, nothing_to_correct=False), goals)
     np.testing.assert_allclose(corrected.q, trial.program[:20], atol=1e-7)
     assert np.isnan(calib.solve(trial.fit.robot, goals).expected.distance).all()
@@ -210,9 +210,9 @@ def test_along_coordinates_that_are_not_asked_for_nothing_is_expected(tmp_path):
     trial = Trial.of(described("five_bar", tmp_path, "known"), errors=True, seed=3)
     goals = trial.fit.robot.positions(trial.program[:5])[:, 0]
     in_plane = np.column_stack([goals[:, :2], np.full(5, np.nan)])
-    found = calib.solve(trial.fit, in_plane)
-    spread = trial.fit.predict(found.q).std[:, 0]
-    assert found.expected.distance == pytest.approx(np.hypot(spread[:, 0], spread[:, 1]), rel=1e-6)
+    solution = calib.solve(trial.fit, in_plane)
+    spread = trial.fit.predict(solution.q).std[:, 0]
+    assert solution.expected.distance == pytest.approx(np.hypot(spread[:, 0], spread[:, 1]), rel=1e-6)
 
 
 def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
@@ -220,7 +220,7 @@ def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
     known, again = trial.fit.known, load_known(folder, trial.nominal)
     assert again.nothing_to_correct
     np.testing.assert_allclose(again.joints, known.joints, rtol=1e-14)
-    frames = [program_frame(replace(one, nothing_to_correct=False)) for one in (known, again)]
+    frames = [program_frame(replace(item, nothing_to_correct=False)) for item in (known, again)]
     assert frames[0].words == frames[1].words
     here, there = (frame.predict(trial.program) for frame in frames)
     np.testing.assert_allclose(here.covariance, there.covariance, rtol=1e-4, atol=1e-16)  # of (10 um)^2
@@ -241,13 +241,13 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
             ("rows", "joints.csv", ("--json", tmp_path / "rows.json")),
         )
     }
-    for one in done.values():
-        assert one.code == 0, one.err
-        assert f"the verdict of {folder} is that nothing is to be corrected" in one.out
-        assert "is expected to be off by 0.0" in one.out
+    for item in done.values():
+        assert item.code == 0, item.err
+        assert f"the verdict of {folder} is that nothing is to be corrected" in item.out
+        assert "is expected to be off by 0.0" in item.out
         assert (
             "Errors are in the robot's own base frame, placed where the nominal and the calibrated robot agree"
-            in one.out
+            in item.out
         )
     written = (tmp_path / "out_part.gcode").read_text()
     assert written.splitlines()[1:-1] == (tmp_path / "part.gcode").read_text().splitlines()
@@ -256,7 +256,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert rows["nothing_to_correct"]
     assert "include measurement noise and the priors" in rows["counted"]
-    assert [one["joints"]["arm_2 [deg]"] for one in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
+    assert [row["joints"]["arm_2 [deg]"] for row in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
 
 
 def test_solve_writes_what_is_expected_at_each_target(nominal_delta, tmp_path, run_calib):

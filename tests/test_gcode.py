@@ -128,11 +128,13 @@ def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path)
     assert np.abs(ends - place - np.array(ENDS) / 1e3).max() < 1e-12
     starts = np.array([move.start for move in program.moves]) + place
     tolerance = 2e-5
-    found = compensate_moves(fit.robot, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
-    text = program.rewritten([way - place for way in found.told])
+    compensated = compensate_moves(fit.robot, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
+    text = program.rewritten([way - place for way in compensated.told])
     told = told_points(text, (0, 0, 0)) / 1e3 + place
-    assert len(told) - 1 == sum(len(way) for way in found.told) > 8
-    way = between(told[len(found.told[0]) :], 23)  # from the first end on: before it stands where it was switched on
+    assert len(told) - 1 == sum(len(way) for way in compensated.told) > 8
+    way = between(
+        told[len(compensated.told[0]) :], 23
+    )  # from the first end on: before it stands where it was switched on
     corners = np.array([*ends])
     real = truth.positions(delta_joints(way))[:, 0]
     held_out = delta_joints(between(corners, 40))
@@ -141,7 +143,7 @@ def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path)
     assert off_the_path(plain, corners).max() > 5e-4
     assert off_the_path(real, corners).max() < tolerance + calibration + 2e-7  # decimals of the file
     assert calibration < 1e-4
-    assert np.nanmax(found.deviations) <= tolerance
+    assert np.nanmax(compensated.deviations) <= tolerance
     # with the calibrated robot itself the tolerance alone counts, and is used
     own = off_the_path(fit.robot.positions(delta_joints(way))[:, 0], corners).max()
     assert 0.3 * tolerance < own < tolerance + 2e-7
@@ -158,9 +160,9 @@ def test_a_gantry_with_the_error_of_a_screw_goes_straight(tmp_path):
     program = read_gcode(tmp_path / "part.nc", (0.0, 0.0, 0.0))
     starts, ends = (np.array([getattr(move, what) for move in program.moves]) for what in ("start", "end"))
     tolerance = 1e-5
-    found = compensate_moves(truth, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
-    told = told_points(program.rewritten(found.told), (0, 0, 0)) / 1e3
-    way = between(told[len(found.told[0]) :], 31)  # joints of a gantry are what its controller is told
+    compensated = compensate_moves(truth, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
+    told = told_points(program.rewritten(compensated.told), (0, 0, 0)) / 1e3
+    way = between(told[len(compensated.told[0]) :], 31)  # joints of a gantry are what its controller is told
     corners = np.array([*ends])
     assert off_the_path(truth.positions(between(corners, 31))[:, 0], corners).max() > 1e-4
     assert off_the_path(truth.positions(way)[:, 0], corners).max() < tolerance + 2e-7
@@ -206,9 +208,9 @@ def test_a_reflector_and_a_tracker_elsewhere_move_no_point(delta):
     moved = robot.with_parameters({"base.x": 1.5, "base.rz": 0.8, "tool.x": 0.02, "tool.z": -0.03})
     ends = np.array([[0.05, 0.0, -0.45], [-0.05, 0.06, -0.4]])
     moves = StraightMoves(np.array([[np.nan] * 3, ends[0]]), ends, ("a", "b"))
-    found = compensate_moves(moved, moves, 1e-5)
-    assert np.abs(np.concatenate(found.told) - ends).max() < 1e-6
-    assert np.isnan(found.deviations[0])
+    compensated = compensate_moves(moved, moves, 1e-5)
+    assert np.abs(np.concatenate(compensated.told) - ends).max() < 1e-6
+    assert np.isnan(compensated.deviations[0])
 
 
 @pytest.fixture(scope="module")
@@ -377,5 +379,5 @@ def test_whatever_a_program_holds_it_is_refused_or_its_moves_end_where_they_did(
     (tmp_path / "again.gcode").write_text(text)
     again = read_gcode(tmp_path / "again.gcode", (0.0, 0.0, 0.0))
     assert len(text.splitlines()) == len("\n".join(lines).rstrip("\n").split("\n"))
-    ends = [np.array([move.end for move in one.moves]) for one in (program, again)]
+    ends = [np.array([move.end for move in item.moves]) for item in (program, again)]
     assert np.abs(ends[0] - ends[1]).max() < 1e-6  # a dozen roundings

@@ -51,7 +51,7 @@ def information(robot, q):
         )
         sides.append({"tracker": points, "bar": np.linalg.norm(points - END[:, None], axis=1)[:, None]})
     rows = {name: (sides[0][name] - sides[1][name]) / (2 * step * SIGMA[name]) for name in SIGMA}
-    return {name: found.transpose(0, 2, 1) @ found for name, found in rows.items()}
+    return {name: jacobian.transpose(0, 2, 1) @ jacobian for name, jacobian in rows.items()}
 
 
 def o1(matrix, count, unit=5e-5):
@@ -59,15 +59,15 @@ def o1(matrix, count, unit=5e-5):
     return unit * max(np.linalg.det(matrix), 0.0) ** (0.5 / len(matrix)) / np.sqrt(count)
 
 
-def chosen_pairs(found):
-    return set(zip(found.chosen.tolist(), found.instruments, strict=True))
+def chosen_pairs(result):
+    return set(zip(result.chosen.tolist(), result.instruments, strict=True))
 
 
 def best_of_all(parts, pairs, count, counts=None):
     """Best O1 over all subsets of pairs, with their information, and whether each has the wanted numbers."""
     best, which = 0.0, None
     for subset in combinations(pairs, count):
-        if counts and any(sum(name == wanted for _, name in subset) != n for wanted, n in counts.items()):
+        if counts and any(sum(name == kind for _, name in subset) != n for kind, n in counts.items()):
             continue
         value = o1(sum(parts[name][k] for k, name in subset), count)
         if value > best:
@@ -83,15 +83,15 @@ def test_the_choice_is_the_best_of_all_subsets_and_below_its_bound(tmp_path, cou
         parts = information(robot, q)
         pairs = [(k, name) for name in SIGMA for k in range(len(q))]
         best, which = best_of_all(parts, pairs, 5, counts)
-        wanted = {"count": 5, "instruments": "each"} if counts is None else {"count": counts}
-        found = select(robot, q, **wanted, starts=4)
-        assert found.after["O1"] == pytest.approx(
-            o1(sum(parts[name][k] for k, name in chosen_pairs(found)), 5), rel=1e-6
+        options = {"count": 5, "instruments": "each"} if counts is None else {"count": counts}
+        selection = select(robot, q, **options, starts=4)
+        assert selection.after["O1"] == pytest.approx(
+            o1(sum(parts[name][k] for k, name in chosen_pairs(selection)), 5), rel=1e-6
         )
-        assert best <= found.bound * (1 + 1e-6)
-        assert found.after["O1"] >= found.efficiency * best * (1 - 1e-6)
-        assert found.after["O1"] > 0.97 * best
-        equal += chosen_pairs(found) == which
+        assert best <= selection.bound * (1 + 1e-6)
+        assert selection.after["O1"] >= selection.efficiency * best * (1 - 1e-6)
+        assert selection.after["O1"] > 0.97 * best
+        equal += chosen_pairs(selection) == which
     assert equal >= 2
 
 
@@ -99,10 +99,10 @@ def test_the_noise_of_an_instrument_decides_how_often_it_is_chosen(tmp_path):
     q = joints(40, 2)
     numbers = []
     for tracker in ("0.5 mm", "0.05 mm", "0.005 mm"):
-        found = select(arm(tmp_path, tracker), q, 20, instruments="each")
-        numbers.append(found.instruments.count("tracker"))
-        assert len(chosen_pairs(found)) == 20
-        assert found.efficiency > 0.97
+        selection = select(arm(tmp_path, tracker), q, 20, instruments="each")
+        numbers.append(selection.instruments.count("tracker"))
+        assert len(chosen_pairs(selection)) == 20
+        assert selection.efficiency > 0.97
     assert numbers[0] < numbers[1] <= numbers[2]
     assert numbers[0] <= 12
     assert numbers[2] == 20
@@ -110,10 +110,10 @@ def test_the_noise_of_an_instrument_decides_how_often_it_is_chosen(tmp_path):
 
 def test_each_instrument_gets_the_number_that_is_asked_for_and_a_path_of_its_own(tmp_path):
     robot, q = arm(tmp_path), joints(40, 3)
-    found = select(robot, q, {"tracker": 4, "bar": 9}, "task", random_start=True, seed=1)
-    assert found.instruments == ("tracker",) * 4 + ("bar",) * 9
-    assert found.efficiency > 0.9
-    assert found.bound <= found.after["task"]
+    selection = select(robot, q, {"tracker": 4, "bar": 9}, "task", random_start=True, seed=1)
+    assert selection.instruments == ("tracker",) * 4 + ("bar",) * 9
+    assert selection.efficiency > 0.9
+    assert selection.bound <= selection.after["task"]
     apart = select(robot, q, {"tracker": 4, "bar": 9}, "O3", minimum_distance=0.1)
     assert [apart.instruments.count(name) for name in SIGMA] == [4, 9]
     pose = apart.chosen
@@ -137,17 +137,17 @@ def test_excluded_poses_stay_out_and_a_measured_pose_may_be_read_by_another_inst
     robot, q = arm(tmp_path), joints(12, 5)
     assert set(select(robot, q, 12, instruments="each", exclude=range(6)).chosen.tolist()) == set(range(6, 12))
     read = calib.as_measurements(robot, q[:6], {"tracker": robot.positions(q[:6])[:, 0]})
-    found = select(robot, q, 18, instruments="each", measured=read)
-    assert found.already_measured == 6
-    assert chosen_pairs(found) == {(k, "bar") for k in range(12)} | {(k, "tracker") for k in range(6, 12)}
+    selection = select(robot, q, 18, instruments="each", measured=read)
+    assert selection.already_measured == 6
+    assert chosen_pairs(selection) == {(k, "bar") for k in range(12)} | {(k, "tracker") for k in range(6, 12)}
 
 
 def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_path):
     robot, q = arm(tmp_path, edit=("parametrisation:", TOUCH)), joints(20, 6)
     words = ["left" if k % 4 == 0 else "right" if k % 4 == 1 else "" for k in range(20)]
     candidates = calib.as_measurements(robot, q, {"probe": words})
-    found = select(robot, candidates, 16, instruments=["probe", "tracker"])
-    touched = {k for k, name in chosen_pairs(found) if name == "probe"}
+    selection = select(robot, candidates, 16, instruments=["probe", "tracker"])
+    touched = {k for k, name in chosen_pairs(selection) if name == "probe"}
     assert touched
     assert all(words[k] for k in touched)
     with pytest.raises(calib.InputError, match="count 11 of probe is above the 10 candidates"):
@@ -212,7 +212,7 @@ def test_the_plan_says_for_every_pose_what_reads_and_what_is_touched(planned):
     assert n["probe"] > 2
     assert set(table.text("remark")) == {"as it was"}
     plan = read_plan(folder / "plan.csv", robot)
-    assert {name: len(found) for name, found in plan.wanted.items()} == n
+    assert {name: len(item) for name, item in plan.wanted.items()} == n
 
 
 def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):
@@ -230,7 +230,7 @@ def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):
     run = run_calib("simulate", folder / "arm.yaml", folder / "plan.csv", *options)
     assert run.code == 0, run.err
     data = calib.read_measurements(folder / "measured.csv", robot)
-    assert {name: len(found) for name, found in data.readings.items()} == {
+    assert {name: len(readings) for name, readings in data.readings.items()} == {
         name: chosen["instruments"].count(name) for name in ("tracker", "bar", "probe")
     }
     fit = calib.fit(robot, data)

@@ -70,18 +70,20 @@ def any_arm(request, tmp_path_factory):
 
 def everything(robot, q):
     """Readings of all that the probe can touch, at every pose, of nothing but zeros."""
-    found = predicted_readings(robot, robot.assemble(q))["probe"]
-    return {"probe": Readings(found.visits, found.pairs, np.zeros_like(found.values), None, found.details)}
+    predicted = predicted_readings(robot, robot.assemble(q))["probe"]
+    return {
+        "probe": Readings(predicted.visits, predicted.pairs, np.zeros_like(predicted.values), None, predicted.details)
+    }
 
 
 def test_the_kind_has_exact_derivatives(any_arm):
-    one, rng = any_arm.instrument("probe"), np.random.default_rng(1)
-    pairs, details = (np.tile(part, (10, 1) if part.ndim > 1 else 10) for part in one.looks())
+    instrument, rng = any_arm.instrument("probe"), np.random.default_rng(1)
+    pairs, details = (np.tile(part, (10, 1) if part.ndim > 1 else 10) for part in instrument.looks())
     n = len(pairs)
     view = View(Rotation.random(n, rng).as_matrix(), 0.5 + rng.random((n, 3)))
-    readings = Readings(np.zeros(n, dtype=int), pairs, np.zeros((n, one.n_rows)), None, details)
-    unknowns = rng.normal(0.02, 0.005, len(one.unknowns))
-    assert kind_error(one, view, unknowns, readings) <= 1e-7
+    readings = Readings(np.zeros(n, dtype=int), pairs, np.zeros((n, instrument.n_rows)), None, details)
+    unknowns = rng.normal(0.02, 0.005, len(instrument.unknowns))
+    assert kind_error(instrument, view, unknowns, readings) <= 1e-7
 
 
 def test_the_chain_has_exact_derivatives_on_a_serial_arm(any_arm):
@@ -114,9 +116,9 @@ def test_the_chain_has_exact_derivatives_on_a_five_bar(tmp_path):
 
 def directions(rng, n):
     """Unit vectors on the upper half of a sphere, (n, 3)."""
-    found = rng.normal(size=(n, 3))
-    found[:, 2] = np.abs(found[:, 2])
-    return found / np.linalg.norm(found, axis=1)[:, None]
+    result = rng.normal(size=(n, 3))
+    result[:, 2] = np.abs(result[:, 2])
+    return result / np.linalg.norm(result, axis=1)[:, None]
 
 
 def touched_points(case, rng, n):
@@ -161,8 +163,8 @@ def test_the_truth_is_found_from_bad_first_guesses(tmp_path, case):
     robot = arm_with(tmp_path, EVERY[case])
     truth = robot.with_parameters(TRUTH | BALL)
     q, words = touches(truth, case, 80, seed=3)
-    found = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words})).robot
-    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    result = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words})).robot
+    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
     for name, value in (TRUTH | BALL).items():
         assert abs(values[name] - value) < 1e-6, name
 
@@ -220,9 +222,9 @@ def coverage(robot, n, n_touches=40):
 
 @pytest.mark.amount(15, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
-    found = coverage(arm_with(tmp_path, PLATE), amount)
-    assert np.all(amount * found >= binom.ppf(1e-4 / len(found), amount, 0.95))
-    assert 0.9 < np.mean(found) < 0.99
+    covered = coverage(arm_with(tmp_path, PLATE), amount)
+    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 def test_points_within_their_tolerance_are_found(tmp_path):
@@ -233,8 +235,8 @@ def test_points_within_their_tolerance_are_found(tmp_path):
     which = np.arange(90) % 3
     q, ok = brought(truth, joints(90, seed=9), points[which] @ rotation.T + origin)
     words = np.array(["p", "q", "r"])[which]
-    found = calib.fit(robot, calib.as_measurements(robot, q[ok], {"probe": words[ok]})).robot
-    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    result = calib.fit(robot, calib.as_measurements(robot, q[ok], {"probe": words[ok]})).robot
+    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
     apart = points[1:] - points[0]
     errors = np.array([[values[f"probe.{name}.{axis}"] for axis in "xyz"] for name in "pqr"])
     seen = np.array([[0.09, 0, 0], [0, 0.2, 0.1]]) + errors[1:] - errors[0]
@@ -306,8 +308,8 @@ def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_
     simulated = calib.read_measurements(tmp_path / "out.csv", robot)
     np.testing.assert_allclose(truth.positions(simulated.joints)[:, 0], points[ok], atol=1e-9)
     assert 0 < np.max(np.abs(simulated.joints - q[ok])) < 0.5
-    found = calib.fit(robot, simulated).robot
-    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    result = calib.fit(robot, simulated).robot
+    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
     assert values["j5.x"] == pytest.approx(0.397, abs=1e-6)
     assert values["j4.rx"] == pytest.approx(0.01, abs=1e-6)
 
@@ -441,18 +443,18 @@ def test_joint_terms_chosen_on_two_places_help_in_a_third(shared_data, arm, plac
     if not masses.is_file():
         pytest.skip(f"no package with the masses of {arm} is installed")
     fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
-    assert {one.term for one in fit.terms.tried if one.added} == added
-    found = from_sockets(fit.robot, mukca_joints(folder, arm, held))
-    assert found == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16
+    assert {trial.term for trial in fit.terms.tried if trial.added} == added
+    result = from_sockets(fit.robot, mukca_joints(folder, arm, held))
+    assert result == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16
 
 
 def test_terms_that_look_alike_in_one_place_of_the_tool_are_not_added(shared_data):
     robot, data = mukca(shared_data / "mukca", "panda_1", ("back-high",))
     fit = calib.fit(robot, data, terms="auto")
-    told = {one.term: one for one in fit.terms.tried}
-    assert not any(one.added for one in told.values())
+    told = {trial.term: trial for trial in fit.terms.tried}
+    assert not any(row.added for row in told.values())
     assert told["gain"].why.startswith(
         "the data cannot tell it from harmonics, curve, and its cost is larger than its gain"
     )
-    asked = calib.fit(robot, data, terms="gain,harmonics")  # 4.4 mm off in another place, where origins are 1.5 mm off
-    assert "terms_untested" in asked.verdict.to_dict()["codes"]
+    fitted = calib.fit(robot, data, terms="gain,harmonics")  # 4.4 mm off in another place, where origins are 1.5 mm off
+    assert "terms_untested" in fitted.verdict.to_dict()["codes"]

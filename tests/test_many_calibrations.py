@@ -82,14 +82,14 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    found = Repeated(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(data[1])
+    result = Repeated(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(data[1])
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
-    off = (found.robot.values - alone.robot.values)[alone.free] / alone.statistics.std
+    off = (result.robot.values - alone.robot.values)[alone.free] / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
     assert np.max(np.abs(off)) < (1e-4 if loss == "none" else 1e-2)
-    assert found.statistics.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
-    assert found.convergence.converged
-    assert found.names_outliers == bool(alone.outliers)
+    assert result.statistics.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
+    assert result.convergence.converged
+    assert result.names_outliers == bool(alone.outliers)
 
 
 def test_numbers_do_not_depend_on_who_works(five_bar):
@@ -103,7 +103,7 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
             shared = calib.study(robot, data, **given, executor=executor)
             for name in ("truth", "values", "std", "chi_square", "errors", "error_half_width", "names_outliers"):
                 assert np.array_equal(getattr(shared.draws, name), getattr(alone.draws, name)), name
-        resampled = [calib.study(robot, data, draws=60, resample=True, executor=one) for one in (None, processes)]
+        resampled = [calib.study(robot, data, draws=60, resample=True, executor=item) for item in (None, processes)]
         assert np.array_equal(resampled[0].draws.values, resampled[1].draws.values)
         assert np.all(resampled[0].draws.answered)
     fewer = calib.study(robot, data, **given | {"draws": 5})
@@ -125,8 +125,8 @@ def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
             return super().submit(function, *arguments, **named)
 
     with Waiting(1) as executor:
-        found = calib.study(*five_bar, draws=4, sigma=SIGMA, seed=1, executor=executor)
-    assert np.all(np.isfinite(found.draws.values))
+        studied = calib.study(*five_bar, draws=4, sigma=SIGMA, seed=1, executor=executor)
+    assert np.all(np.isfinite(studied.draws.values))
 
 
 class Mislaying(Executor):
@@ -147,9 +147,9 @@ class Mislaying(Executor):
 def test_a_lost_worker_loses_no_draw(five_bar):
     robot, data = five_bar
     executor = Mislaying()
-    found = calib.study(robot, data, draws=60, executor=executor)
+    studied = calib.study(robot, data, draws=60, executor=executor)
     assert executor.sent == 3  # two chunks, one of them twice
-    assert np.array_equal(found.draws.values, calib.study(robot, data, draws=60).draws.values)
+    assert np.array_equal(studied.draws.values, calib.study(robot, data, draws=60).draws.values)
 
 
 def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
@@ -161,8 +161,12 @@ def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
     with ThreadPoolExecutor(2) as threads:
         for executor in (2, threads, losing):
             shared = calib.fit(robot, data, **given, executor=executor)
-            assert [one.cost for one in shared.starts.minima] == [one.cost for one in alone.starts.minima]
-            assert [one.count for one in shared.starts.minima] == [one.count for one in alone.starts.minima]
+            assert [minimum.cost for minimum in shared.starts.minima] == [
+                minimum.cost for minimum in alone.starts.minima
+            ]
+            assert [minimum.count for minimum in shared.starts.minima] == [
+                minimum.count for minimum in alone.starts.minima
+            ]
             assert np.array_equal(shared.folds.errors.after["pen"], alone.folds.errors.after["pen"])
             assert np.array_equal(shared.folds.errors.singular_value, alone.folds.errors.singular_value)
             assert np.array_equal(shared.robot.values, alone.robot.values)
@@ -184,9 +188,9 @@ def test_a_dask_cluster_does_the_draws(five_bar, alone):
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        found = calib.study(robot, data, draws=60, executor=client.get_executor())
+        studied = calib.study(robot, data, draws=60, executor=client.get_executor())
         folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
-    assert np.array_equal(found.draws.values, alone.draws.values)
+    assert np.array_equal(studied.draws.values, alone.draws.values)
     assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
 
 
@@ -195,90 +199,92 @@ def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_b
     robot, data = five_bar
     executor = loky.get_reusable_executor(max_workers=2)
     try:
-        found = calib.study(robot, data, draws=60, executor=executor)
+        studied = calib.study(robot, data, draws=60, executor=executor)
         os.kill(executor.submit(os.getpid).result(), signal.SIGKILL)
         after_loss = calib.study(robot, data, draws=60, executor=executor)
     finally:
         executor.shutdown(kill_workers=True)
-    assert np.array_equal(found.draws.values, alone.draws.values)
+    assert np.array_equal(studied.draws.values, alone.draws.values)
     assert np.array_equal(after_loss.draws.values, alone.draws.values)
 
 
 def test_sums_over_draws_are_those_of_the_arrays(arm):
-    found = calib.study(arm, joints(30), draws=40, truth=bent(arm), sigma=SIGMA, elsewhere=joints(4, 5))
-    draws, truth = found.draws, bent(arm).values[arm.is_free]
+    studied = calib.study(arm, joints(30), draws=40, truth=bent(arm), sigma=SIGMA, elsewhere=joints(4, 5))
+    draws, truth = studied.draws, bent(arm).values[arm.is_free]
     off = 1e3 * (draws.values - truth)
-    one = found.parameters[3]
-    assert one.name == [p.name for p, free in zip(arm.parameters, arm.is_free, strict=True) if free][3]
-    assert one.unit == "mm"
-    assert one.bias == pytest.approx(sum(off[:, 3]) / 40)
-    assert one.spread == pytest.approx(np.sqrt(sum((off[:, 3] - sum(off[:, 3]) / 40) ** 2) / 39))
-    assert one.bias_std == pytest.approx(one.spread / np.sqrt(40))
-    assert one.claimed == pytest.approx(np.sqrt(sum((1e3 * draws.std[:, 3]) ** 2) / 40))
-    assert one.coverage == sum(abs(off[:, 3]) <= 1e3 * draws.half_width[:, 3]) / 40
+    parameter = studied.parameters[3]
+    assert parameter.name == [p.name for p, free in zip(arm.parameters, arm.is_free, strict=True) if free][3]
+    assert parameter.unit == "mm"
+    assert parameter.bias == pytest.approx(sum(off[:, 3]) / 40)
+    assert parameter.spread == pytest.approx(np.sqrt(sum((off[:, 3] - sum(off[:, 3]) / 40) ** 2) / 39))
+    assert parameter.bias_std == pytest.approx(parameter.spread / np.sqrt(40))
+    assert parameter.claimed == pytest.approx(np.sqrt(sum((1e3 * draws.std[:, 3]) ** 2) / 40))
+    assert parameter.coverage == sum(abs(off[:, 3]) <= 1e3 * draws.half_width[:, 3]) / 40
     assert draws.errors.shape == (40, 4, 1, 3)
-    text = found.report(verbose=True)
-    assert f"{one.name}" in text
-    assert f"{one.spread:.3g}" in text
-    content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
-    assert content["parameters"][3]["spread"] == pytest.approx(one.spread)
-    assert content["draws"] == content["answered"] == len(found) == 40
+    text = studied.report(verbose=True)
+    assert f"{parameter.name}" in text
+    assert f"{parameter.spread:.3g}" in text
+    content = json.loads(json.dumps(studied.to_dict(), allow_nan=False))
+    assert content["parameters"][3]["spread"] == pytest.approx(parameter.spread)
+    assert content["draws"] == content["answered"] == len(studied) == 40
 
 
 def test_the_report_of_many_parameters_fits_on_a_screen(arm):
-    found = calib.study(arm, joints(30), draws=6, sigma=SIGMA)
-    rows = sorted(found.parameters, key=lambda parameter: parameter.coverage)
+    studied = calib.study(arm, joints(30), draws=6, sigma=SIGMA)
+    rows = sorted(studied.parameters, key=lambda parameter: parameter.coverage)
     assert len(rows) > 25
-    lines = found.report().splitlines()
+    lines = studied.report().splitlines()
     assert len(lines) <= 40
     assert [line.split()[0] for line in lines[3:13]] == [row.name for row in rows[:10]]
     assert f"{len(rows) - 10} more parameters covered at least as often: --verbose prints them" in lines[13]
-    assert len(found.report(verbose=True).splitlines()) == len(lines) - 11 + len(rows)
+    assert len(studied.report(verbose=True).splitlines()) == len(lines) - 11 + len(rows)
 
 
 def test_truths_drawn_from_the_priors_are_all_different_and_noise_is_what_is_stated(arm_with_priors):
-    found = calib.study(arm_with_priors, joints(20), draws=20, truth="priors", sigma=SIGMA)
-    assert np.all(np.std(found.draws.truth, axis=0) > 0)
-    assert found.chi_square == pytest.approx(1.0, abs=0.2)  # 60 coordinates; the scatter of the mean is 0.05
+    studied = calib.study(arm_with_priors, joints(20), draws=20, truth="priors", sigma=SIGMA)
+    assert np.all(np.std(studied.draws.truth, axis=0) > 0)
+    assert studied.chi_square == pytest.approx(1.0, abs=0.2)  # 60 coordinates; the scatter of the mean is 0.05
 
 
 def test_louder_noise_than_stated_shows_in_chi_square(arm):
-    found = calib.study(arm, joints(30), draws=30, sigma=SIGMA, noise=twice_as_loud)
-    assert found.chi_square == pytest.approx(4.0, abs=0.5)  # scatter of the mean: 4 sqrt(2 / (64 * 30)) = 0.13
-    assert found.chi_square_refused == 1.0
-    assert float(np.mean(found.draws.sigma)) == pytest.approx(2 * SIGMA, rel=0.1)
+    studied = calib.study(arm, joints(30), draws=30, sigma=SIGMA, noise=twice_as_loud)
+    assert studied.chi_square == pytest.approx(4.0, abs=0.5)  # scatter of the mean: 4 sqrt(2 / (64 * 30)) = 0.13
+    assert studied.chi_square_refused == 1.0
+    assert float(np.mean(studied.draws.sigma)) == pytest.approx(2 * SIGMA, rel=0.1)
 
 
 def test_where_no_noise_is_stated_there_is_no_chi_square(arm):
-    found = calib.study(arm, joints(30), draws=4, noise=twice_as_loud)
-    assert np.isnan(found.chi_square)
-    assert found.to_dict()["chi_square"] is None
-    assert "chi-square" not in str(found)
+    studied = calib.study(arm, joints(30), draws=4, noise=twice_as_loud)
+    assert np.isnan(studied.chi_square)
+    assert studied.to_dict()["chi_square"] is None
+    assert "chi-square" not in str(studied)
 
 
 def test_blunders_are_named_and_a_robust_loss_keeps_its_promise(arm):
-    found = calib.study(arm, joints(40), draws=30, sigma=SIGMA, noise=with_blunders, loss="tukey")
-    assert found.outliers == 1.0
-    assert np.mean([one.coverage for one in found.parameters]) > 0.88  # 26 parameters, 30 draws, 2 % scatter
+    studied = calib.study(arm, joints(40), draws=30, sigma=SIGMA, noise=with_blunders, loss="tukey")
+    assert studied.outliers == 1.0
+    assert (
+        np.mean([parameter.coverage for parameter in studied.parameters]) > 0.88
+    )  # 26 parameters, 30 draws, 2 % scatter
 
 
 def test_a_truth_that_the_model_leaves_out_shows_as_bias(five_bar):
     robot, data = five_bar
     left_out = robot.free("right_motor.y").with_parameters({"right_motor.y": 3e-4})
-    found = calib.study(robot, data, draws=20, truth=left_out)
-    worst = max(found.parameters, key=lambda one: abs(one.bias) / one.bias_std)
+    studied = calib.study(robot, data, draws=20, truth=left_out)
+    worst = max(studied.parameters, key=lambda item: abs(item.bias) / item.bias_std)
     assert abs(worst.bias) > 10 * worst.bias_std
-    assert "biased by more than chance" in str(found)
+    assert "biased by more than chance" in str(studied)
 
 
 def test_draws_without_an_answer_are_counted_and_left_out(five_bar):
     robot, data = five_bar
-    found = calib.study(robot, data, draws=12, noise=sometimes_no_contact, seed=4)
-    lost = int(np.sum(~found.draws.answered))
-    assert 0 < lost == len(found.failures) < 12
-    assert np.all(np.isfinite([one.spread for one in found.parameters]))
-    assert f"{lost} draws gave no answer: no contact" in str(found)
-    assert found.to_dict()["answered"] == 12 - lost
+    studied = calib.study(robot, data, draws=12, noise=sometimes_no_contact, seed=4)
+    lost = int(np.sum(~studied.draws.answered))
+    assert 0 < lost == len(studied.failures) < 12
+    assert np.all(np.isfinite([parameter.spread for parameter in studied.parameters]))
+    assert f"{lost} draws gave no answer: no contact" in str(studied)
+    assert studied.to_dict()["answered"] == 12 - lost
 
 
 @pytest.mark.parametrize(
@@ -328,7 +334,7 @@ def sandwich(fit, data):
     slopes = np.stack(columns, axis=2)  # (n_poses, 3, n_free)
     off = fit.robot.positions(data.joints)[:, 0] - data.readings["ball"].values
     hessian = sum(slope.T @ slope for slope in slopes)
-    gradients = [slope.T @ one for slope, one in zip(slopes, off, strict=True)]
+    gradients = [slope.T @ item for slope, item in zip(slopes, off, strict=True)]
     inverse = np.linalg.inv(hessian)
     return np.sqrt(np.diag(inverse @ sum(np.outer(g, g) for g in gradients) @ inverse))
 
@@ -337,20 +343,20 @@ def sandwich(fit, data):
 def test_drawing_poses_again_finds_the_scatter_that_uneven_noise_makes(arm, amount):
     data = uneven(calib.simulate(bent(arm), joints(150), 0.0), np.random.default_rng(6))
     fit = calib.fit(arm, data)
-    found = calib.study(arm, data, draws=amount, resample=True)
-    spread = np.array([one.spread for one in found.parameters])
-    expected = sandwich(fit, data) * [one.per_si for one in found.free]
+    studied = calib.study(arm, data, draws=amount, resample=True)
+    spread = np.array([parameter.spread for parameter in studied.parameters])
+    expected = sandwich(fit, data) * [name.per_si for name in studied.free]
     # 200 draws know a standard deviation to 5 %, 80 to 8 %; the rest is what 150 poses are short of many
     assert spread == pytest.approx(expected, rel=0.15 + 1.4 / np.sqrt(amount))
     assert np.mean(spread / expected) == pytest.approx(1.0, abs=0.1)
-    claimed = np.array([one.claimed for one in found.parameters]) / expected
+    claimed = np.array([parameter.claimed for parameter in studied.parameters]) / expected
     assert claimed.max() / claimed.min() > 1.5  # which the fit, told that noise is even, does not know
-    assert np.array_equal(found.draws.truth[0], fit.robot.values[fit.free])
-    assert np.isnan(found.chi_square)
-    assert f"{amount} calibrations of six axes, each from 150 of its 150 poses, with replacement" in str(found)
-    assert "intervals contain what all poses give" in str(found)
-    assert "outlier" not in str(found)
-    assert found.to_dict()["resampled"] is True
+    assert np.array_equal(studied.draws.truth[0], fit.robot.values[fit.free])
+    assert np.isnan(studied.chi_square)
+    assert f"{amount} calibrations of six axes, each from 150 of its 150 poses, with replacement" in str(studied)
+    assert "intervals contain what all poses give" in str(studied)
+    assert "outlier" not in str(studied)
+    assert studied.to_dict()["resampled"] is True
 
 
 def test_repeats_of_a_pose_are_drawn_together_and_a_pose_drawn_twice_is_two(arm):
@@ -379,12 +385,12 @@ def test_the_command_prints_and_writes_what_python_gives(five_bar, run_calib, tm
     given = ("--truth", truth, "--sigma-mm", 0.05, "--loss", "huber", "--elsewhere", files[1])
     done = run_calib("study", *files, *options, *given, "--json", target)
     true = robot.with_parameters(calib.read_parameters(truth, robot))
-    wanted = {"draws": 4, "seed": 2, "sigma": 5e-5, "loss": "huber", "elsewhere": data.joints}
-    found = calib.study(robot, data, truth=true, **wanted)
-    assert (done.code, done.out.rstrip(), done.err) == (0, str(found), "")
+    by_name = {"draws": 4, "seed": 2, "sigma": 5e-5, "loss": "huber", "elsewhere": data.joints}
+    studied = calib.study(robot, data, truth=true, **by_name)
+    assert (done.code, done.out.rstrip(), done.err) == (0, str(studied), "")
     written = json.loads(target.read_text())
     assert written.pop("written_by").startswith("written by")
-    assert written | {"seconds": 0} == json.loads(json.dumps(found.to_dict())) | {"seconds": 0}
+    assert written | {"seconds": 0} == json.loads(json.dumps(studied.to_dict())) | {"seconds": 0}
     again = run_calib("study", *files, *options, "--resample")
     assert again.out.rstrip() == str(calib.study(robot, data, draws=4, seed=2, resample=True))
 

@@ -47,8 +47,8 @@ def t(tmp_path_factory):
     )
 
 
-def same(one, other):
-    return np.allclose(one.robot.values, other.robot.values, rtol=0, atol=1e-9)
+def same(item, other):
+    return np.allclose(item.robot.values, other.robot.values, rtol=0, atol=1e-9)
 
 
 RUN = {

@@ -53,20 +53,22 @@ def test_parts_of_the_measurements_are_held_out(data):
 
 
 def test_what_is_printed_is_short_and_says_what_it_is(robot, data, fit):
-    for one in (robot, data, fit, fit.parameters, fit.covariance):
-        assert len(repr(one)) < 200
-        assert "array(" not in repr(one)
+    for item in (robot, data, fit, fit.parameters, fit.covariance):
+        assert len(repr(item)) < 200
+        assert "array(" not in repr(item)
     assert "PASS" in repr(fit)
     assert str(fit) == fit.report()
 
 
 def test_parameters_are_found_by_name_and_go_back_into_a_robot(robot, fit):
-    one = fit.parameters["joint_3.z"]
+    first = fit.parameters["joint_3.z"]
     place = [p.name for p in robot.parameters].index("joint_3.z")
-    assert one.value_si == fit.robot.values[place]
-    assert one.nominal_si == robot.values[place]
-    assert one.interval == pytest.approx((one.value - one.std * 2.0, one.value + one.std * 2.0), abs=0.1 * one.std)
-    assert (one.unit, one.status) == ("mm", "identified")
+    assert first.value_si == fit.robot.values[place]
+    assert first.nominal_si == robot.values[place]
+    assert first.interval == pytest.approx(
+        (first.value - first.std * 2.0, first.value + first.std * 2.0), abs=0.1 * first.std
+    )
+    assert (first.unit, first.status) == ("mm", "identified")
     again = robot.with_parameters({name: estimate.value_si for name, estimate in fit.parameters.items()})
     np.testing.assert_array_equal(again.values, fit.robot.values)
     with pytest.raises(calib.InputError, match=r"no parameter 'joint_3\.zz'; did you mean 'joint_3\.z'"):
@@ -84,11 +86,11 @@ def test_a_number_and_the_unit_beside_it_belong_together(robot, fit, tmp_path):
             pytest.approx(scale * before.nominal_si, rel=1e-14),
             pytest.approx(scale * before.sigma_si, rel=1e-14),
         )
-        for one in (fit.parameters[name], loaded[name]):
-            assert one.unit == unit
+        for item in (fit.parameters[name], loaded[name]):
+            assert item.unit == unit
             for key in ("nominal", "value", "std", "low95", "high95"):
-                number = getattr(one, key)
-                assert number == pytest.approx(scale * getattr(one, f"{key}_si"), rel=1e-14)
+                number = getattr(item, key)
+                assert number == pytest.approx(scale * getattr(item, f"{key}_si"), rel=1e-14)
                 assert number == pytest.approx(rows[name][key], rel=1e-9)
     assert 430 < fit.parameters["joint_3.z"].value < 450  # a link of 440 mm
     assert 0.43 < fit.parameters["joint_3.z"].value_si < 0.45
@@ -281,8 +283,8 @@ def test_a_wrong_guess_is_told_in_one_line(robot, tmp_path, monkeypatch, wrong, 
 
 def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     candidates = calib.sample(robot, 60, seed=3)
-    found = calib.check(robot, candidates.joints)
-    assert found.n_poses == 60
+    assessment = calib.check(robot, candidates.joints)
+    assert assessment.n_poses == 60
     chosen = calib.select(robot, candidates, count=30)
     assert len(chosen.joints) == 30
     with pytest.raises(TypeError, match="count"):
@@ -301,9 +303,9 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     assert np.isfinite(compared.together[0])
     assert "fit 2" in str(compared)
     checked = fit.validation, fit.predict(candidates[:5]), reached
-    for one in (found, chosen, compared, *checked):
-        assert len(repr(one)) < 200
-        assert "array(" not in repr(one)
+    for item in (assessment, chosen, compared, *checked):
+        assert len(repr(item)) < 200
+        assert "array(" not in repr(item)
 
 
 GUESSES = {
@@ -317,7 +319,7 @@ GUESSES = {
     "shuffled rows": lambda t: len(t.data[np.random.default_rng(0).permutation(len(t.data))]) == 80,
     "slice of poses": lambda t: len(t.candidates[10:20]) == 10,
     "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
-    "row after row": lambda t: [one.names[0] for one in t.data] == list(t.data.names),
+    "row after row": lambda t: [cell.names[0] for cell in t.data] == list(t.data.names),
     "columns of data": lambda t: np.allclose(
         t.data.to_dict(t.robot)["reflector_x [mm]"], 1e3 * t.data.readings["reflector"].values[:, 0]
     ),
@@ -350,7 +352,7 @@ GUESSES = {
     "status": lambda t: t.fit.parameters["joint_3.z"].status == "identified",
     "names": lambda t: "joint_3.z" in list(t.fit.parameters),
     "membership": lambda t: "joint_3.z" in t.fit.parameters and "nobody" not in t.fit.parameters,
-    "items": lambda t: all(name == one.name for name, one in t.fit.parameters.items()),
+    "items": lambda t: all(name == parameter.name for name, parameter in t.fit.parameters.items()),
     "values": lambda t: len(t.fit.parameters.values()) == len(t.robot.parameters),
     "covariance by names": lambda t: t.fit.covariance["joint_3.z", "joint_3.z"] > 0,
     "covariance as an array": lambda t: np.asarray(t.fit.covariance).shape == (len(t.fit.free_names),) * 2,

@@ -70,12 +70,12 @@ def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
 def test_a_joint_that_follows_its_neighbour_is_found(arm, driver):
     q_true = joints(80)
     q_true[:, 2] += 2e-3 * q_true[:, driver]
-    (one,) = (
+    (item,) = (
         pattern for pattern in significant(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
     )
-    assert one.detail == f"j{driver + 1}"
-    assert one.amount == pytest.approx(2e-3, rel=0.1)
-    assert f"joint j3 is off by +2 mrad for each rad of joint j{driver + 1}" in describe(one, arm.mechanism.dimensions)
+    assert item.detail == f"j{driver + 1}"
+    assert item.amount == pytest.approx(2e-3, rel=0.1)
+    assert f"joint j3 is off by +2 mrad for each rad of joint j{driver + 1}" in describe(item, arm.mechanism.dimensions)
 
 
 def test_backlash_is_found_with_its_joint_and_size(arm):
@@ -83,10 +83,10 @@ def test_backlash_is_found_with_its_joint_and_size(arm):
     half = 1e-4
     played = q.copy()
     played[:, 2] += half * directions_of_motion(q)[:, 2]
-    found = significant(fitted(arm, played))
-    assert (found[0].kind, found[0].name) == ("approach", "j3")
-    assert abs(found[0].amount) == pytest.approx(half, rel=0.3)
-    words = describe(found[0], arm.mechanism.dimensions)
+    patterns = significant(fitted(arm, played))
+    assert (patterns[0].kind, patterns[0].name) == ("approach", "j3")
+    assert abs(patterns[0].amount) == pytest.approx(half, rel=0.3)
+    words = describe(patterns[0], arm.mechanism.dimensions)
     assert words.startswith("joint j3 differs by 0.01")
     assert "deg with the direction of approach" in words
 
@@ -95,32 +95,32 @@ def test_a_gear_error_is_found_at_its_joint(arm):
     q = joints(80)
     geared = q.copy()
     geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
-    found = significant(fitted(arm, geared))
-    assert (found[0].kind, found[0].name, found[0].detail) == ("wave", "j2", "3 cycles a turn")
-    assert found[0].amount == pytest.approx(2e-4, rel=0.1)
-    assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in found]
+    patterns = significant(fitted(arm, geared))
+    assert (patterns[0].kind, patterns[0].name, patterns[0].detail) == ("wave", "j2", "3 cycles a turn")
+    assert patterns[0].amount == pytest.approx(2e-4, rel=0.1)
+    assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in patterns]
 
 
 def test_a_tracker_that_moved_while_measuring_is_found(arm):
     moved = np.zeros((80, 1, 3))
     moved[50:, 0, 1] = 2e-4
-    found = significant(fitted(arm, joints(80), shift=moved))
-    assert found[0].kind == "drift"
-    assert "of a tracker or base that moved" in describe(found[0], arm.mechanism.dimensions)
+    patterns = significant(fitted(arm, joints(80), shift=moved))
+    assert patterns[0].kind == "drift"
+    assert "of a tracker or base that moved" in describe(patterns[0], arm.mechanism.dimensions)
 
 
 def test_a_joint_that_slipped_while_measuring_is_found(arm):
     q = joints(80)
     q[40:, 2] += 4e-4
-    found = significant(fitted(arm, q))
-    assert (found[0].kind, found[0].name) == ("zero", "j3")
-    assert "joint j3 that changes in the course of" in describe(found[0], arm.mechanism.dimensions)
+    patterns = significant(fitted(arm, q))
+    assert (patterns[0].kind, patterns[0].name) == ("zero", "j3")
+    assert "joint j3 that changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
 
 
 def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     q = joints(80)
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
-    found = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
+    result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
     setting, linear = findings.setting(fit), findings.linear(fit)
     by_joint = setting.whitened({"ball": setting.observed["ball"].by_joint})[:, 1]
     z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
@@ -129,8 +129,10 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     coefficients = np.linalg.solve(z.T @ left, z.T @ r)
     gain = r @ z @ coefficients
     variance_ratio = (gain / 2) / ((r @ r - gain) / (linear.freedom - 2))
-    assert found.amount == pytest.approx(np.linalg.norm(coefficients), rel=1e-9)
-    assert found.p_value == pytest.approx(min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, linear.freedom - 2)), rel=1e-6)
+    assert result.amount == pytest.approx(np.linalg.norm(coefficients), rel=1e-9)
+    assert result.p_value == pytest.approx(
+        min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, linear.freedom - 2)), rel=1e-6
+    )
 
 
 @pytest.mark.amount(25, 100)
@@ -208,8 +210,8 @@ def first(fit):
 
 
 def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
-    found = first(fitted(stiff, joints(80), shift=3e-4 * stiff.positions(joints(80))))
-    assert found.kind in ("scale", "axis")
+    pattern = first(fitted(stiff, joints(80), shift=3e-4 * stiff.positions(joints(80))))
+    assert pattern.kind in ("scale", "axis")
     scale = next(p for p in fitted(stiff, joints(80), shift=3e-4 * centred(stiff)).patterns if p.kind == "scale")
     assert scale.significant
     assert scale.amount == pytest.approx(3e-4, rel=0.1)  # 80 positions of 40 um over 0.6 m leave 2 %
@@ -227,15 +229,15 @@ def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
 
 
 def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
-    found = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
-    assert found.kind == "turning"
-    assert "as of a tracker or base that turned" in describe(found, arm.mechanism.dimensions)
+    pattern = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
+    assert pattern.kind == "turning"
+    assert "as of a tracker or base that turned" in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_lengths_that_grow_while_measuring_are_found(arm):
-    found = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
-    assert found.kind == "growth"
-    assert "warms up" in describe(found, arm.mechanism.dimensions)
+    pattern = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
+    assert pattern.kind == "growth"
+    assert "warms up" in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_an_error_that_follows_a_joint_is_no_sure_change_where_poses_are_sorted_by_it(arm):
@@ -266,12 +268,12 @@ def test_a_target_that_slips_is_found_with_its_size_and_row(arm):
     q = joints(80)
     rotation = arm.forward(q, "l6")[:, :3, :3]
     slip = np.where(np.arange(80) >= 45, 2e-4, 0.0)[:, None] * rotation[:, :, 2]
-    found = first(fitted(arm, q, shift=slip[:, None]))
-    assert (found.kind, found.name) == ("slip", "ball")
-    assert found.amount == pytest.approx(2e-4, rel=0.25)
-    row = int(found.detail.split()[2])
+    pattern = first(fitted(arm, q, shift=slip[:, None]))
+    assert (pattern.kind, pattern.name) == ("slip", "ball")
+    assert pattern.amount == pytest.approx(2e-4, rel=0.25)
+    row = int(pattern.detail.split()[2])
     assert abs(row - 45) <= 5  # places are 5 rows apart
-    assert "elsewhere on its link from row" in describe(found, arm.mechanism.dimensions)
+    assert "elsewhere on its link from row" in describe(pattern, arm.mechanism.dimensions)
 
 
 @pytest.mark.parametrize("order", [20, 50])
@@ -279,10 +281,10 @@ def test_a_fast_gear_error_is_found_with_its_cycles_and_height(arm, order):
     q = joints(80)
     geared = q.copy()
     geared[:, 1] += 2e-4 * np.cos(order * q[:, 1] + 0.4)
-    found = first(fitted(arm, geared))
-    assert (found.kind, found.name, found.detail) == ("wave", "j2", f"{order} cycles a turn")
-    assert found.amount == pytest.approx(2e-4, rel=0.15)
-    assert "0.01" in describe(found, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
+    pattern = first(fitted(arm, geared))
+    assert (pattern.kind, pattern.name, pattern.detail) == ("wave", "j2", f"{order} cycles a turn")
+    assert pattern.amount == pytest.approx(2e-4, rel=0.15)
+    assert "0.01" in describe(pattern, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
 
 
 def test_families_share_the_chance_of_a_false_finding():

@@ -52,9 +52,9 @@ def test_columns_of_other_programs_are_read_as_what_they_are(robot, data, caplog
     axis = axis.replace("X_{}", "{}").upper() if "X_" in axis else axis
     with caplog.at_level(logging.WARNING, logger="calib"):
         logging.getLogger("calib").propagate = True
-        found = calib.read_measurements(renamed(data, foreign(joint, axis.replace("(MM)", "(mm)"))), robot)
-    np.testing.assert_allclose(found.joints, data.joints, atol=1e-15)
-    np.testing.assert_allclose(found.points(), data.points(), atol=1e-15)
+        result = calib.read_measurements(renamed(data, foreign(joint, axis.replace("(MM)", "(mm)"))), robot)
+    np.testing.assert_allclose(result.joints, data.joints, atol=1e-15)
+    np.testing.assert_allclose(result.points(), data.points(), atol=1e-15)
     assert bool(caplog.records) == ("joint_" not in joint)
     for record in caplog.records:
         assert "for joint_1" in record.getMessage()
@@ -62,8 +62,8 @@ def test_columns_of_other_programs_are_read_as_what_they_are(robot, data, caplog
 
 def test_numbers_go_to_the_joint_that_has_them_whatever_its_place(data):
     robot = calib.robot(EXAMPLES / "arm.urdf", motors=[f"joint_{k}" for k in (2, 1, 3, 4, 5, 6)], target="flange")
-    found = calib.read_poses(renamed(data, foreign("J{} [deg]", "{}")), robot)
-    np.testing.assert_allclose(found.joints, data.joints[:, [1, 0, 2, 3, 4, 5]], atol=1e-15)
+    poses = calib.read_poses(renamed(data, foreign("J{} [deg]", "{}")), robot)
+    np.testing.assert_allclose(poses.joints, data.joints[:, [1, 0, 2, 3, 4, 5]], atol=1e-15)
 
 
 def test_a_guess_without_a_unit_is_refused(robot, data):

@@ -241,6 +241,6 @@ def test_poses_are_chosen_for_the_conditions_that_candidates_state(run_calib, tm
     assert run.code == 0, run.err
     assert sorted(float(cell) for cell in read_table(tmp_path / "o.csv").text("approach_turn")) == [-1, 1]
     r = np.max(np.linalg.norm(calib.load(tmp_path / "arm.yaml").positions(q)[:, 0, :2], axis=1))
-    found = json.loads((tmp_path / "o.json").read_text())["after"]["O1"]
+    content = json.loads((tmp_path / "o.json").read_text())["after"]["O1"]
     expected = (2 * (r * 2e-3) ** 2 * (2 * (r * 0.5e-3) ** 2 + 1e-4**2)) ** 0.25 / np.sqrt(2)
-    assert expected * (1 - 1e-9) <= found <= expected * (1.02 if off_grid else 1 + 1e-9)
+    assert expected * (1 - 1e-9) <= content <= expected * (1.02 if off_grid else 1 + 1e-9)

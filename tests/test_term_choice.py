@@ -65,8 +65,8 @@ def _measured(robot, true, q, rng):
     data = replace(data, context=context, approach=np.sign(rng.standard_normal(q.shape)))
     seen = calib.rows.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
     readings = {
-        name: replace(found, values=found.values + NOISE * rng.standard_normal(found.values.shape))
-        for name, found in seen.items()
+        name: replace(item, values=item.values + NOISE * rng.standard_normal(item.values.shape))
+        for name, item in seen.items()
     }
     return replace(data, readings=readings)
 
@@ -84,9 +84,9 @@ def choices(robot, terms, n, seed):
     for number in range(n):
         true, data, elsewhere = simulated(robot, terms, np.random.default_rng([seed, number]))
         fit = calib.fit(robot, data, terms="auto")
-        told = [one for one in fit.terms.tried if one.added]
-        for kinds, one in {frozenset((one.term, *one.together)): one for one in told}.items():
-            counts[int(not kinds & set(terms)), 2 if one.together else int(not one.proven)] += 1
+        told = [trial for trial in fit.terms.tried if trial.added]
+        for kinds, item in {frozenset((row.term, *row.together)): row for row in told}.items():
+            counts[int(not kinds & set(terms)), 2 if item.together else int(not item.proven)] += 1
         for k, known in enumerate((fit, calib.fit(robot.with_terms(entries(robot, terms)), data))):
             errors, inside = position_errors(known, true, elsewhere)
             squares[k] += np.mean(errors**2)
@@ -104,8 +104,8 @@ def coverage(robot, terms, n, seed):
         known = dict(zip((p.name for p in true.parameters), true.values, strict=True))
         wide = fit.statistics.half_width
         own = [k for k, i in enumerate(fit.unknowns.index) if i >= fit.robot.coefficients.start]
-        found = fit.robot.values[fit.unknowns.index]
-        inside += [abs(found[k] - known[fit.free_names[k]]) <= wide[k] for k in own]
+        values = fit.robot.values[fit.unknowns.index]
+        inside += [abs(values[k] - known[fit.free_names[k]]) <= wide[k] for k in own]
         held += position_errors(fit, true, elsewhere)[1]
     return float(np.mean(inside)), float(np.mean(held))
 
@@ -119,7 +119,7 @@ def position_errors(fit, true, q):
 
 
 def added(fit):
-    return {one.term for one in fit.terms.tried if one.added}
+    return {trial.term for trial in fit.terms.tried if trial.added}
 
 
 def test_what_is_there_is_added_and_nothing_else():
@@ -131,7 +131,7 @@ def test_what_is_there_is_added_and_nothing_else():
     for k, name in enumerate(fit.free_names):
         if name.endswith((".gain", ".backlash")):  # six times the standard deviation: one of a hundred million
             assert abs(fit.robot.values[fit.unknowns.index[k]] - known[name]) < 6 * fit.statistics.std[k]
-    told = {one.term: one for one in fit.terms.tried}
+    told = {trial.term: trial for trial in fit.terms.tried}
     assert told["gain"].evidence > 50
     assert told["backlash"].after < told["backlash"].before
     report = " ".join(fit.report(verbose=True).split())
@@ -147,12 +147,12 @@ def test_a_term_far_larger_than_is_usual_is_a_reason_to_look(times, said):
     q = np.random.default_rng(19).uniform(-1.5, 1.5, (40, 6))
     fit = calib.fit(robot, _measured(robot, true, q, np.random.default_rng(20)), terms="auto")
     assert added(fit) == {"gain"}
-    gain = next(one for one in fit.terms.tried if one.term == "gain")
-    found = [reason.text for reason in fit.verdict.reasons if reason.code == "large_terms"]
-    assert len(found) == said
+    gain = next(trial for trial in fit.terms.tried if trial.term == "gain")
+    results = [reason.text for reason in fit.verdict.reasons if reason.code == "large_terms"]
+    assert len(results) == said
     if said:  # the size is that of all six joints, of which one is off
         assert gain.size == pytest.approx(times / np.sqrt(6), rel=0.2)
-        assert f"gain ({gain.size:.0f} times)" in found[0]
+        assert f"gain ({gain.size:.0f} times)" in results[0]
 
 
 def test_which_joint_drives_which_is_found():
@@ -176,10 +176,10 @@ def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, 
     _, data, elsewhere = simulated(robot, (there,), np.random.default_rng([2, number]))
     fit = calib.fit(robot, data, terms="auto")
     assert {there, other} <= added(fit)
-    told = {one.term: one for one in fit.terms.tried if one.added}
-    for one in told.values():
-        assert not one.proven
-        assert {one.term, *one.together} == set(told)
+    told = {trial.term: trial for trial in fit.terms.tried if trial.added}
+    for row in told.values():
+        assert not row.proven
+        assert {row.term, *row.together} == set(told)
     less = evidence_of(fit, robot, data, there) - evidence_of(fit, robot, data, other)
     assert told[there].alike[other] == pytest.approx(less)
     assert told[other].alike[there] == pytest.approx(-less)
@@ -188,12 +188,12 @@ def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, 
     assert set(named[1].split(" or ")) == set(told)
     assert "the data do not show which, so they were added together" in report
     alone = [calib.fit(robot, data, terms=term).predict(elsewhere) for term in (there, other)]
-    assert np.all(fit.predict(elsewhere).std.mean() > [0.99 * one.std.mean() for one in alone])
+    assert np.all(fit.predict(elsewhere).std.mean() > [0.99 * item.std.mean() for item in alone])
 
 
 def evidence_of(fit, robot, data, term):
     """By how much the log evidence rises with one term alone."""
-    trials = Trials(calib.fit(robot, data), tuple(one for one in candidates(robot, data) if not one.refused))
+    trials = Trials(calib.fit(robot, data), tuple(item for item in candidates(robot, data) if not item.refused))
     return trials.of((term,)).evidence - trials.of(()).evidence
 
 
@@ -224,7 +224,7 @@ def test_what_would_make_an_added_term_superfluous_is_not_added():
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
     groups = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
     assert groups == (("gain",), ("harmonics",))
-    assert [search.outcome(one, groups).evidence for one in search.tried[:2]] == [30, 20]  # each beside the other
+    assert [search.outcome(trial, groups).evidence for trial in search.tried[:2]] == [30, 20]  # each beside the other
     left_out = search.outcome(search.tried[2], groups)
     assert left_out.why == "gain is not worth adding beside it: poses of blocks left out are not predicted better"
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
@@ -267,9 +267,9 @@ def test_a_kind_is_claimed_where_evidence_and_blocks_left_out_both_say_so(harmon
     table = {"": (0, 40), "g": (20, 20), "h": harmonics, "c": (-1, 41)}
     table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21), "cgh": (19, 21)}
     search = search_in(table)
-    found = search.chosen()
-    assert found == groups
-    told = search.outcome(search.tried[0], found)
+    result = search.chosen()
+    assert result == groups
+    told = search.outcome(search.tried[0], result)
     assert told.proven == proven
     assert told.alike == ({} if proven else {"harmonics": pytest.approx(20 - harmonics[0])})
     assert told.together == groups[0][1:]
@@ -314,7 +314,7 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
     points = calib.rows.observed.predicted_readings(playing, seen)["reflector"].values
     points = points + NOISE * np.random.default_rng(10).standard_normal(points.shape)
     fit = calib.fit(robot, calib.as_measurements(robot, q, points), terms="auto")
-    told = next(one for one in fit.terms.tried if one.term == "backlash")
+    told = next(trial for trial in fit.terms.tried if trial.term == "backlash")
     assert not told.added
     assert told.evidence > 20
     assert "do not state the direction of approach" in told.why
@@ -323,14 +323,16 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
 def test_candidates_say_why_they_cannot_be_tried():
     robot = calib.load(EXAMPLES / "five_bar.yaml")  # lies flat on a table
     q = robot.home + np.random.default_rng(11).uniform(-0.3, 0.3, (20, 2))
-    refused = {one.term: one.refused for one in candidates(robot, calib.as_measurements(robot, q, np.zeros((20, 3))))}
+    refused = {
+        term.term: term.refused for term in candidates(robot, calib.as_measurements(robot, q, np.zeros((20, 3))))
+    }
     assert refused["gain"] == refused["coupling"] == ""
     assert refused["drift"] == "the data have no column 'time' that changes"
     assert refused["compliance"] == "gravity loads no joint differently from pose to pose"
     described = robot.with_terms(listed_terms("gain,left_motor=curve"))
-    found = {one.term: one for one in candidates(described, calib.as_measurements(robot, q, np.zeros((20, 3))))}
-    assert found["gain"].refused == "the description has it already"
-    assert [section.joint for section in found["curve"].sections] == ["right_motor"]
+    by_name = {term.term: term for term in candidates(described, calib.as_measurements(robot, q, np.zeros((20, 3))))}
+    assert by_name["gain"].refused == "the description has it already"
+    assert [section.joint for section in by_name["curve"].sections] == ["right_motor"]
 
 
 def test_intervals_of_terms_and_of_predictions_cover(tmp_path):
@@ -520,5 +522,5 @@ def test_coefficients_that_explain_every_reading_are_no_evidence():
     fit = calib.fit(robot, data, terms="auto")
     assert added(fit) == {"harmonics"}
     alone = calib.fit(robot, data)
-    after, before = (np.sqrt(np.mean(position_errors(one, true, elsewhere)[0] ** 2)) for one in (fit, alone))
+    after, before = (np.sqrt(np.mean(position_errors(item, true, elsewhere)[0] ** 2)) for item in (fit, alone))
     assert after < 0.5 * before

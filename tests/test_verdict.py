@@ -54,16 +54,16 @@ def prior_arm(tmp_path_factory):
 
 
 def reason(fit, code):
-    found = [reason for reason in fit.verdict.reasons if reason.code == code]
-    assert found, [reason.text for reason in fit.verdict.reasons]
-    return found[0]
+    matching = [reason for reason in fit.verdict.reasons if reason.code == code]
+    assert matching, [reason.text for reason in fit.verdict.reasons]
+    return matching[0]
 
 
 def remark(fit, code):
     """What is no doubt, since poses that were not used are as far off as claimed."""
-    found = reason(fit, code)
-    assert (found.grade, found.counted, fit.verdict.claim.holds) == ("PASS", True, True)
-    return found
+    verdict_reason = reason(fit, code)
+    assert (verdict_reason.grade, verdict_reason.counted, fit.verdict.claim.holds) == ("PASS", True, True)
+    return verdict_reason
 
 
 def test_a_good_fit_passes_without_reasons(good):
@@ -93,30 +93,30 @@ def test_not_converged_fails(good, end, words):
 
 def test_noise_three_times_what_was_stated_is_proven_by_poses_left_out_unasked(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), 4 * SIGMA, 1), sigma=SIGMA)
-    found = remark(fit, "noise")
+    verdict_remark = remark(fit, "noise")
     assert fit.folds is not None
     assert fit.verdict.grade == "PASS"
-    assert "times what was stated (0.1" in found.text
-    assert "where 0.04 mm was stated" in found.text
-    assert "get better beyond chance" in found.text
+    assert "times what was stated (0.1" in verdict_remark.text
+    assert "where 0.04 mm was stated" in verdict_remark.text
+    assert "get better beyond chance" in verdict_remark.text
 
 
 def test_noise_that_only_an_unfit_model_leaves_fails_without_proof(arm):
     """Noise of two hundredths of the measured space: nobody's robot with the base of a good one leaves that."""
     fit = calib.fit(arm, noisy(arm, joints(80), 0.02, 1), sigma=SIGMA)
-    found = reason(fit, "noise")
-    assert found.grade == fit.verdict.grade == "FAIL"
+    verdict_reason = reason(fit, "noise")
+    assert verdict_reason.grade == fit.verdict.grade == "FAIL"
     assert fit.folds is None
-    assert "a healthy robot does not leave more than 1 % of the measured space" in found.text
+    assert "a healthy robot does not leave more than 1 % of the measured space" in verdict_reason.text
 
 
 def test_unused_poses_that_get_worse_prove_nothing(arm, truth):
     """Another robot's poses, and more noise than was stated."""
     other = noisy(arm, joints(30, 5), SIGMA, 2)
     fit = calib.fit(arm, noisy(truth, joints(80), 4 * SIGMA, 1), sigma=SIGMA, validation=other)
-    found = reason(fit, "noise")
-    assert found.grade == fit.verdict.grade == "FAIL"
-    assert "--validate" in found.text
+    verdict_reason = reason(fit, "noise")
+    assert verdict_reason.grade == fit.verdict.grade == "FAIL"
+    assert "--validate" in verdict_reason.text
 
 
 @pytest.mark.parametrize("loss", ["none", "huber"])
@@ -142,8 +142,8 @@ def test_noise_three_times_what_was_stated_is_a_remark_where_unused_poses_prove_
 
 @pytest.mark.parametrize(("factor", "words"), [(1.6, "more than chance"), (0.5, "less than chance")])
 def test_noise_that_chance_does_not_explain_is_told(arm, truth, factor, words):
-    found = remark(calib.fit(arm, noisy(truth, joints(80), factor * SIGMA, 1), sigma=SIGMA), "noise")
-    assert words in found.text
+    verdict_remark = remark(calib.fit(arm, noisy(truth, joints(80), factor * SIGMA, 1), sigma=SIGMA), "noise")
+    assert words in verdict_remark.text
 
 
 def test_noise_of_metres_fails(arm, truth):
@@ -155,17 +155,17 @@ def test_noise_of_metres_fails(arm, truth):
 def test_computed_data_are_called_so(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), 0.0, 1))
     np.testing.assert_allclose(fit.robot.values, truth.values, atol=1e-9)
-    found = reason(fit, "no_noise")
-    assert found.grade == "CHECK"
-    assert "computed, not measured" in found.text
+    verdict_reason = reason(fit, "no_noise")
+    assert verdict_reason.grade == "CHECK"
+    assert "computed, not measured" in verdict_reason.text
 
 
 def test_worse_than_before_on_validation_fails(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(arm, joints(30, 5), SIGMA, 2))
-    found = reason(fit, "worse_on_validation")
-    assert found.grade == fit.verdict.grade == "FAIL"
-    assert "the calibration makes the robot worse on the validation poses" in found.text
-    assert fit.verdict.reasons[0] == found
+    verdict_reason = reason(fit, "worse_on_validation")
+    assert verdict_reason.grade == fit.verdict.grade == "FAIL"
+    assert "the calibration makes the robot worse on the validation poses" in verdict_reason.text
+    assert fit.verdict.reasons[0] == verdict_reason
 
 
 def test_worse_than_before_fails_also_where_the_fit_knows_little_of_these_poses(arm, truth):
@@ -174,18 +174,18 @@ def test_worse_than_before_fails_also_where_the_fit_knows_little_of_these_poses(
     fit = calib.fit(arm, noisy(arm, corner, SIGMA, 1), validation=noisy(arm, joints(40, 5), SIGMA, 2))
     known = fit.validation_uncertainty.located
     assert np.sqrt(np.mean(known**2)) > 0.5 * np.sqrt(3) * fit.validation.rms("after") / np.sqrt(3)
-    found = reason(fit, "worse_on_validation")
-    assert found.grade == fit.verdict.grade == "FAIL"
+    verdict_reason = reason(fit, "worse_on_validation")
+    assert verdict_reason.grade == fit.verdict.grade == "FAIL"
     assert "nothing_to_correct" not in fit.verdict.to_dict()["codes"]
 
 
 def test_validation_poses_that_fit_worse_than_predicted_are_a_check(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(truth, joints(30, 5), 3 * SIGMA, 2))
-    found = reason(fit, "validation")
-    times = float(re.search(r"30 validation poses are ([\d.]+) times as far off as claimed", found.text)[1])
+    verdict_reason = reason(fit, "validation")
+    times = float(re.search(r"30 validation poses are ([\d.]+) times as far off as claimed", verdict_reason.text)[1])
     assert times == pytest.approx(3.0, rel=0.15)
-    assert fit.verdict.reasons[0] is found
-    assert fit.verdict.grade == found.grade == "CHECK"
+    assert fit.verdict.reasons[0] is verdict_reason
+    assert fit.verdict.grade == verdict_reason.grade == "CHECK"
 
 
 def test_a_frame_that_moved_between_two_files_is_named(arm, truth):
@@ -209,11 +209,11 @@ def test_a_known_base_that_stands_elsewhere_is_named_with_its_place(prior_arm, d
     data = with_points(prior_arm, data, positions)
     fit = calib.fit(prior_arm, data.subset(np.arange(60)), validation=data.subset(np.arange(60, 80)))
     verdict = fit.verdict
-    found = reason(fit, "base_elsewhere")
-    assert found.grade == grade
-    assert "base: pose: known does not fit these measurements" in found.text
-    assert "set base: pose: unknown, or correct it to about xyz" in found.text
-    numbers = [float(number) for number in re.findall(r"(-?[\d.]+) (?:mm|deg)[,\]]", found.text)]
+    verdict_reason = reason(fit, "base_elsewhere")
+    assert verdict_reason.grade == grade
+    assert "base: pose: known does not fit these measurements" in verdict_reason.text
+    assert "set base: pose: unknown, or correct it to about xyz" in verdict_reason.text
+    numbers = [float(number) for number in re.findall(r"(-?[\d.]+) (?:mm|deg)[,\]]", verdict_reason.text)]
     assert numbers[:3] == pytest.approx([1e3 * metres, -1e3 * metres, 5e2 * metres], abs=1)  # the arm's own error
     assert numbers[3:] == pytest.approx([degrees, 0, 0], abs=0.1)
     assert "frame_moved" not in verdict.to_dict()["codes"]  # there is one file
@@ -259,10 +259,10 @@ def test_a_parameter_that_no_error_of_its_size_explains_fails(robot, request):
     nominal = request.getfixturevalue(robot)
     moved = nominal.with_parameters({"j4.z": 0.15})  # 0.1 m off, 50 sigma
     fit = calib.fit(nominal, noisy(moved, joints(80), SIGMA, 1))
-    found = reason(fit, "far_from_nominal")
-    assert fit.verdict.grade == found.grade == "FAIL"
-    assert "j4.z (" in found.text
-    assert "signs, zeros and order of the joint columns" in found.text
+    verdict_reason = reason(fit, "far_from_nominal")
+    assert fit.verdict.grade == verdict_reason.grade == "FAIL"
+    assert "j4.z (" in verdict_reason.text
+    assert "signs, zeros and order of the joint columns" in verdict_reason.text
     assert "at_bounds" not in fit.verdict.to_dict()["codes"]
 
 
@@ -276,8 +276,8 @@ def test_validation_poses_that_the_fit_has_used_are_pointed_out(arm, truth):
     assert "used_for_both" not in calib.fit(arm, data, validation=loaded).verdict.to_dict()["codes"]
     light = replace(loaded, context={"load": np.full(30, 0.01), "time": np.arange(30.0)})
     reason(calib.fit(arm, data, validation=light), "used_for_both")
-    one = np.concatenate([joints(30, 5), joints(80)[:1]])  # home, say, measured in both sessions
-    assert calib.fit(arm, data, validation=noisy(truth, one, SIGMA, 2)).verdict.grade == "PASS"
+    joined = np.concatenate([joints(30, 5), joints(80)[:1]])  # home, say, measured in both sessions
+    assert calib.fit(arm, data, validation=noisy(truth, joined, SIGMA, 2)).verdict.grade == "PASS"
 
 
 def test_rows_that_are_in_the_file_twice_are_pointed_out(arm, truth):
@@ -356,10 +356,10 @@ def test_outliers_are_listed_with_row_and_what_to_do(arm, truth):
     positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((80, 1, 3))
     positions[17] += 1e-3
     fit = calib.fit(arm, measurements(arm, q, positions))
-    found = reason(fit, "outliers")
-    assert found.text.startswith("1 outlier (chance")
-    assert "row 17, ball: 1." in found.text
-    assert "--exclude-outliers" in found.text
+    verdict_reason = reason(fit, "outliers")
+    assert verdict_reason.text.startswith("1 outlier (chance")
+    assert "row 17, ball: 1." in verdict_reason.text
+    assert "--exclude-outliers" in verdict_reason.text
 
 
 def test_many_excluded_poses_are_no_outliers(arm, truth):
@@ -457,8 +457,8 @@ def test_rounded_joint_values_are_told(arm, truth, step):
     q = joints(80)
     positions = noisy(truth, q, SIGMA, 1).points(arm)
     fit = calib.fit(arm, measurements(arm, rounded_to(q, step), positions))
-    found = remark(fit, "rounded")
-    assert f"to steps of {step:g} deg" in found.text
+    verdict_remark = remark(fit, "rounded")
+    assert f"to steps of {step:g} deg" in verdict_remark.text
     assert rounding(fit).part == pytest.approx(1.0, abs=0.5)  # noise is next to nothing beside it
 
 
@@ -481,18 +481,18 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
     m, r = findings.linear(fit).after_fit(np.eye(120)), findings.linear(fit).rows.residuals
     variance = r @ r / findings.linear(fit).freedom
     mean, square = np.trace(m @ q), np.trace(m @ q @ m @ q)
-    found = rounding(fit)
-    assert found.part == pytest.approx(mean / variance / findings.linear(fit).freedom, rel=1e-6)
+    result = rounding(fit)
+    assert result.part == pytest.approx(mean / variance / findings.linear(fit).freedom, rel=1e-6)
     freedom, statistic = mean**2 / square, r @ q @ r / variance
-    assert found.chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
+    assert result.chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
 
 
 def test_a_joint_that_moved_too_little_is_told(prior_arm):
     q = joints(80)
     q[:, 2] = 0.3 + 0.01 * q[:, 2]
     fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1), sigma=SIGMA)
-    found = reason(fit, "joint_moved_little")
-    assert found.text.startswith("joint j3 moved through only 1.7 deg")
+    verdict_reason = reason(fit, "joint_moved_little")
+    assert verdict_reason.text.startswith("joint j3 moved through only 1.7 deg")
     wide = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
     assert "joint_moved_little" not in [reason.code for reason in wide.verdict.reasons]
 
@@ -567,7 +567,7 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
     rng = np.random.default_rng(3)
     together = np.sin(rng.uniform(-1.0, 1.0, (60, 3)) @ rng.uniform(-1.0, 1.0, (3, 6)))
     fit = calib.fit(prior_arm, noisy(prior_arm, together, SIGMA, 1), sigma=SIGMA, terms="gain")
-    found = remark(fit, "terms_untested")
+    verdict_remark = remark(fit, "terms_untested")
     q = np.stack([np.roll(together[:, j], 10 * j) for j in range(6)], axis=1)
     drawn = rng.multivariate_normal(np.zeros(len(fit.free_names)), fit.covariance.values, size=300)
     for poses, words in ((q, r"known to ([\d.]+) mm RMS there"), (together, r"and to ([\d.]+) mm at the poses used")):
@@ -577,7 +577,7 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
             values[fit.unknowns.index] += step
             moved = fit.robot.with_parameters(values).positions(poses)[:, 0]
             squares.append(np.mean(np.sum((aligned(moved, mean) - mean) ** 2, axis=1)))
-        told = float(re.search(words, found.text)[1])
+        told = float(re.search(words, verdict_remark.text)[1])
         assert told == pytest.approx(1e3 * np.sqrt(np.mean(squares)), rel=0.12)  # two digits, and 300 draws
     spread = calib.fit(prior_arm, noisy(prior_arm, 0.5 * joints(60), SIGMA, 1), sigma=SIGMA, terms="gain")
     assert "terms_untested" not in spread.verdict.to_dict()["codes"]
@@ -590,13 +590,13 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
 def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_information():
     root = np.random.default_rng(4).standard_normal((7, 7)) * 10.0 ** np.arange(-6, 1)[:, None]
     known = np.array([False, True, False, True, True, False, False])
-    found = _given(root @ root.T, known)
+    result = _given(root @ root.T, known)
     information = np.linalg.inv(root).T @ np.linalg.inv(root)
     expected = np.linalg.inv(information[np.ix_(~known, ~known)])
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
-        found[np.ix_(~known, ~known)] / np.outer(size, size), expected / np.outer(size, size), atol=1e-5
+        result[np.ix_(~known, ~known)] / np.outer(size, size), expected / np.outer(size, size), atol=1e-5
     )
-    assert np.all(found[known] == 0)
+    assert np.all(result[known] == 0)
     undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
     np.testing.assert_array_equal(_given(undetermined, np.array([False, True, False])), undetermined)

@@ -58,12 +58,12 @@ def folder(arm, tmp_path_factory):
 def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     _, truth, fit = arm
     rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
-    found = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
-    assert Counter(one.verdict for one in found)["agrees"] >= 38  # false alarms: 1 in 100
-    inside = np.mean([one.low95 < one.ratio < one.high95 for one in found])
+    results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
+    assert Counter(item.verdict for item in results)["agrees"] >= 38  # false alarms: 1 in 100
+    inside = np.mean([item.low95 < item.ratio < item.high95 for item in results])
     assert inside > 0.85  # one calibration: its errors are the same for all
-    promised = np.mean([one.promised for one in found])
-    did = np.mean([1e-3 * one.errors.table()["after"]["rms"] for one in found])
+    promised = np.mean([item.promised for item in results])
+    did = np.mean([1e-3 * item.errors.table()["after"]["rms"] for item in results])
     assert promised == pytest.approx(did, rel=0.15)
 
 
@@ -99,9 +99,9 @@ def test_places_of_all_setups_are_found_together(tmp_path):
     columns = [(name, cells.tolist()) for name, cells in zip(headers, np.hstack([q, seen]).T, strict=True)]
     (tmp_path / "data.csv").write_text(format_table([("setup", ["first"] * 30 + ["moved"] * 30), *columns]))
     data = calib.read_measurements(tmp_path / "data.csv", robot)
-    found = verify(calib.fit(robot, data), data)
-    assert found.verdict == "agrees"
-    assert 1e-3 * found.errors.table()["after"]["rms"] == pytest.approx(2e-5 * np.sqrt(3), rel=0.2)
+    acceptance = verify(calib.fit(robot, data), data)
+    assert acceptance.verdict == "agrees"
+    assert 1e-3 * acceptance.errors.table()["after"]["rms"] == pytest.approx(2e-5 * np.sqrt(3), rel=0.2)
 
 
 @pytest.mark.parametrize(("name", "size"), [("joint_3.ry", 4e-4), ("joint_5.z", -3e-4), ("joint_2.x", 4e-4)])
@@ -109,12 +109,12 @@ def test_a_drift_is_found_with_its_size(arm, name, size):
     _, truth, fit = arm
     rng = np.random.default_rng(4)
     changed = truth.with_parameters({**MOVED, name: value(truth, name) + size})
-    found = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
-    assert found.verdict == "drifted"
-    assert name in found.alike
-    one = next(change for change in found.changes if change.name == name)
-    assert one.value == pytest.approx(size, abs=4 * one.std)
-    assert abs(size) > 4 * one.std
+    acceptance = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
+    assert acceptance.verdict == "drifted"
+    assert name in acceptance.alike
+    first = next(change for change in acceptance.changes if change.name == name)
+    assert first.value == pytest.approx(size, abs=4 * first.std)
+    assert abs(size) > 4 * first.std
 
 
 def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
@@ -136,11 +136,11 @@ def test_errors_in_millimetres_and_the_ratio_tell_one_story(arm):
     """The promise is noise, less what placing takes up, and what is left open; where the two part, the ratio leads."""
     _, truth, fit = arm
     rng = np.random.default_rng(42)
-    found = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (30, 6)), rng))
-    noise = fit.sigma * np.sqrt(3 * (90 - found.placed) / 90)
-    assert np.hypot(noise, found.left_open) == pytest.approx(found.promised, rel=1e-6)
-    assert "Judge by the ratio" not in text_report(found, (), ())
-    apart = replace(found, verdict="calibrate again", ratio=1.457, promised=1.187e-3, left_open=1.1e-3)
+    acceptance = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (30, 6)), rng))
+    noise = fit.sigma * np.sqrt(3 * (90 - acceptance.placed) / 90)
+    assert np.hypot(noise, acceptance.left_open) == pytest.approx(acceptance.promised, rel=1e-6)
+    assert "Judge by the ratio" not in text_report(acceptance, (), ())
+    apart = replace(acceptance, verdict="calibrate again", ratio=1.457, promised=1.187e-3, left_open=1.1e-3)
     text = text_report(apart, (), ())
     assert text.index("1.457 times as large as expected") < text.index("Judge by the ratio") < text.index("Changes")
     assert "uncertainty of the calibration 1.1000 mm" in text
@@ -152,9 +152,9 @@ def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):
     q = rng.uniform(-1.2, 1.2, (30, 6))
     off = q + np.array([0, 0, 0, 0, 8e-4, 0])
     positions = truth.positions(off) + SIGMA * rng.standard_normal((30, 1, 3))
-    found = verify(fit, calib.as_measurements(truth, q, positions))
-    assert found.verdict == "drifted"
-    assert "zero of joint_5" in found.alike
+    acceptance = verify(fit, calib.as_measurements(truth, q, positions))
+    assert acceptance.verdict == "drifted"
+    assert "zero of joint_5" in acceptance.alike
 
 
 def test_several_changes_ask_for_a_new_calibration(arm):
@@ -179,9 +179,9 @@ def test_a_slip_of_one_reading_is_named_and_left_out(arm):
     q = rng.uniform(-1.2, 1.2, (40, 6))
     positions = truth.positions(q) + SIGMA * rng.standard_normal((40, 1, 3))
     positions[7, 0] += [0.0, 1e-3, 0.0]
-    found = verify(fit, calib.as_measurements(truth, q, positions))
-    assert found.verdict == "agrees"
-    assert found.outliers == ("pose 7",)
+    acceptance = verify(fit, calib.as_measurements(truth, q, positions))
+    assert acceptance.verdict == "agrees"
+    assert acceptance.outliers == ("pose 7",)
 
 
 def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_listed():
@@ -196,13 +196,15 @@ def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
     _, truth, fit = arm
     rng = np.random.default_rng(9)
     q = rng.uniform(-1.2, 1.2, (20, 6))
-    one = next(change for change in visible_changes(fit, q) if change.name == "joint_5.z")
-    changed = truth.with_parameters({"joint_5.z": value(truth, "joint_5.z") + one.visible})
+    first = next(change for change in visible_changes(fit, q) if change.name == "joint_5.z")
+    changed = truth.with_parameters({"joint_5.z": value(truth, "joint_5.z") + first.visible})
     z = [next(c.z for c in verify(fit, measured(changed, q, rng)).changes if c.name == "joint_5.z") for _ in range(40)]
     # one calibration: its own error of the parameter is the same each time, and part of std
     own = value(fit.robot, "joint_5.z") - value(truth, "joint_5.z")
-    assert np.mean(z) == pytest.approx((one.visible - own) / one.std, abs=1.5)
-    assert one.visible / one.std == pytest.approx(5.1, abs=0.4)  # 3.8 for the level over 40 candidates, 1.28 for 90 %
+    assert np.mean(z) == pytest.approx((first.visible - own) / first.std, abs=1.5)
+    assert first.visible / first.std == pytest.approx(
+        5.1, abs=0.4
+    )  # 3.8 for the level over 40 candidates, 1.28 for 90 %
 
 
 def test_fewer_poses_are_needed_for_larger_changes(arm):
@@ -212,8 +214,8 @@ def test_fewer_poses_are_needed_for_larger_changes(arm):
     assert small is not None
     assert large is not None
     assert large < small
-    found = {n: visible_changes(fit, q[:n]) for n in (small - 1, small)}
-    seen = {n: next(c.visible for c in changes if c.name == "zero of joint_3") for n, changes in found.items()}
+    by_name = {n: visible_changes(fit, q[:n]) for n in (small - 1, small)}
+    seen = {n: next(c.visible for c in changes if c.name == "zero of joint_3") for n, changes in by_name.items()}
     assert seen[small] <= 1.2e-4 < seen[small - 1]
     assert poses_needed(fit, q[:4], "zero of joint_3", 1e-6) is None
 
@@ -252,12 +254,12 @@ def test_iso_figures_are_there_where_their_cycles_are(arm):
     q = np.random.default_rng(12).uniform(-0.8, 0.8, (5, 6))
     plain = verify(fit, iso_data(truth, q))
     figures, missing = iso_figures(plain.errors, np.random.default_rng(0))
-    assert Counter(one.name for one in figures) == {"AP": 5, "RP": 5, "AD": 1, "RD": 1}
+    assert Counter(figure.name for figure in figures) == {"AP": 5, "RP": 5, "AD": 1, "RD": 1}
     for word in ("orientation", "vAP", "drift", "conditions not stated: load, speed"):
         assert any(word in line for line in missing)
-    for one in figures:
-        if one.name == "RP":  # noise alike on three axes: mean 1.596, deviation 0.673 of the Maxwell distribution
-            assert one.figure.low95 < (1.596 + 3 * 0.673) * SIGMA < one.figure.high95
+    for item in figures:
+        if item.name == "RP":  # noise alike on three axes: mean 1.596, deviation 0.673 of the Maxwell distribution
+            assert item.figure.low95 < (1.596 + 3 * 0.673) * SIGMA < item.figure.high95
     assert plain.placed == 9  # base 6, reflector 3: of the means of 15 coordinates
     assert "so AP has 9 degrees of freedom less" in text_report(plain, figures, missing)
     sides = np.repeat([[1.0], [-1.0]], 75, axis=0) * np.ones((1, 6))
@@ -265,7 +267,7 @@ def test_iso_figures_are_there_where_their_cycles_are(arm):
     stated = tuple(f"{key}: as usual" for key in CONDITIONS)
     full = verify(fit, iso_data(truth, q, sides, time, stated))
     figures, missing = iso_figures(full.errors, np.random.default_rng(0))
-    assert {"vAP", "dAP", "dRP"} <= {one.name for one in figures}
+    assert {"vAP", "dAP", "dRP"} <= {figure.name for figure in figures}
     assert [line for line in missing if "orientation" not in line] == []
 
 
@@ -317,11 +319,11 @@ def test_command_plans_before_anything_is_measured(folder, tmp_path):
     q = np.random.default_rng(14).uniform(-1, 1, (20, 6))
     text = ",".join(f"joint_{k}" for k in range(1, 7)) + "\n" + "\n".join(",".join(map(str, row)) for row in q)
     target = tmp_path / "plan.json"
-    found = run(tmp_path, text, folder, "--plan", "--change", "joint_3.ry=0.02 deg", "--json", str(target))
-    assert found.exit_code == 0, found.output
+    outcome = run(tmp_path, text, folder, "--plan", "--change", "joint_3.ry=0.02 deg", "--json", str(target))
+    assert outcome.exit_code == 0, outcome.output
     content = json.loads(target.read_text())
     assert 3 < content["poses_needed"] <= 20
-    assert "show joint_3.ry=0.02 deg with a chance of 90%" in found.stdout
+    assert "show joint_3.ry=0.02 deg with a chance of 90%" in outcome.stdout
 
 
 JOINTS = ",".join(f"joint_{k}" for k in range(1, 7))
@@ -345,10 +347,10 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
     ],
 )
 def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, message):
-    found = run(tmp_path, text, folder, "--json", str(tmp_path / "out.json"), *options)
-    assert found.exit_code == 2, found.output
-    assert message in found.output
-    assert found.output.count("\n") == 1
+    outcome = run(tmp_path, text, folder, "--json", str(tmp_path / "out.json"), *options)
+    assert outcome.exit_code == 2, outcome.output
+    assert message in outcome.output
+    assert outcome.output.count("\n") == 1
     assert not (tmp_path / "out.json").exists()
 
 
@@ -360,9 +362,9 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     content = json.loads((other / "result.json").read_text())
     del content["instruments"][0]["parts"][0]["sigma"]
     (other / "result.json").write_text(json.dumps(content))
-    found = run(tmp_path, ONE, other, "--plan")
-    assert found.exit_code == 2
-    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in found.output
+    outcome = run(tmp_path, ONE, other, "--plan")
+    assert outcome.exit_code == 2
+    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in outcome.output
 
 
 @pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])
@@ -377,6 +379,6 @@ def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, fol
     _, truth, _ = arm
     rng = np.random.default_rng(15)
     data = format_measurements(truth, measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng))
-    found = run(tmp_path, data, other, *options)
-    assert found.exit_code == code, found.output
-    assert ("left 0.2 degrees of freedom, too few" in found.output) == (code == 2)
+    outcome = run(tmp_path, data, other, *options)
+    assert outcome.exit_code == code, outcome.output
+    assert ("left 0.2 degrees of freedom, too few" in outcome.output) == (code == 2)

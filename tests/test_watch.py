@@ -43,12 +43,12 @@ def test_a_predicted_error_is_the_mean_over_positions_and_its_interval_that_of_r
     rng = np.random.default_rng(0)
     jacobian, root = rng.standard_normal((6, 2, 3, 4)), rng.standard_normal((4, 4))
     covariance = root @ root.T
-    found = predicted_rms(jacobian, covariance, 1.959964)
+    prediction = predicted_rms(jacobian, covariance, 1.959964)
     mean = np.mean([np.trace(B @ covariance @ B.T) for B in jacobian.reshape(12, 3, 4)])
-    assert found.value == pytest.approx(np.sqrt(mean))
+    assert prediction.value == pytest.approx(np.sqrt(mean))
     errors = jacobian @ (root @ rng.standard_normal((4, 4000)))
     rms = np.sqrt(np.mean(np.sum(errors**2, axis=2), axis=(0, 1)))
-    inside = np.mean((rms > found.low95) & (rms < found.high95))
+    inside = np.mean((rms > prediction.low95) & (rms < prediction.high95))
     assert 0.93 < inside < 0.98  # two moments are matched, not the distribution
 
 
@@ -61,9 +61,9 @@ def test_the_upper_end_of_unseen_errors_holds_as_often_as_it_says(spread, tail, 
     size = np.exp(tail * rng.standard_normal((1500, n)))
     squares = np.sum((spread * rng.standard_normal((1500, n, 3))) ** 2, axis=2) * size**2
     true = np.sqrt(np.sum(np.square(spread)) * np.exp(2 * tail**2))  # mean of the square of a log-normal number
-    intervals = [unseen_rms(list(one)) for one in squares]
-    assert np.mean([true < one.high95 for one in intervals]) > 0.94  # 0.95 and more, less what 1500 tell
-    assert np.mean([one.low95 < true for one in intervals]) > 0.94
+    intervals = [unseen_rms(list(square)) for square in squares]
+    assert np.mean([true < interval.high95 for interval in intervals]) > 0.94  # 0.95 and more, less what 1500 tell
+    assert np.mean([interval.low95 < true for interval in intervals]) > 0.94
 
 
 def test_few_unseen_errors_tell_nothing():
@@ -82,11 +82,11 @@ def errors_with(robot, data, candidates):
 
 def test_the_next_pose_is_the_best_of_all_tried_one_by_one(robot, data, candidates, errors_with, monkeypatch):
     monkeypatch.setattr(choice, "ENOUGH", 1.0)
-    found = choice.next_pose(robot, candidates, data[:30])
+    chosen = choice.next_pose(robot, candidates, data[:30])
     now, each = errors_with
-    assert found.candidate == int(np.argmin(each))
-    assert found.before == pytest.approx(now, rel=1e-6)
-    assert found.after == pytest.approx(min(each), rel=1e-6)
+    assert chosen.candidate == int(np.argmin(each))
+    assert chosen.before == pytest.approx(now, rel=1e-6)
+    assert chosen.after == pytest.approx(min(each), rel=1e-6)
 
 
 def test_of_poses_that_help_nearly_as_much_the_nearest_is_taken(robot, data, candidates, errors_with):
@@ -94,18 +94,18 @@ def test_of_poses_that_help_nearly_as_much_the_nearest_is_taken(robot, data, can
     gains, task = now**2 - each**2, candidates.joints
     good = np.flatnonzero(gains >= 0.8 * gains.max())
     for present in (task[3], task[11] + 0.1):
-        found = choice.next_pose(robot, candidates, data[:30], present=present)
+        chosen = choice.next_pose(robot, candidates, data[:30], present=present)
         ways = np.max(np.abs(task - present) / np.ptp(task, axis=0), axis=1)
-        assert found.candidate == good[np.argmin(ways[good])]
+        assert chosen.candidate == good[np.argmin(ways[good])]
 
 
 def test_poses_lead_to_a_calibration_before_they_determine_the_robot(robot, candidates):
     measured: list[int] = []
     for _ in range(12):
-        found = choice.next_pose(robot, candidates, None if not measured else candidates.joints[measured])
-        assert found.candidate not in measured
-        measured.append(found.candidate)
-    assert np.isfinite(found.before)
+        chosen = choice.next_pose(robot, candidates, None if not measured else candidates.joints[measured])
+        assert chosen.candidate not in measured
+        measured.append(chosen.candidate)
+    assert np.isfinite(chosen.before)
     assert choice.next_pose(robot, calib.as_poses(robot, candidates.joints[measured]), candidates.joints) is None
 
 

@@ -237,14 +237,20 @@ def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArra
         index: Which parameters, in rising order, (n_index,).
     """
     first = k = robot.coefficients.start
-    parts = [derivative[:, :, index[index < first]]]
+    filled = int(np.sum(index < first))
+    if filled == len(index):
+        return derivative[:, :, index]
+    result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
+    result[:, :, :filled] = derivative[:, :, index[:filled]]
     for term, phi in zip(robot.terms, columns, strict=True):
         own = index[(index >= first) & (index < first + phi.shape[2])] - first
         first += phi.shape[2]
         if len(own):
             moved = k + np.array(driven_by(term, robot.mechanism), dtype=np.intp)
-            parts.append(np.matmul(derivative[:, :, moved], phi[:, :, own]))
-    return np.concatenate(parts, axis=2) if len(parts) > 1 else parts[0]
+            part = result[:, :, filled : filled + len(own)]
+            np.matmul(derivative[:, :, moved], phi[:, :, own], out=part)
+            filled += len(own)
+    return result
 
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:

@@ -74,15 +74,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError
-from calib.numerics.identifiability import reduced
+from calib.numerics.linear_point import ON_RADIUS, LinearPoint
 
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
@@ -90,12 +88,8 @@ TOLERANCE = 1e-12
 _SMALL_STEP = 1e-12
 _ROUNDING = 10.0  # how many tolerances may be left where a step did not lower the cost
 _KEPT = 8  # steps whose Jacobians are remembered
-_BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
-_DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
-_SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
-_ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
 _BEND = 0.5  # length of what takes a bend away, over that of the step, at most
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # how far the steps may then go at first, in the same units
@@ -154,7 +148,7 @@ def minimise(
     values = residuals(start)
     if not np.all(np.isfinite(values)):
         raise ComputationError("the fit cannot start: the residuals have no value at the starting point")
-    path = _Path(_Point(start, values, jacobian(start)), scaling, tolerance)
+    path = _Path(LinearPoint(start, values, jacobian(start)), scaling, tolerance)
     evaluations, message = 1, path.ended()
     while not message and evaluations < max_evaluations:
         x = path.trial()
@@ -177,120 +171,6 @@ def _cost(values: FloatArray) -> float:
     return float(values @ values) if np.all(np.isfinite(values)) else np.inf
 
 
-class _Point:
-    """A point, and the linear model there.
-
-    Args:
-        x: The unknowns, (n,).
-        residuals: r(x), (m,).
-        jacobian: J(x), (m, n).
-    """
-
-    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray) -> None:
-        self.x, self.residuals, self.jacobian = x, residuals, jacobian
-        self.cost = float(residuals @ residuals)
-        n = len(x)
-        factor = reduced(jacobian, residuals)
-        self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
-        self.unseen = float(np.sum(factor[n:, n] ** 2))  # what no step takes away, to first order
-
-    @cached_property
-    def sees_all(self) -> bool:
-        """Whether the rows see every direction."""
-        diagonal = np.abs(np.diag(self.triangle))
-        return len(self.triangle) == len(self.x) and bool(np.min(diagonal) > _SINGULAR * np.max(diagonal))
-
-    @cached_property
-    def newton(self) -> FloatArray:
-        """Step f of the module docstring; the shortest one where the rows do not see every direction, (n,)."""
-        if self.sees_all:
-            return np.asarray(-scipy.linalg.solve_triangular(self.triangle, self.projected))
-        return np.asarray(-np.linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR)[0])
-
-    @cached_property
-    def decrease(self) -> float:
-        """What the linear model promises of the cost, |R f|^2."""
-        return float(np.sum((self.triangle @ self.newton) ** 2))
-
-    def curvature(self, past: list[_Point]) -> FloatArray | None:
-        """Return K of the module docstring, (n, n), from the points before this one, oldest first; None if unknown."""
-        if not past or not self.sees_all:
-            return None
-        points = [*past, self]
-        left = self.residuals + self.jacobian @ self.newton
-        pulls = np.stack([point.jacobian.T @ left for point in points], axis=1)
-        steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
-        images = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)[:, ::-1]
-        length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
-        along, factor = np.linalg.qr(steps / length)
-        says_more = np.abs(np.diag(factor)) > _DEPENDENT
-        count = len(says_more) if np.all(says_more) else int(np.argmin(says_more))
-        along, factor = along[:, :count], factor[:count, :count]
-        images = scipy.linalg.solve_triangular(factor, (images / length)[:, :count].T, trans=1).T  # K times `along`
-        inside = along.T @ images
-        outside = (images - along @ inside) @ along.T
-        return np.asarray(outside + outside.T + along @ (inside + inside.T) @ along.T / 2)
-
-    def step(self, curvature: FloatArray | None, limit: float, scale: FloatArray) -> tuple[FloatArray, float]:
-        """Return the step d to the minimum of the model where |D d| <= limit, (n,), and the cost there."""
-        step, bent = self.newton, np.zeros((1, 1)) if curvature is None else curvature
-        hessian = np.eye(len(self.triangle)) + bent
-        if curvature is not None:
-            try:
-                root = np.linalg.cholesky(hessian)
-                image = scipy.linalg.cho_solve((root, True), self.triangle @ self.newton)
-                step = scipy.linalg.solve_triangular(self.triangle, image)
-            except np.linalg.LinAlgError:  # there is no minimum
-                step = np.full(len(step), np.inf)
-                limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
-        if not np.linalg.norm(scale * step) <= limit:
-            step = self._within(hessian, self.projected, limit, scale)
-        image = self.triangle @ step
-        return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
-
-    def straightened(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
-        """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
-        if not self.sees_all:
-            return None
-        right = scipy.linalg.solve_triangular(self.triangle, self.jacobian.T @ bend, trans=1)
-        step = -scipy.linalg.solve_triangular(self.triangle, right)
-        if np.linalg.norm(scale * step) <= limit:
-            return np.asarray(step)
-        return self._within(np.eye(len(step)), right, limit, scale)
-
-    def _within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
-        """Return the minimum of a model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection.
-
-        Args:
-            hessian: 1 + K of the model, (n, n).
-            right: R^-T g of its gradient g, (n,).
-            limit: Radius of the ball.
-            scale: D, (n,).
-        """
-        scaled = self.triangle / scale
-        if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
-            left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
-            values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
-        else:
-            values, vectors = np.linalg.eigh(scaled.T @ hessian @ scaled)
-            pull = vectors.T @ (scaled.T @ right)
-        low = max(0.0, -float(values.min()))
-        high = low + float(np.linalg.norm(pull)) / limit  # there it is shorter
-        low += float(np.finfo(float).eps) * (high - low)
-        step = -pull / (values + high)
-        while high > (1.0 + _SMALL_STEP) * low:
-            middle = float(np.sqrt(low * high))
-            step = -pull / (values + middle)
-            length = np.linalg.norm(step)
-            if abs(length - limit) <= _ON_RADIUS * limit:
-                break
-            if length > limit:
-                low = middle
-            else:
-                high = middle
-        return np.asarray((vectors @ step) / scale)
-
-
 class _Path:
     """Where the iteration is, and what it remembers.
 
@@ -300,7 +180,7 @@ class _Path:
         tolerance: Relative change of the cost that counts as none.
     """
 
-    def __init__(self, start: _Point, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
+    def __init__(self, start: LinearPoint, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
         self.current = start
         self._tolerance = tolerance
         self._by_columns = scaling == "jacobian"
@@ -311,7 +191,7 @@ class _Path:
         self._radius = _REACH * typical if self._cautious else np.inf
         if self._by_columns:
             self._radius = self._length(start.x) or 1.0
-        self._past: list[_Point] = []
+        self._past: list[LinearPoint] = []
         self._undone = False  # whether the last step was
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
@@ -320,7 +200,7 @@ class _Path:
     def _length(self, step: FloatArray) -> float:
         return float(np.linalg.norm(self._scale * step))
 
-    def _rescale(self, point: _Point) -> None:
+    def _rescale(self, point: LinearPoint) -> None:
         if self._by_columns:
             norms = np.linalg.norm(point.triangle, axis=0)
             self._scale = np.maximum(self._scale, np.where(norms > 0, norms, 1.0))
@@ -371,19 +251,19 @@ class _Path:
             self._radius = _SHORTER * min(self._length(self._step), self._radius)
             self._cautious, self._past = False, []
             return
-        trial = _Point(x, values, jacobian(x))
+        trial = LinearPoint(x, values, jacobian(x))
         promised = self.current.cost - self._promised
         self._radius = self._adapted(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
         self._past = [*self._past, self.current][-_KEPT:]
         self.current = trial
         self._rescale(trial)
 
-    def _adapted(self, trial: _Point, part: float) -> float:
+    def _adapted(self, trial: LinearPoint, part: float) -> float:
         """Return the radius after a step that lowered the cost, by this part of what the model promised."""
         if np.isinf(self._radius):
             return self._radius
         length = self._length(self._step)
-        if self._cautious and length >= (1.0 - _ON_RADIUS) * self._radius:
+        if self._cautious and length >= (1.0 - ON_RADIUS) * self._radius:
             left = float(np.linalg.norm(trial.residuals - self.current.residuals - self.current.jacobian @ self._step))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf

@@ -159,15 +159,19 @@ def against_minpack(robot, data):
     return last
 
 
-def clustered():
-    """Robots and measurements of which subsets are fitted."""
-    return {"MedRUE": example("medrue"), "arm": example("arm"), "Stewart": example("stewart")}
+def clustered(folder=None):
+    """Robots and measurements of which subsets are fitted; those of others where there is a folder."""
+    robots = {"MedRUE": example("medrue"), "arm": example("arm"), "Stewart": example("stewart")}
+    return robots | ({"UR10": ur10(folder / "ur10_tracker", 2000)} if folder else {})
 
 
 def subset_table(robots, count):
     """Lines of the table of subsets."""
-    yield "| rows | fits | evaluations: median | most | MINPACK: median | most | more than MINPACK's | higher cost |"
-    yield "|---|---:|---:|---:|---:|---:|---:|---:|"
+    yield (
+        "| rows | fits | evaluations: median | most | more than 20 | MINPACK: median | most | more than MINPACK's |"
+        " higher cost |"
+    )
+    yield "|---|---:|---:|---:|---:|---:|---:|---:|---:|"
     for name, (robot, data) in robots.items():
         by_sort = {}
         for sort, rows in subsets(data.joints, count):
@@ -175,7 +179,8 @@ def subset_table(robots, count):
         for sort, each in by_sort.items():
             ours, theirs, cost, other, converged = np.array([counts for counts in each if counts]).T
             failed = "" if np.all(converged) else f", {int(np.sum(converged == 0))} not converged"
-            numbers = np.median(ours), np.max(ours), np.median(theirs), np.max(theirs), np.sum(ours > theirs)
+            numbers = np.median(ours), np.max(ours), np.sum(ours > 20), np.median(theirs), np.max(theirs)
+            numbers = *numbers, np.sum(ours > theirs)
             shown = " | ".join(f"{number:.0f}" for number in (*numbers, np.sum(cost > (1 + 1e-6) * other)))
             yield f"| {name}, {sort} | {len(ours)}{failed} | {shown} |"
 
@@ -188,7 +193,7 @@ def main():
     parser.add_argument("--subsets", type=int, default=0)
     options = parser.parse_args()
     if options.subsets:
-        for line in subset_table(clustered(), options.subsets):
+        for line in subset_table(clustered(options.data), options.subsets):
             print(line, flush=True)
         return
     for line in table(problems(options.data), options.starts):

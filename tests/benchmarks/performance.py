@@ -8,16 +8,17 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 
 import argparse
 import resource
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
 import evaluations
+import growth
 import numpy as np
 import pinocchio as pin
 import scipy
 import whole_commands
 from hand_written import Arm, fit
+from timing import least
 
 import calib
 from calib.base.threads import one_blas_thread
@@ -34,9 +35,8 @@ ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of t
 SAME_COST = 1e-6
 """Relative difference of costs up to which two fits reached the same minimum."""
 
-
-QUICK = 0.02
-"""Seconds of work that the next one finds its data in the processor's cache after, as the next step of a fit does."""
+SUBSETS = 67
+"""Subsets of each sort: 201 of each robot."""
 NUMBA = find_spec("numba") is not None
 
 
@@ -55,19 +55,32 @@ def ratio(seconds, unit):
     return "-" if seconds is None else f"{seconds / unit:.1f}" if seconds < 20 * unit else f"{seconds / unit:.0f}"
 
 
-@one_blas_thread
-def least(rounds, **work):
-    """Seconds of processor time that each piece of work takes at least, run in turns; quick work thrice each turn."""
-    taken = {name: [] for name in work}
-    for _ in range(rounds):
-        for name, function in work.items():
-            for _ in range(3):
-                start = time.process_time()
-                function()
-                taken[name].append(time.process_time() - start)
-                if taken[name][-1] > QUICK:
-                    break
-    return {name: min(times) for name, times in taken.items()}
+def urdf_loop(robot, n):
+    """Pinocchio's own loop: one `computeJointJacobians` for each of n poses, of the URDF as users load it."""
+    model = pin.buildModelFromUrdf(str(robot.urdf.path))
+    data, q = model.createData(), pin.neutral(model)
+
+    def loop():
+        for _ in range(n):
+            pin.computeJointJacobians(model, data, q)
+
+    return loop
+
+
+def with_loops(rounds):
+    """Rows of the table of robots with loops: closing, positions and columns over Pinocchio's loop."""
+    for name in ("MedRUE", "five-bar", "Stewart"):
+        robot, some = evaluations.example(name.lower().replace("-", "_"))
+        q = np.tile(some.joints, (420 // len(some) + 1, 1))[:420]
+        rng = np.random.default_rng(0)
+        moved = robot.with_parameters(robot.values + 1e-5 * rng.standard_normal(len(robot.values)))
+        seed = robot.assemble(q).passive
+
+        def step(moved=moved, q=q, seed=seed):
+            return linearise(moved, moved.assemble(q, seed=seed))
+
+        taken = least(rounds, loop=urdf_loop(robot, len(q)), step=step, **({"fast": fast(step)} if NUMBA else {}))
+        yield name, len(robot.values), *(ratio(taken.get(key), taken["loop"]) for key in ("step", "fast"))
 
 
 def kinematics(rounds):
@@ -75,12 +88,7 @@ def kinematics(rounds):
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)
     moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))
     seed, solved = robot.assemble(q).passive, moved.assemble(q)
-    model, joints = moved.mechanism.model, moved.mechanism.all_joints(q, solved.passive)
-    data = model.createData()
-
-    def loop():
-        for row in joints:
-            pin.computeJointJacobians(model, data, row)
+    loop = urdf_loop(robot, len(q))
 
     def differences():
         def positions(values):
@@ -132,9 +140,11 @@ def fits(problems, rounds):
             hand=lambda arm=arm, data=data, measured=measured, sigma=sigma: fit(arm, data.joints, measured, sigma),
             ours=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma),
             compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
+            told=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma).report(),
         )
-        ours, quick = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled"))
-        rows.append((name, len(data), len(result.unknowns), ours, quick if NUMBA else "-", sum(counts.values()), hand))
+        ours, quick, told = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled", "told"))
+        quick = quick if NUMBA else "-"
+        rows.append((name, len(data), len(result.unknowns), ours, quick, told, sum(counts.values()), hand))
     return rows
 
 
@@ -156,8 +166,9 @@ def studies(draws, rounds):
     return taken["fit"], taken["study"] / draws, taken["compiled"] / draws if NUMBA else None
 
 
-def page(robots, rounds, draws):
+def page(folder, rounds, draws):
     """Lines of docs/performance.md."""
+    robots = evaluations.problems(folder)
     yield """# Performance
 
 For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. All
@@ -168,7 +179,7 @@ that is compared ran in turns in one run, with one thread of linear algebra; fig
 ## Kinematics through closed loops
 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
-`computeJointJacobians` of the same model for each pose, called from Python, nothing read out.
+`computeJointJacobians` of the URDF as users load it for each pose, called from Python, nothing read out.
 
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes tens of seconds once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
@@ -179,6 +190,13 @@ once use it, and so does code under `with calib.robots.acceleration.compiled():`
     rows, faults = kinematics(rounds)
     for row in rows:
         yield f"| {' | '.join(row)} |"
+    yield """
+Closing, positions and columns, what every step of a fit needs, of 420 poses of each robot:
+
+| robot | parameters | over Pinocchio's loop | with `fast` |
+|---|---:|---:|---:|"""
+    for row in with_loops(rounds):
+        yield f"| {' | '.join(map(str, row))} |"
     yield f"""
 Page faults of one more step of a fit, without numba: {faults}. One kinematic regressor serves all frames, and joints
 that move none of them, or all of them alike, are not in the model.
@@ -190,8 +208,8 @@ that move none of them, or all of them alike, are not in the model.
 statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a millionth.
 `calib.fit` also judges data, rank and convergence, and computes covariances, intervals and errors.
 
-| arm | poses | unknowns | `calib.fit` over hand-written | with `fast` | evaluations | hand-written |
-|---|---:|---:|---:|---:|---:|---:|"""
+| arm | poses | unknowns | fit over hand-written | with `fast` | with verdict, report | evaluations | hand-written |
+|---|---:|---:|---:|---:|---:|---:|---:|"""
     for row in fits(robots, rounds):
         yield f"| {' | '.join(map(str, row))} |"
     alone, *drawn = studies(draws, max(rounds // 10, 1))
@@ -224,12 +242,19 @@ did not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
     yield """
 ## Rows that are not spread
 
-Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, eight of each sort, from the same
+Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, 67 of each sort, from the same
 start, with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are
-fewer than eight fits, rows that do not determine the robot were refused. Alone:
-`python tests/benchmarks/evaluations.py --subsets 8`.
+fewer fits, rows that do not determine the robot were refused. Alone:
+`python tests/benchmarks/evaluations.py --subsets 67 --data FOLDER`.
 """
-    yield from evaluations.subset_table(evaluations.clustered(), 8)
+    yield from evaluations.subset_table(evaluations.clustered(folder), SUBSETS)
+    yield """
+## Growth
+
+Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. Alone:
+`python tests/benchmarks/growth.py --data FOLDER`.
+"""
+    yield from growth.table(folder, max(rounds // 5, 1))
 
 
 def main():
@@ -241,7 +266,7 @@ def main():
     options = parser.parse_args()
     rounds, draws = (3, 20) if options.quick else (15, 200)
     lines = []
-    for line in page(evaluations.problems(options.data), rounds, draws):
+    for line in page(options.data, rounds, draws):
         print(line, flush=True)
         lines.append(line)
     if options.write:

@@ -24,7 +24,7 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
 def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_data):
     robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=True, turned=True)
     fit = calib.fit(robot, train, validation=test)
-    assert all(noise.sigma < 1.1 for noise in fit.noise if noise.group.part == "pixel")
+    assert all(noise.sigma < 1.1 for noise in fit.noise if noise.group.part.name == "pixel")
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0726
     known = fit.identification_uncertainty  # of the ball; where the body is that cameras see, nobody knows to 10 mm

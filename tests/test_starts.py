@@ -13,6 +13,7 @@ from calib.fitting.problem import Problem
 from calib.fitting.settings import Settings
 from calib.fitting.solving import place, solve_from
 from calib.fitting.starts import explore
+from calib.instruments.kind import Part
 from calib.numerics.least_squares import minimise
 from calib.rows.rows import Group
 
@@ -32,7 +33,7 @@ class Point:
 class Rows:
     """Rows that are white already."""
 
-    groups = (Group("rows", "position", "length", stated=True, typical=1.0),)
+    groups = (Group("rows", Part("position", ("x",), "length"), stated=True, typical=1.0),)
 
     def flatten(self, residuals):
         return residuals["rows"].ravel()

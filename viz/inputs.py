@@ -124,6 +124,6 @@ def _placed(robot: Robot, data: Measurements) -> Robot:
 def _stated(robot: Robot, data: Measurements) -> Sigmas:
     """Return the noise of measured points that the description or the measurements state."""
     stated = {
-        group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.is_position
+        group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.part.is_position
     }
     return {instrument.name: stated[instrument.group] for instrument in robot.instruments if instrument.group in stated}

@@ -164,7 +164,7 @@ def noise(fit: Fit) -> Sigmas:
     by_group = {
         group_noise.group.name: group_noise.sigma
         for group_noise in reversed(fit.noise)
-        if group_noise.group.is_position
+        if group_noise.group.part.is_position
     }
     return {
         instrument.name: by_group[instrument.group]

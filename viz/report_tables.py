@@ -118,21 +118,21 @@ def extent(table: PoseTable) -> str:
 def noise_lines(fit: Fit) -> list[NoiseLine]:
     """Return the noise of each group of rows; what it is of is said where there are several."""
     several = {
-        (instrument.group, part.name)
+        (instrument.name, part.name)
         for instrument in fit.nominal.instruments
         for part in instrument.parts
         if len(part.axes) > 1
     }
     lines = []
     for noise in fit.noise:
-        scale = error_scale(noise.group.dimension)
+        scale = error_scale(noise.group.part.dimension)
         lines.append(
             NoiseLine(
-                f" of {noise.group.name}, {noise.group.part}" if len(fit.noise) > 1 else "",
+                f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else "",
                 scale * noise.sigma,
                 None if noise.stated is None else scale * noise.stated,
-                ERROR_UNIT[noise.group.dimension],
-                " per axis" if (noise.group.name, noise.group.part) in several else "",
+                ERROR_UNIT[noise.group.part.dimension],
+                " per axis" if (noise.group.name, noise.group.part.name) in several else "",
                 noise.freedom,
             )
         )

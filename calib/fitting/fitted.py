@@ -267,7 +267,7 @@ class Fit(ReadOnlyArrays):
     @property
     def first_noise(self) -> NoiseEstimate:
         """Noise of measured positions; of the first group of rows where none are."""
-        return next((estimate for estimate in self.noise if estimate.group.is_position), self.noise[0])
+        return next((estimate for estimate in self.noise if estimate.group.part.is_position), self.noise[0])
 
     @property
     def sigma(self) -> float:
@@ -363,10 +363,12 @@ class Fit(ReadOnlyArrays):
         whitening = Whitening(self.robot, data, self.sigma_given)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings)
-        known = {(estimate.group.name, estimate.group.part, estimate.group.stated): estimate for estimate in self.noise}
+        known = {
+            (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
+        }
         factors = whitening.start(errors.after)  # of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
-            estimate = known.get((group.name, group.part, group.stated))
+            estimate = known.get((group.name, group.part.name, group.stated))
             if estimate is not None:
                 factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
         divisor = whitening.row_scale(factors)

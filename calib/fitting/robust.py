@@ -25,6 +25,7 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import NotIdentifiableError
 from calib.fitting.problem import Evaluation, Problem
+from calib.fitting.starts import Starts
 from calib.numerics.chances import EXACT
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
@@ -44,42 +45,44 @@ _TOO_FEW_LEFT = (
 
 
 @dataclass(frozen=True, eq=False)
-class RobustFit:
-    """The end of the alternation.
+class Solved:
+    """A minimum, and what weighed its rows.
 
     Attributes:
-        at: The solution.
+        problem: As it was solved: with the noise and the sizes of families that were found.
+        at: The parameters there, and what they say of the readings.
+        groups: Scale of the noise of each group, (n_groups,).
         solution: What the solver said last.
-        weights: Weight of each reading, (n_readings,).
-        factors: What the residuals say about the assumed noise.
-        groups: Scale of the noise of each group that was assumed, (n_groups,).
-        settled: Whether the weights stand.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: What the residuals say about the noise, with a robust loss.
+        settled: Whether the weights of a robust loss stand.
+        starts: Ends of perturbed starts, if they were asked for.
     """
 
+    problem: Problem
     at: Evaluation
-    solution: Solution
-    weights: FloatArray
-    factors: Factors
     groups: FloatArray
-    settled: bool
+    solution: Solution
+    weights: FloatArray | None = None
+    factors: Factors | None = None
+    settled: bool = True
+    starts: Starts | None = None
 
 
-def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatArray) -> RobustFit:
-    """Minimise with a robust loss.
+def solve_robust(solved: Solved, loss: Loss) -> Solved:
+    """Minimise with a robust loss, from a least-squares solution.
 
     Args:
-        problem: The problem; identifiable from its data and priors.
-        start: The least-squares solution.
+        solved: That solution.
         loss: Not `none`.
-        groups: Scale of the noise of each group as least squares assumed it, (n_groups,).
 
     Raises:
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
+    problem, at, scale = solved.problem, solved.at, float("nan")
     layout = problem.whitening.layout
-    groups, noise_found = _believed(problem, problem.rows(start, groups), groups)
+    groups, noise_found = _believed(problem, problem.rows(at, solved.groups), solved.groups)
     found_everywhere = bool(np.all(noise_found))
-    at, scale = start, float("nan")
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
         fixed = scale if stage != "huber" else None
@@ -109,7 +112,7 @@ def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatA
     factors = Factors(
         pooled.values * ones, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * ones, pooled.slope
     )
-    return RobustFit(at, solution, weights, factors, groups, settled)
+    return Solved(problem, at, groups, solution, weights, factors, settled, solved.starts)
 
 
 def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:

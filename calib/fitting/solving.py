@@ -22,7 +22,7 @@ again. (The statement itself is judged by `calib.judging.rules_noise`.)
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,12 +33,12 @@ from calib.base.workers import Progress
 from calib.fitting.curvature import mean_square_beyond_linear
 from calib.fitting.fitted import Convergence
 from calib.fitting.problem import Evaluation, Problem
-from calib.fitting.robust import solve_robust
+from calib.fitting.robust import Solved, solve_robust
 from calib.fitting.settings import Settings
-from calib.fitting.starts import Starts, explore
+from calib.fitting.starts import explore
 from calib.numerics.chances import EXACT
 from calib.numerics.clusters import Scatter, scatter
-from calib.numerics.least_squares import TOLERANCE, Solution
+from calib.numerics.least_squares import TOLERANCE
 from calib.numerics.observability import Information
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
@@ -60,31 +60,6 @@ _NO_NOISE = (
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A minimum, and what weighed its rows.
-
-    Attributes:
-        problem: As it was solved: with the noise and the sizes of families that were found.
-        at: The parameters there, and what they say of the readings.
-        groups: Scale of the noise of each group, (n_groups,).
-        solution: What the solver said.
-        weights: Of each reading, (n_readings,); None without a robust loss.
-        factors: What the residuals say about the noise, with a robust loss.
-        settled: Whether the weights of a robust loss stand.
-        starts: Ends of perturbed starts, if they were asked for.
-    """
-
-    problem: Problem
-    at: Evaluation
-    groups: FloatArray
-    solution: Solution
-    weights: FloatArray | None = None
-    factors: Factors | None = None
-    settled: bool = True
-    starts: Starts | None = None
 
 
 def place(problem: Problem) -> Evaluation:
@@ -183,11 +158,7 @@ def solve_from(
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
             solved = solve(problem, problem.evaluate(best.robot))
         solved = replace(solved, starts=tried)
-    if settings.loss == "none":
-        return solved
-    problem, starts = solved.problem, solved.starts
-    end = solve_robust(problem, solved.at, settings.loss, solved.groups)
-    return Solved(problem, end.at, end.groups, end.solution, end.weights, end.factors, end.settled, starts)
+    return solved if settings.loss == "none" else solve_robust(solved, settings.loss)
 
 
 def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:

@@ -48,7 +48,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
     estimate = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
-    if estimate.stated is None and not measured and estimate.group.is_position:
+    if estimate.stated is None and not measured and estimate.group.part.is_position:
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (

@@ -130,11 +130,11 @@ class EffectSetting:
     @property
     def dimension(self) -> Dimension:
         """What `metre` measures."""
-        return self.whitening.groups[self._first].dimension
+        return self.whitening.groups[self._first].part.dimension
 
     @property
     def _first(self) -> int:
-        return next((g for g, group in enumerate(self.whitening.groups) if group.is_position), 0)
+        return next((g for g, group in enumerate(self.whitening.groups) if group.part.is_position), 0)
 
 
 def has_time(data: Poses) -> bool:

@@ -142,7 +142,7 @@ def error_budget(
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
     layout = Whitening(after, errors.data, sigma).layout
-    counted = np.array([group.part == errors.main_part.name for group in layout.groups] + [False])[layout.group]
+    counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
     path = _along(before, after, errors, unknowns, members, layout, counted)
     n, width, removed = len(path.before), int(np.sum(counted)), path.removed
     if rows is not None:

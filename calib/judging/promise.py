@@ -63,7 +63,7 @@ class Promise:
         if isinstance(calibrated, Promise):
             return calibrated
         if isinstance(calibrated, Fit):
-            sigma = {(noise.group.name, noise.group.part): noise.sigma for noise in calibrated.noise}
+            sigma = {(noise.group.name, noise.group.part.name): noise.sigma for noise in calibrated.noise}
             statistics = calibrated.statistics
             shared = 1.0 if statistics.shared is None else statistics.shared.ratio
             return Promise(calibrated.robot, calibrated.covariance.values, statistics.freedom, sigma, shared)
@@ -186,8 +186,8 @@ class System:
         whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)
         scales = whitening.start({name: block.residuals for name, block in observed.items()})
         for g, group in enumerate(whitening.groups):
-            if (group.name, group.part) in promise.sigma:
-                scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
+            if (group.name, group.part.name) in promise.sigma:
+                scales[g] = max(promise.sigma[group.name, group.part.name], 1e-30) / group.typical
         rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
         kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement

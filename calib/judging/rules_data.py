@@ -244,11 +244,11 @@ def rounded(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
     steps = None if fit.computed else rounding(fit)
     if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
-        estimate = fit.first_noise
-        size = error_scale(estimate.group.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
+        estimate, part = fit.first_noise, fit.first_noise.group.part
+        size = error_scale(part.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
         yield Code.ROUNDED.says(
             f"joint values were rounded to steps of {steps.steps}, which makes about {size:.2g}"
-            f" {ERROR_UNIT[estimate.group.dimension]} of noise. Export joint values with all digits of the controller"
+            f" {ERROR_UNIT[part.dimension]} of noise. Export joint values with all digits of the controller"
         )
 
 

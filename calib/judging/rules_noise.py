@@ -59,17 +59,17 @@ def noise(fit: Fit) -> Iterator[Reason]:
 def misread(fit: Fit) -> Iterator[Reason]:
     """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
     for estimate in fit.noise:
-        if not estimate.sigma > DOUBTFUL * estimate.group.largest:
+        if not estimate.sigma > DOUBTFUL * estimate.group.part.largest:
             continue
         data, beyond = fit.identification.data, ""
         readers = [name for name in data.readings if fit.nominal.instrument(name).group == estimate.group.name]
         meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
-        if estimate.sigma > estimate.group.largest:
-            beyond = f", more than any such instrument has ({in_words(estimate, estimate.group.largest)})"
+        if estimate.sigma > estimate.group.part.largest:
+            beyond = f", more than any such instrument has ({in_words(estimate, estimate.group.part.largest)})"
         if meaning or beyond:
             yield Code.MISREAD.says(
-                f"noise found of {estimate.group.name}, {estimate.group.part}, is {in_words(estimate, estimate.sigma)}"
-                f" per axis{beyond}: the numbers mean something else;"
+                f"noise found of {estimate.group.name}, {estimate.group.part.name}, is"
+                f" {in_words(estimate, estimate.sigma)} per axis{beyond}: the numbers mean something else;"
                 f" {meaning or 'look at their order, form, unit and frame'}"
             )
 
@@ -110,17 +110,17 @@ def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
 
 def in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
     """A noise [SI] in the unit of its group."""
-    return f"{error_scale(estimate.group.dimension) * size:.{digits}g} {ERROR_UNIT[estimate.group.dimension]}"
+    return f"{error_scale(estimate.group.part.dimension) * size:.{digits}g} {ERROR_UNIT[estimate.group.part.dimension]}"
 
 
 def _of(fit: Fit, estimate: NoiseEstimate) -> str:
-    return f" of {estimate.group.name}, {estimate.group.part}," if len(fit.noise) > 1 else ""
+    return f" of {estimate.group.name}, {estimate.group.part.name}," if len(fit.noise) > 1 else ""
 
 
 def _against_usual(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
-    usual = estimate.group.usual
+    usual = estimate.group.part.usual
     if estimate.sigma > usual:
-        none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
+        none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
         yield Code.NOISE.says(
             f"noise found{_of(fit, estimate)} is {in_words(estimate, estimate.sigma)} per axis, more than such an"
             f" instrument has ({in_words(estimate, usual)} at most): the model does not explain the measurements, and"
@@ -158,7 +158,7 @@ def _beyond_statement(estimate: NoiseEstimate) -> bool:
 
 def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
     """Whether a noise may be what the model leaves out of a healthy robot."""
-    return estimate.group.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)
+    return estimate.group.part.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)
 
 
 def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
@@ -185,7 +185,7 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     text += ": the model does not explain the measurements;"
     compared = list(comparisons(fit))
     better = any(comparison.better for comparison in compared)
-    bounded = estimate.group.dimension == "length" and np.isfinite(_spread(fit))
+    bounded = estimate.group.part.dimension == "length" and np.isfinite(_spread(fit))
     no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
     if not _may_be_left_out(fit, estimate):
         text += (

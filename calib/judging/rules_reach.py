@@ -110,7 +110,7 @@ def _at_used(fit: Fit) -> Configurations:
 
 def _well_known(fit: Fit, at_used: float) -> float:
     """Uncertainty of positions up to which they are known well enough [m], if it is `at_used` at the poses used."""
-    lengths = fit.first_noise.group.dimension == "length"
+    lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
 

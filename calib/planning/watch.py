@@ -172,7 +172,7 @@ class Watch:
         """Where to measure next, by the present fit or by the nominal robot."""
         fit, measured = self._fit, data if data is not None and len(data) else None
         sigma = self._settings.sigma
-        if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.is_position:
+        if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part.is_position:
             sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]

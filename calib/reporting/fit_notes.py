@@ -49,8 +49,8 @@ def _size(fit: Fit) -> list[str]:
 def _noise(fit: Fit) -> list[str]:
     lines = []
     for noise in fit.noise:
-        scale, unit = error_scale(noise.group.dimension), ERROR_UNIT[noise.group.dimension]
-        of = f" of {noise.group.name}, {noise.group.part}" if len(fit.noise) > 1 else ""
+        scale, unit = error_scale(noise.group.part.dimension), ERROR_UNIT[noise.group.part.dimension]
+        of = f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else ""
         stated = "none was stated" if noise.stated is None else f"stated: {scale * noise.stated:.4g} {unit}"
         lines.append(f"Noise found{of}: {scale * noise.sigma:.4g} {unit} per axis ({stated})")
     return lines

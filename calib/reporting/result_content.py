@@ -304,7 +304,8 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
         parts = []
         offsets = fit.offsets.get(instrument.name, np.zeros(instrument.n_rows))
         for index, part in enumerate(instrument.parts):
-            noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (instrument.group, part.name)), None)
+            of_part = (n for n in fit.noise if (n.group.name, n.group.part.name) == (instrument.group, part.name))
+            noise = next(of_part, None)
             scale = error_scale(part.dimension)
             parts.append(
                 {

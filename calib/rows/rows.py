@@ -33,7 +33,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.base.units import Dimension
+from calib.instruments.kind import Part
 from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information
 from calib.numerics.prior import Prior
@@ -47,22 +47,14 @@ class Group:
     Attributes:
         name: Of the instruments' group.
         part: Which rows of their readings.
-        dimension: What they measure.
         stated: Whether their noise is stated.
         typical: Typical standard deviation as stated, or 1 SI unit [SI].
-        usual: The largest that such instruments have [SI]; infinite where nothing is known.
-        largest: Beyond which the numbers mean something else [SI]; infinite likewise.
-        is_position: Whether they are positions (`calib.instruments.kind.Part`).
     """
 
     name: str
-    part: str
-    dimension: Dimension
+    part: Part
     stated: bool
     typical: float
-    usual: float = float("inf")
-    largest: float = float("inf")
-    is_position: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -175,7 +175,7 @@ class Whitening:
 
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
         """Return scales to start from: 1 where noise is stated; else as the residuals (n, n_rows) are, or assumed."""
-        result = np.array([1.0 if group.stated else ASSUMED[group.dimension] for group in self.groups])
+        result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
         if residuals is not None:
             flat, number = self.flatten(residuals), self.layout.group
             for g, group in enumerate(self.groups):
@@ -228,8 +228,7 @@ def _group(
     if key not in groups:
         rows = [k for k, number in enumerate(instrument.part_of_row) if number == index]
         typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
-        limits = part.usual, part.largest
-        groups[key] = Group(instrument.group, part.name, part.dimension, stated, typical, *limits, part.is_position)
+        groups[key] = Group(instrument.group, part, stated, typical)
     return list(groups).index(key)
 
 

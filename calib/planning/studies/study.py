@@ -231,6 +231,6 @@ def _joined(setting: _Setting, parts: Sequence[tuple[Draws, tuple[str, ...]]], s
     draws = Draws.joined([part for part, _ in parts])
     failures = tuple(text for _, texts in parts for text in texts)
     free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
-    groups = tuple(f"{estimate.group.name}: {estimate.group.part}" for estimate in first.noise)
+    groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
     n_poses, resampled = setting.source.data.n_poses, isinstance(setting.source, Resampled)
     return Study(first.nominal.name, free, groups, draws, failures, n_poses, seed, seconds, resampled)

@@ -22,7 +22,7 @@ _COMMANDS = {
     "fit": ("calib.commands.fit", "Calibrate a robot from measurements."),
     "predict": ("calib.commands.predict", "Predict where the targets are."),
     "solve": ("calib.commands.solve", "Find joint values that reach goals."),
-    "compensate": ("calib.commands.compensate", "Change a program so that the calibrated robot does what was meant."),
+    "compensate": ("calib.commands.compensate", "Correct a program for the real robot."),
     "verify": ("calib.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.commands.export", "Write the robot in formats of other programs."),
     "watch": ("calib.commands.watch", "Say while measuring which pose is next, and when to stop."),

@@ -171,8 +171,8 @@ def page(folder, rounds, draws):
     robots = evaluations.problems(folder)
     yield """# Performance
 
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. All
-that is compared ran in turns in one run, with one thread of linear algebra; figures are the shortest of 15 turns.
+For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. What is
+compared ran alternately in one run, with one thread of linear algebra; figures are the shortest of 15 runs.
 `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
 [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 

@@ -53,8 +53,11 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
     """Return an array of numbers; an `InputError` where there are others, such as text.
 
     Args:
-        given: The numbers.
+        given: The numbers, (..., n).
         what: What they are, in the message.
+
+    Returns:
+        The numbers, (..., n) as they were given.
     """
     try:
         return np.asarray(given, dtype=float)

@@ -41,7 +41,7 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
 
 
 def n_folds(data: Measurements, folds: int | Literal["setups"]) -> int:
-    """Return how many folds there are."""
+    """Return how many folds there are; what is neither a number nor `setups` is an `InputError`."""
     if folds == "setups":
         return len(_setups(data))
     if not isinstance(folds, int):

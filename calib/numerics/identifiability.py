@@ -133,7 +133,7 @@ def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
 
 
 def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
-    """Return the rank of a matrix with these singular values, largest first, and so many columns."""
+    """Return the rank of a matrix with these singular values, (n,), largest first, and so many columns."""
     values = np.zeros(n_columns)
     values[: len(singular_values)] = singular_values
     threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0

@@ -138,9 +138,9 @@ def _inherited(package: str, name: str) -> list[str]:
     thing, public = getattr(importlib.import_module(package), name), importlib.import_module(package).__all__
     if not inspect.isclass(thing) or issubclass(thing, Exception):
         return []
-    own = [one for one in thing.__mro__[1:] if one.__module__.startswith(f"{package}.")]
-    bases = [one for one in own if one.__name__ not in public]
-    known = {member for one in bases for member in vars(one) if not member.startswith("_")}
+    own = [parent for parent in thing.__mro__[1:] if parent.__module__.startswith(f"{package}.")]
+    bases = [parent for parent in own if parent.__name__ not in public]
+    known = {member for parent in bases for member in vars(parent) if not member.startswith("_")}
     return sorted(known - set(vars(thing)))
 
 

@@ -75,13 +75,13 @@ ROOMS = (
 @functools.cache
 def modules() -> dict[str, Path]:
     """Every module of `calib` but its front door, with its file."""
-    found = {}
+    by_name = {}
     for path in sorted((ROOT / "calib").rglob("*.py")):
         parts = path.relative_to(ROOT / "calib").with_suffix("").parts
         name = ".".join(part for part in parts if part != "__init__")
         if name not in ("", "__main__"):
-            found[name] = path
-    return found
+            by_name[name] = path
+    return by_name
 
 
 def room_of(module: str) -> Room:
@@ -124,13 +124,13 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
         if module in done:
             return []
         for other in sorted(graph.get(module, ())):
-            found = visit(other, [*way, module])
-            if found:
-                return found
+            cycle = visit(other, [*way, module])
+            if cycle:
+                return cycle
         done.add(module)
         return []
 
-    return next((found for module in sorted(graph) if (found := visit(module, []))), [])
+    return next((loop for module in sorted(graph) if (loop := visit(module, []))), [])
 
 
 def picture() -> Figure:

@@ -23,15 +23,15 @@ _SHAPE = re.compile(r"\((?:\w+(?: [-+*] \w+)*|\.\.\.),|\(\d")
 
 def promises(text: str) -> dict[str, set[str]]:
     """Return the methods of each abstract base class of a module, those of its own abstract bases included."""
-    found: dict[str, set[str]] = {}
+    by_name: dict[str, set[str]] = {}
     for node in ast.parse(text).body:
         if not isinstance(node, ast.ClassDef):
             continue
         bases = [ast.unparse(base) for base in node.bases]
         methods = [method for method in node.body if isinstance(method, ast.FunctionDef)]
-        if "ABC" in bases or any("abstractmethod" in map(ast.unparse, one.decorator_list) for one in methods):
-            found[node.name] = {one.name for one in methods}.union(*(found.get(base, set()) for base in bases))
-    return found
+        if "ABC" in bases or any("abstractmethod" in map(ast.unparse, item.decorator_list) for item in methods):
+            by_name[node.name] = {item.name for item in methods}.union(*(by_name.get(base, set()) for base in bases))
+    return by_name
 
 
 def gaps(text: str, promised: Mapping[str, set[str]]) -> Iterator[tuple[int, str, str]]:
@@ -74,16 +74,16 @@ def _is_command(function: ast.FunctionDef) -> bool:
 
 def _raised(function: ast.FunctionDef) -> set[str]:
     """Names of the error classes that its own `raise` statements make."""
-    found: set[str] = set()
+    raised: set[str] = set()
     todo: list[ast.AST] = [function]
     while todo:
         node = todo.pop()
         if isinstance(node, ast.With) and any("_explained(" in ast.unparse(item) for item in node.items):
             continue
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-            found.add(ast.unparse(node.exc.func))
+            raised.add(ast.unparse(node.exc.func))
         todo += ast.iter_child_nodes(node)
-    return found
+    return raised
 
 
 def all_gaps() -> list[str]:

@@ -172,9 +172,9 @@ def from_template(name: str) -> dict[str, str]:
         truth = _drawn(robot, rng)
         actual = robot.with_parameters(truth)
         scale = np.array([_scale(robot, joint) for joint in robot.joint_names])
-        found = np.round(calib.sample(robot, 2 * TEMPLATES[name], rng).joints * scale, 3) / scale
-        near = actual.close(found).ok & robot.close(found).ok
-        poses = found[near][: TEMPLATES[name]]
+        candidates = np.round(calib.sample(robot, 2 * TEMPLATES[name], rng).joints * scale, 3) / scale
+        near = actual.close(candidates).ok & robot.close(candidates).ok
+        poses = candidates[near][: TEMPLATES[name]]
         return texts | _files(robot, name, poses, truth, TEMPLATE_SIGMA, TEMPLATE_SEED, rng)
 
 

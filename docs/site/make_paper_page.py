@@ -69,10 +69,10 @@ def filled(page: str, sources: dict[str, Path]) -> str:
     def content(match: re.Match[str]) -> str:
         study, _, name = match["source"].partition("/")
         if study == "poses.json":
-            found = workspace(json.loads(sources["poses"].read_text(encoding="utf-8")))
+            result = workspace(json.loads(sources["poses"].read_text(encoding="utf-8")))
         else:
-            found = table(sources[study] / name)
-        return f"{match[1]}\n{found}\n{match[3]}"
+            result = table(sources[study] / name)
+        return f"{match[1]}\n{result}\n{match[3]}"
 
     return _PLACE.sub(content, page)
 

@@ -14,8 +14,8 @@ ORDER = ("medrue", "serial_arm", "five_bar", "choosing_poses")
 
 def names() -> list[str]:
     """Notebooks in the order of the tutorials, others after them."""
-    found = [path.stem for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
-    return [name for name in ORDER if name in found] + [name for name in found if name not in ORDER]
+    stems = [path.stem for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
+    return [name for name in ORDER if name in stems] + [name for name in stems if name not in ORDER]
 
 
 def pages() -> dict[str, str | bytes]:

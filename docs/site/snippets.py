@@ -74,15 +74,15 @@ class Block:
 
 def blocks(page: str) -> list[Block]:
     """Return the fenced blocks of a page."""
-    found = []
+    result = []
     for match in _FENCE.finditer(page):
         title = _TITLE.search(match["rest"])
         line = page.count("\n", 0, match.start("language")) + 1
         comment = match["comment"] or ""
-        found.append(
+        result.append(
             Block(match["language"], title.group(1) if title else "", comment, match["text"], line, match.span("text"))
         )
-    return found
+    return result
 
 
 def run_page(path: Path, *, write: bool = False) -> None:
@@ -150,7 +150,7 @@ class _Session:
         return printed.getvalue()
 
     def _shell(self, block: Block) -> str:
-        wanted = int(block.comment.removeprefix("exit code ")) if block.comment.startswith("exit code ") else 0
+        expected = int(block.comment.removeprefix("exit code ")) if block.comment.startswith("exit code ") else 0
         printed = []
         for line in block.text.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
@@ -158,8 +158,8 @@ class _Session:
                 continue
             code, text = self._program(words) if words[0] in ("calib", "medrue") else self._other(line)
             printed.append(text)
-            if code != wanted:
-                raise SnippetError(f"`{' '.join(words)}` ended with exit code {code}, not {wanted}:\n{text[-400:]}")
+            if code != expected:
+                raise SnippetError(f"`{' '.join(words)}` ended with exit code {code}, not {expected}:\n{text[-400:]}")
         return "".join(printed)
 
     def _program(self, words: list[str]) -> tuple[int, str]:

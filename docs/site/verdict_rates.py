@@ -113,29 +113,29 @@ def runs(each: int, only: str = "") -> list[Run]:
     ]
 
 
-def carry_out(wanted: Sequence[Run], processes: int, kept: Path | None = None) -> list[Outcome]:
+def carry_out(planned: Sequence[Run], processes: int, kept: Path | None = None) -> list[Outcome]:
     """Do calibrations, in the order given.
 
     Args:
-        wanted: Which.
+        planned: Which.
         processes: How many at once.
         kept: File to which each outcome is added as it comes; what is there already is not done again.
     """
     done = _read(kept) if kept is not None and kept.exists() else {}
-    left = [run for run in wanted if run not in done]
+    left = [run for run in planned if run not in done]
     with Workers(processes, len(left)) as workers:
         for outcome in in_order(calibrate, left, workers):
             done[outcome.run] = outcome
             if kept is not None:
                 with kept.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(outcome)) + "\n")
-    return [done[run] for run in wanted]
+    return [done[run] for run in planned]
 
 
 def _read(kept: Path) -> dict[Run, Outcome]:
     entries = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()]
-    found = [Outcome(Run(**e["run"]), e["grade"], tuple(e["codes"]), e["says_so"]) for e in entries]
-    return {outcome.run: outcome for outcome in found}
+    outcomes = [Outcome(Run(**e["run"]), e["grade"], tuple(e["codes"]), e["says_so"]) for e in entries]
+    return {outcome.run: outcome for outcome in outcomes}
 
 
 def rows(outcomes: Iterable[Outcome]) -> list[list[str]]:
@@ -145,24 +145,24 @@ def rows(outcomes: Iterable[Outcome]) -> list[list[str]]:
         by_scenario.setdefault(outcome.run.scenario, []).append(outcome)
     table = []
     for kind in KINDS:
-        these = {name: found for name, found in by_scenario.items() if SCENARIOS[name].kind == kind}
+        these = {name: group for name, group in by_scenario.items() if SCENARIOS[name].kind == kind}
         if not these:
             continue
-        table += [_row(kind, name, found) for name, found in these.items()]
-        table.append(_row(kind, f"all {kind}", [outcome for found in these.values() for outcome in found]))
+        table += [_row(kind, name, group) for name, group in these.items()]
+        table.append(_row(kind, f"all {kind}", [outcome for group in these.values() for outcome in group]))
     return table
 
 
-def _row(kind: str, name: str, found: list[Outcome]) -> list[str]:
-    grades = Counter(outcome.grade for outcome in found)
-    shown = (outcome for outcome in found if outcome.grade != "PASS" or kind == "counted")
+def _row(kind: str, name: str, outcomes: list[Outcome]) -> list[str]:
+    grades = Counter(outcome.grade for outcome in outcomes)
+    shown = (outcome for outcome in outcomes if outcome.grade != "PASS" or kind == "counted")
     codes = Counter(code for outcome in shown for code in dict.fromkeys(outcome.codes))
     said = ", ".join(f"{code} {count}" for code, count in codes.most_common(3))
     if name in SCENARIOS and SCENARIOS[name].named:
-        said = f"a PASS names it as not covered: {sum(o.says_so for o in found if o.grade == 'PASS')}" + (
+        said = f"a PASS names it as not covered: {sum(o.says_so for o in outcomes if o.grade == 'PASS')}" + (
             f"; {said}" if said else ""
         )
-    return [kind, name, str(len(found)), *(str(grades[grade]) for grade in OUTCOMES), said]
+    return [kind, name, str(len(outcomes)), *(str(grades[grade]) for grade in OUTCOMES), said]
 
 
 def csv_text(table: list[list[str]]) -> str:

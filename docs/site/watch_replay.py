@@ -96,11 +96,11 @@ def replays(folder: Path) -> dict[str, list[Replay]]:
 
 
 @styled
-def figure(found: dict[str, list[Replay]]) -> Figure:
+def figure(by_folder: dict[str, list[Replay]]) -> Figure:
     """Draw them."""
     drawn = Figure(figsize=(7, 3.6), layout="constrained")
     axes = drawn.subplots()
-    for (name, runs), colour in zip(found.items(), (BLUE, ORANGE), strict=True):
+    for (name, runs), colour in zip(by_folder.items(), (BLUE, ORANGE), strict=True):
         errors = millimetres(np.array([run.errors for run in runs]))
         number = np.arange(errors.shape[1])
         low, middle, high = np.nanquantile(errors[:, 8:], [0, 0.5, 1], axis=0)
@@ -119,13 +119,13 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="measurements of the UR10")
-    found = replays(parser.parse_args().folder)
-    for name, runs in found.items():
+    by_folder = replays(parser.parse_args().folder)
+    for name, runs in by_folder.items():
         for what in ("needed", "stop"):
             numbers = sorted(getattr(run, what) or np.inf for run in runs)  # infinite: not within `MOST`
             print(f"{name}, {what}: median {np.median(numbers):g}, {numbers}")
         print("  error at stop [mm]:", [f"{millimetres(run.errors[run.stop]):.3f}" for run in runs if run.stop])
-    FIGURE.write_bytes(svg_file(figure(found)))
+    FIGURE.write_bytes(svg_file(figure(by_folder)))
 
 
 if __name__ == "__main__":

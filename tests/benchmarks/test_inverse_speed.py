@@ -15,13 +15,13 @@ def robot():
     return calib.load(robot_file())
 
 
-@pytest.mark.parametrize("request", ["full pose", "position and axis", "position"])
-def test_solve_420_targets(benchmark, robot, request):
+@pytest.mark.parametrize("kept", ["full pose", "position and axis", "position"])
+def test_solve_420_targets(benchmark, robot, kept):
     T = np.array(target_workspace().T_world_tool)
     goals = Goals(
         T[:, :3, 3],
-        T[:, :3, :3] if request == "full pose" else None,
-        T[:, :3, 2] if request == "position and axis" else None,
+        T[:, :3, :3] if kept == "full pose" else None,
+        T[:, :3, 2] if kept == "position and axis" else None,
     )
     solution = benchmark.pedantic(solve, (robot, goals), rounds=3)
     assert solution.ok.all()

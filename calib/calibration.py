@@ -222,7 +222,7 @@ def fit(
             predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
         fix: Parameters to leave as they are, beside those that the description holds; `all` stands for all but those
             that only say where base and targets are.
-        free: Parameters to find though the description or `fix="all"` holds them.
+        free: Parameters to fit although the description or `fix="all"` holds them.
         prior: How far off parameters are expected to be, one standard deviation by name: a number [m or rad], or text
             such as `0.1 mm`.
         executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of

@@ -101,7 +101,7 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Change PROGRAM, written for the nominal ROBOT, so that the calibrated one does what was meant.
+    """Correct PROGRAM, written for the nominal ROBOT, for the calibrated one.
 
     PROGRAM is a table (CSV), G-code, or a controller's: URScript (.script), RAPID (.mod), KRL (.src), FANUC (.ls).
 

@@ -22,7 +22,7 @@ from calib.reporting.fleet import fleet, urdf_beside
 )
 @shared_options(json_output=True)
 def command(results: tuple[str, ...], out: str | None, html: str | None, output: Output) -> None:
-    """Learn from results of robots of one model what to expect of the next one.
+    """Make the prior of the next robot of a model, from results of others.
 
     Each DIR is the result of `calib fit` for another robot, with the same URDF and parameters. Poses, instruments and
     places may differ. The mean and spread of every parameter become the prior of the next robot, so that a few poses

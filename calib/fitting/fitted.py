@@ -336,7 +336,7 @@ class Fit(ReadOnlyArrays):
 
     @property
     def uncertainty(self) -> ParameterUncertainty:
-        """How sure the free parameters are."""
+        """Uncertainty of the free parameters."""
         return ParameterUncertainty(self.free, self.covariance.values, self.statistics.coverage_factor)
 
     @cached_property

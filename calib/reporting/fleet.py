@@ -71,10 +71,10 @@ class Fleet(ReadOnlyArrays):
         members: The robots.
         parameters: What they share, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].
-        mean, mean_std: Mean over the robots, and how sure it is, (n,) [SI].
+        mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
         shown: How many robots determine each parameter, (n,).
-        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of an odd robot by its own fit.
+        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of one left out by its own fit.
         notes: What to know before using it.
     """
 
@@ -174,7 +174,7 @@ def urdf_beside(path: Path | str) -> Path:
 
 
 def fleet(*results: Path | str) -> Fleet:
-    """Learn from results of robots of one model what to expect of the next one.
+    """Make the prior of the next robot of a model, from results of others.
 
     Args:
         results: Two or more result folders, of different robots with the same URDF and parameters.

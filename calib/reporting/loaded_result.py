@@ -34,7 +34,7 @@ class LoadedResult(ReadOnlyArrays):
         robot: The calibrated robot.
         parameters: What was found of each parameter, by name.
         content: What `result.json` says, in mm and degrees.
-        uncertainty: How sure the free parameters are.
+        uncertainty: Uncertainty of the free parameters.
         joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
     """
 

@@ -148,11 +148,11 @@ class Compensation(ReadOnlyArrays):
 def compensate(
     calibrated: Robot | Calibrated | KnownRobot, program: Poses | Goals | ArrayLike, *, keep: str | None = None
 ) -> Compensation:
-    """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
+    """Correct a program of the nominal robot for the calibrated one.
 
     Args:
         calibrated: A fit or a loaded result. Or a robot alone: then errors to expect are not known, and its frame is
-            laid over poses around home.
+            placed over poses around home.
         program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or the `Goals` to which it
             brings a target, in the measurement frame as the nominal description has it.
         keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.

@@ -155,6 +155,52 @@ def test_each_mistake_is_named_and_none_passes():
         assert judge(result).grade != "PASS"
 
 
+def test_a_size_far_off_and_other_units_are_named():
+    exact = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    for factor, code, words in ((1.2, "square_size", "17 % smaller"), (0.1, "units", "10 times as large")):
+        result = calibrate(replace(exact, body=factor * exact.body), INTRINSICS, mounts=("tool",))
+        assert codes(result)[:1] == [code]
+        assert words in judge(result).reasons[0]
+        assert judge(result).grade == "FAIL"
+
+
+def test_rotations_in_another_order_are_named():
+    exact = scene(9, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    rotation = Rotation.from_matrix(exact.tool[:, :3, :3])
+    quaternions = rotation.as_quat()
+    ways = {
+        "real part first": Rotation.from_quat(np.roll(quaternions, 1, axis=1)),
+        "real part last": Rotation.from_quat(np.roll(quaternions, -1, axis=1)),
+        "rotations are inverted": rotation.inv(),
+        "the new y and the new z": Rotation.from_euler("xyz", rotation.as_euler("XYZ")),
+        "first angle is about z": Rotation.from_euler("xyz", rotation.as_euler("xyz")[:, ::-1]),
+    }
+    for words, read in ways.items():
+        tool = exact.tool.copy()
+        tool[:, :3, :3] = read.as_matrix()
+        judgement = judge(calibrate(replace(exact, tool=tool), INTRINSICS))
+        assert judgement.grade == "FAIL"
+        assert words in judgement.reasons[0]
+
+
+@pytest.mark.parametrize("mount", ["tool", "base"])
+def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it_is_not(mount):
+    exact = scene(10, mount, noise=0.2, shift=2e-4, turn=2e-4)
+    inverted = replace(exact, tool=np.linalg.inv(exact.tool))
+    stated = calibrate(inverted, INTRINSICS, mounts=(mount,))
+    assert "poses_inverted" in codes(stated)
+    assert judge(stated).grade == "FAIL"
+    assert codes(calibrate(inverted, INTRINSICS)) == ["exchanged"]
+    assert codes(calibrate(exact, INTRINSICS)) == []
+
+
+def test_distortion_that_single_images_show_is_found_behind_the_robots_errors():
+    for seed in range(3):
+        result = calibrate(scene(8, "tool", seed=seed, noise=0.15, shift=3e-4, turn=3e-4), None, mounts=("tool",))
+        assert len(result.fitted.free) == 6
+        assert result.fitted.placed.intrinsics[4] == pytest.approx(INTRINSICS[4], abs=0.03)
+
+
 def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     view = scene(9, "base", noise=0.2, shift=2e-4)
     tool = view.tool.copy()

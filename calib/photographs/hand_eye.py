@@ -75,6 +75,8 @@ class HandEye(ReadOnlyArrays):
         """
         squares = self.by_image(self.left.board) ** 2
         n, mean = len(squares), float(np.mean(squares))
+        if not np.isfinite(mean):  # a ray that does not meet the plane of the board
+            return float("nan")
         ratio = rms(self.alone) / rms(self.left.pixels)
         point_share = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares
         most = 1.0 / ((1.0 - point_share) ** 2 / (2 * n) + point_share**2 / (2 * len(self.scene.pixels)))

@@ -90,7 +90,7 @@ def calibrate(
     tell(4, 5)
     alone, _ = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
     of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
-    mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens)
+    mistakes = find_mistakes(sure, kept_scene, fitted, used, intrinsics, first, of_lens, mounts)
     tell(5, 5)
     points = tuple(point for point in points if point.image in kept_scene.names)
     return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)

@@ -121,7 +121,7 @@ def report(result: HandEye, frames: Frames) -> str:
             f"Points left out, which do not fit the others of their image: {len(named)} of"
             f" {len(named) + len(scene.pixels)}: {listed(named, '; ')}"
         )
-    lines.append(_shares(result))
+    lines.append(_shares(result, judgement.grade != "FAIL"))
     worst = np.argsort(-by_image)[:3]
     lines.append("Largest: " + listed([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
@@ -156,8 +156,8 @@ def report(result: HandEye, frames: Frames) -> str:
     return "\n".join(lines)
 
 
-def _shares(result: HandEye) -> str:
-    """What the camera alone leaves, and what comes with the robot."""
+def _shares(result: HandEye, usable: bool) -> str:
+    """What the camera alone leaves, and what comes with the robot; if usable, what to do about it."""
     all_, alone, noise = rms(result.pixels), rms(result.alone), result.fitted.noise
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
@@ -170,7 +170,7 @@ def _shares(result: HandEye) -> str:
     )
     if noise.shift > 0 or noise.turn > 0:
         text += f" (about {_MM * noise.shift:.2f} mm and {np.rad2deg(noise.turn):.3f} deg per axis)"
-    if share > _ROBOT_SHARE:
+    if usable and share > _ROBOT_SHARE:
         text += "; calibrating its kinematics with joint values (calib init --measure camera) can remove part of that"
     return text
 

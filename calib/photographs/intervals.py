@@ -42,6 +42,7 @@ from calib.photographs.shared_errors import (
 )
 
 _STEP = 1e-3  # of logarithms, for differences
+_MANY = 1e6  # degrees of freedom: as good as known
 
 
 def intervals(
@@ -81,5 +82,6 @@ def intervals(
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
     variance = np.einsum("ik,ij,jk->k", slope, np.linalg.pinv(curvature / 2, hermitian=True), slope)
-    freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), 1e6)
-    return noise.arm, covariance, np.clip(freedom, 1.0, 1e6)
+    with np.errstate(over="ignore"):  # sizes that are known exactly
+        freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
+    return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)

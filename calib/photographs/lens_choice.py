@@ -1,18 +1,26 @@
-"""Ways to take the lens of a hand-eye calibration, each with what it makes of images left out."""
+"""Ways to take the lens of a hand-eye calibration, each with what it makes of images left out.
+
+Images left out show distortion badly, because the robot's errors are larger in them. Single images show it well: with
+the board placed freely in each, no robot counts. Where its two numbers explain more there than chance does (an F test),
+a lens without distortion is no choice.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, NotIdentifiableError
 from calib.instruments.camera import NAMES
+from calib.numerics.chances import FALSE_ALARM
 from calib.photographs.estimation import plain
 from calib.photographs.left_out import LeftOut, predicted
 from calib.photographs.scene import Placed, Scene
 from calib.photographs.shared_errors import Prior
+from calib.photographs.starts import camera_alone
 
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
@@ -44,7 +52,9 @@ class Choice:
 
 
 def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArray | None, lens: str) -> list[Choice]:
-    """Return ways to take the lens: as given first; found, without distortion only where none is given, and with it.
+    """Return ways to take the lens: as given first; found, with distortion.
+
+    Found without distortion is a way too, where no lens is given and single images show no distortion.
 
     Args:
         scene: The images.
@@ -60,7 +70,7 @@ def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArr
     if intrinsics is not None and lens != "found":
         placed, weights = plain(scene, begin, ())
         result.append(Choice(placed, (), None, predicted(scene, placed, (), weights, None)))
-    for count in (6,) if intrinsics is not None else (4, 6):
+    for count in (6,) if intrinsics is not None or _distorted(scene, begin.intrinsics) else (4, 6):
         free = LENS_NUMBERS[:count]
         part = Prior(prior.values[:count], prior.sigma[:count])
         try:
@@ -72,3 +82,17 @@ def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArr
         plain(scene, begin, ())  # says what the images do not determine
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
+
+
+def _distorted(scene: Scene, first: FloatArray) -> bool:
+    """Whether single images show more distortion than chance does; first: intrinsics to begin with, (9,)."""
+    squares = []
+    for count in (4, 6):
+        lengths = np.sum(camera_alone(scene, first, LENS_NUMBERS[:count])[0] ** 2, axis=1)
+        known = np.isfinite(lengths)
+        squares.append(float(np.sum(lengths[known])))
+    freedom = 2 * np.count_nonzero(known) - 6 * len(np.unique(scene.image[known])) - 6
+    if not (freedom > 0 and squares[1] > 0):
+        return False
+    ratio = (squares[0] - squares[1]) / 2 / (squares[1] / freedom)
+    return bool(scipy.special.fdtrc(2, freedom, max(ratio, 0.0)) < FALSE_ALARM)

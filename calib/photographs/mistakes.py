@@ -1,21 +1,22 @@
 """Mistakes that would explain what a hand-eye calibration leaves: each is tried, and named where it explains it.
 
-    pairs shifted          images belong to the poses one or two rows further on
-    poses inverted         the file has the base in the tool
-    mirrored               the camera mirrors its images (a chessboard does not show it)
+    other readings         pairs shifted, poses inverted, rotations in another order, other units
+                           (`calib.photographs.other_readings`)
     square size            the board is larger or smaller than described: sought as one more unknown
+    exchanged              camera and board are where the other mount and inverted poses put them
     something moved        board or camera is elsewhere from some image on: sought as six more unknowns
     lens as given          intrinsics found contradict those given
     principal point        far from the middle of the image: of another image, or turned
 
-The first three are tried as wholes, from closed forms, where an image is off by more than robots are; they count where
-they halve what is left. The others are one more step of the same least squares; they count where the likelihood gains
-more than chance gives in one data set of ten thousand, and by a size that matters.
+Other readings are tried as wholes, from closed forms, where an image is off by more than robots are, and so is another
+size of the board; they count where they halve what is left. Square size and moves are one more step of the same least
+squares; they count where the likelihood gains more than chance gives in one data set of ten thousand, and by a size
+that matters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -23,21 +24,24 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import CalibrationError
 from calib.instruments.camera import NAMES
-from calib.photographs.estimation import Estimate, estimate
+from calib.photographs.estimation import Estimate, estimate, solve
 from calib.photographs.left_out import predicted, rms
-from calib.photographs.scene import Linear, Scene, linearised, residuals, rows
-from calib.photographs.shared_errors import Prior, found_noise, normal_equations
-from calib.photographs.starts import Start, camera_alone, start
+from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
+from calib.photographs.other_readings import other_readings
+from calib.photographs.scene import SIDES, Linear, Mount, Placed, Scene, linearised, residuals, rows
+from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
+from calib.photographs.starts import Start, camera_alone, image_rms, start
 
-_FAR = 0.01  # m on the board: more than robots are off
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
+_SURE = 0.1  # of what is left: then no other reading is tried
 _BETTER = 0.6  # of the squares of images left out
-_SHIFTS = (1, -1, 2, -2)
 _CHANCE = 1e-4
 _SCALE = 0.004  # part of the size of a board that matters
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
+_OTHER_UNIT = 2.0  # times the size described: no print is so far off
+_EXCHANGED = 1.5  # times as far from the tool as the other is from the base
 _MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
 _LENS_OFF = 6.0  # standard deviations
 
@@ -65,6 +69,7 @@ def find_mistakes(
     given: FloatArray | None,
     first: FloatArray,
     better: Estimate,
+    mounts: tuple[Mount, ...],
 ) -> tuple[Mistake, ...]:
     """Return mistakes that would explain what is left, those of the whole first.
 
@@ -76,19 +81,22 @@ def find_mistakes(
         given: Intrinsics as given, (9,); None without.
         first: The same, or those to begin with, (9,).
         better: With the lens found, where that tells images left out better; else `fitted`.
+        mounts: Where the camera may be: one, if it is stated.
     """
-    result = list(_of_the_whole(every, fitted, first))
+    result = list(_of_the_whole(every, fitted, first, mounts))
     if not result:
         result += [
             mistake
             for mistake in (_square_size(used, fitted, prior), _moved(used, fitted, prior))
             if mistake is not None
         ]
+        exchanged = _exchanged(fitted.placed, used.mount) if len(mounts) > 1 else None
+        result += [] if exchanged is None else [exchanged]
     result += _of_the_lens(used, better, given, bool(fitted.free))
     return tuple(result)
 
 
-def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray) -> list[Mistake]:
+def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]) -> list[Mistake]:
     errors = residuals(scene, fitted.placed)
     image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
     typical = float(np.median(image))
@@ -98,40 +106,20 @@ def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray) -> lis
     alone = float(np.sqrt(np.mean(left[np.isfinite(left)]))) if np.any(np.isfinite(left)) else 0.0
     if not typical > 4 * alone:
         return []
-    tried = []
-    n = len(scene)
-    for shift in _SHIFTS:
-        pairs = np.arange(n) + shift
-        paired = (pairs >= 0) & (pairs < n)
-        if np.sum(paired) < 4:
-            continue
-        tool = scene.tool.copy()
-        tool[paired] = scene.tool[pairs[paired]]
-        rows_ = abs(shift)
-        text = (
-            f"images and poses are shifted: each image fits the pose {rows_} {'row' if rows_ == 1 else 'rows'}"
-            f" {'further on' if shift > 0 else 'before'}"
-        )
-        tried.append(("pairs_shifted", text, replace(scene, tool=tool).only(paired)))
-    inverted = replace(scene, tool=np.linalg.inv(scene.tool))
-    tried.append(("poses_inverted", "the poses are inverted: the base in the tool, not the tool in the base", inverted))
-    mirrored = scene.pixels * [-1, 1] + [scene.size[0] - 1, 0]
-    tried.append(
-        (
-            "mirrored",
-            "the images are mirrored; flip them, or switch that off in the camera",
-            replace(scene, pixels=mirrored),
-        )
-    )
     ends: list[tuple[float, str, str]] = []
-    for code, text, other in tried:
+    for reading in other_readings(scene, mounts):
         try:
-            begun: Start = start(other, intrinsics, mounts=(scene.mount,))
+            begun: Start = start(reading.scene, intrinsics, mounts=reading.mounts)
         except (CalibrationError, np.linalg.LinAlgError):
             continue
-        ends.append((begun.typical, code, text))
-    if ends and min(ends)[0] < _HALVES * typical:
-        least, code, text = min(ends)
+        ends.append((begun.typical, reading.code, reading.text))
+        if begun.typical < _SURE * typical:
+            break
+    least, code, text = min(ends, default=(np.inf, "", ""))
+    other_size = _other_size(scene, fitted)
+    if other_size is not None and other_size[0] < least:
+        least, code, text = other_size
+    if least < _HALVES * typical:
         return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
         f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not"
@@ -139,6 +127,41 @@ def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray) -> lis
         " or the tool of the poses, the units or the order of rotations are not what the file says"
     )
     return [Mistake("not_explained", text, True)]
+
+
+def _other_size(scene: Scene, fitted: Estimate) -> tuple[float, str, str] | None:
+    """Median of the images with the size of the board sought [px], and what that says; None where it has none."""
+    prior = lens_prior(fitted.placed.intrinsics, scene, True)
+    try:
+        placed = solve(scene, fitted.placed, LENS_NUMBERS, Noise(), prior, scaled=True)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    if not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
+        return None
+    change = placed.scale - 1.0
+    text = (
+        f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
+        " squares or markers, and correct its sizes"
+    )
+    return float(np.median(image_rms(scene, placed))), "square_size", text
+
+
+def _exchanged(placed: Placed, mount: Mount) -> Mistake | None:
+    """Whether camera and board are where they would be if the poses were inverted, and the mount the other one."""
+    far = {
+        thing: float(np.linalg.norm(pose[:3, 3]))
+        for thing, pose in (("camera", placed.camera), ("board", placed.board))
+    }
+    on_tool, on_base = ("camera", "board") if mount == "tool" else ("board", "camera")
+    if not far[on_tool] > _EXCHANGED * far[on_base]:
+        return None
+    other: Mount = "base" if mount == "tool" else "tool"
+    return Mistake(
+        "exchanged",
+        f"the {on_tool} would be {far[on_tool]:.2f} m from the tool, and the {on_base} {far[on_base]:.2f} m from the"
+        f" base: if the camera is {SIDES[other]}, the poses are inverted (the base in the tool); if it is"
+        f" {SIDES[mount]}, say so: --camera-on {mount}",
+    )
 
 
 def _likelihood(linear: Linear, near: Estimate, prior: Prior | None, now: FloatArray) -> tuple[float, FloatArray]:

@@ -1,0 +1,104 @@
+"""Other ways to read poses and board of a hand-eye calibration, each a mistake that people make when they write files.
+
+    pairs shifted     images belong to the poses one or two rows further on
+    mirrored          the camera mirrors its images (a chessboard does not show it)
+    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well: this can be
+                      told only where the mount is stated
+    rotations         the numbers of a rotation in another order, or of the base in the tool
+    units             lengths of poses and board differ by a factor between units
+
+A rotation is taken back to the numbers that were read, and these are read otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.photographs.scene import Mount, Scene
+
+_SHIFTS = (1, -1, 2, -2)
+_FEWEST = 4  # images
+_UNITS = (10.0, 0.1, 1000.0, 0.001)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A scene as another reading has it.
+
+    Attributes:
+        code: Of the mistake, such as `pairs_shifted`.
+        text: In words: what, what to do.
+        scene: The images.
+        mounts: Where the camera may be.
+    """
+
+    code: str
+    text: str
+    scene: Scene
+    mounts: tuple[Mount, ...]
+
+
+def other_readings(scene: Scene, mounts: tuple[Mount, ...]) -> Iterator[Reading]:
+    """Yield a scene as other readings have it.
+
+    Args:
+        scene: The images.
+        mounts: Where the camera may be.
+    """
+    n = len(scene)
+    for shift in _SHIFTS:
+        pairs = np.arange(n) + shift
+        paired = (pairs >= 0) & (pairs < n)
+        if np.sum(paired) < _FEWEST:
+            continue
+        tool = scene.tool.copy()
+        tool[paired] = scene.tool[pairs[paired]]
+        rows = "row" if abs(shift) == 1 else "rows"
+        text = (
+            f"images and poses are shifted: each image fits the pose {abs(shift)} {rows}"
+            f" {'further on' if shift > 0 else 'before'}"
+        )
+        yield Reading("pairs_shifted", text, replace(scene, tool=tool).only(paired), mounts)
+    mirrored = replace(scene, pixels=scene.pixels * [-1, 1] + [scene.size[0] - 1, 0])
+    yield Reading("mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored, mounts)
+    if len(mounts) == 1:
+        text = "the poses are inverted: the base in the tool, not the tool in the base"
+        yield Reading("poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool)), mounts)
+    for text, tool in _other_rotations(scene.tool):
+        yield Reading("rotations", text, replace(scene, tool=tool), mounts)
+    for factor in _UNITS:
+        text = (
+            f"the board would be {factor:.4g} times as large as described: lengths of the board or of the poses are in"
+            f" another unit than the files say"
+        )
+        yield Reading("units", text, replace(scene, body=factor * scene.body), mounts)
+
+
+def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """What is wrong with the rotations, and the tool without it, (n, 4, 4)."""
+    of = scipy.spatial.transform.Rotation
+    read = of.from_matrix(tool[:, :3, :3])
+    quaternions, angles = read.as_quat(), read.as_euler("xyz")
+    ways = {
+        "the rotations are inverted: of the base in the tool, beside positions of the tool in the base": read.inv(),
+        "the quaternions have their real part first: name their columns qw, qx, qy, qz": of.from_quat(
+            np.roll(quaternions, -1, axis=1)
+        ),
+        "the quaternions have their real part last: name their columns qx, qy, qz, qw": of.from_quat(
+            np.roll(quaternions, 1, axis=1)
+        ),
+        "the angles are about x, the new y and the new z; read were angles about the fixed x, y, z (or about z, the"
+        " new y, the new x, which is the same): give quaternions": of.from_euler("XYZ", angles),
+        "the first angle is about z, and the last about x: exchange the names of their columns": of.from_euler(
+            "xyz", angles[:, ::-1]
+        ),
+    }
+    for text, rotation in ways.items():
+        other = tool.copy()
+        other[:, :3, :3] = rotation.as_matrix()
+        yield text, other

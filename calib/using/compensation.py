@@ -29,6 +29,7 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -104,7 +105,7 @@ class Compensation(ReadOnlyArrays):
     frame: str
     nothing_to_correct: bool
 
-    @property
+    @cached_property
     def ok(self) -> BoolArray:
         """Which rows have a command, (n,)."""
         return np.asarray(np.isfinite(self.q).all(axis=1))

@@ -227,12 +227,13 @@ def _seen(
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
     observed = observe(robot, configurations, data.readings)
     jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
-    return jacobian[counted], _flat({name: block.residuals for name, block in observed.items()}, layout)[counted]
+    residuals = _flat({name: block.residuals for name, block in observed.items()}, layout)
+    return _counted(jacobian, counted), residuals[counted]
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
-    jacobian = rows.jacobian[counted]
+    jacobian = _counted(rows.jacobian, counted)
     pulled = (jacobian @ rows.known.root) @ rows.known.root.T
     placing = _span(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian
@@ -256,7 +257,13 @@ def _span(columns: FloatArray) -> FloatArray:
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
     """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
-    return np.concatenate([arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments])
+    parts = [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _counted(jacobian: FloatArray, counted: BoolArray) -> FloatArray:
+    """The rows that count; without a copy where all do, as it is large for many poses."""
+    return jacobian if np.all(counted) else jacobian[counted]
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:

@@ -161,6 +161,15 @@ def test_what_is_lost_is_sent_again_and_what_is_done_is_kept() -> None:
     assert executor.sent == [-3, 1, -2, 5, -2, 5, 5]
 
 
+def test_few_of_many_pieces_are_with_the_executor_at_a_time() -> None:
+    executor = Forgetful([-5])
+    results = in_order(abs, range(-5, 9995), executor)
+    assert next(results) == 5
+    assert len(executor.sent) < 1000
+    assert list(results) == [abs(item) for item in range(-4, 9995)]
+    assert sorted(executor.sent) == [-5, *range(-5, 9995)]
+
+
 def test_work_that_is_lost_again_and_again_is_an_error() -> None:
     with pytest.raises(ComputationError, match=r"lost 3 times at the same work \(OSError: the"):
         list(in_order(abs, [1], Forgetful([1, 1, 1])))

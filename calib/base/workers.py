@@ -31,6 +31,7 @@ Progress = Callable[[int, int], None]
 """Called with how many pieces of work are done, and of how many."""
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
+_AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
 _LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
 
 
@@ -42,6 +43,8 @@ def in_order(
 ) -> Iterator[Result]:
     """Yield the function's results, first item first.
 
+    At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number.
+
     Args:
         function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
         items: What to call it with.
@@ -51,16 +54,21 @@ def in_order(
     Raises:
         ComputationError: The same piece of work was lost several times.
     """
-    futures: list[_Sent] = [None if executor is None else _sent(executor, function, item) for item in items]
+    futures = dict[int, _Sent]()
     try:
         for k in range(len(items)):
-            result = function(items[k]) if executor is None else _result(k, function, items, executor, futures)
-            futures[k] = None  # what came out of it is not kept twice
+            if executor is None:
+                result = function(items[k])
+            else:
+                for more in range(k + len(futures), min(k + _AHEAD, len(items))):
+                    futures[more] = _sent(executor, function, items[more])
+                result = _result(k, function, items, executor, futures)
+                del futures[k]  # what came out of it is not kept twice
             if progress is not None:
                 progress(k + 1, len(items))
             yield result
     finally:
-        for left in futures:
+        for left in futures.values():
             if left is not None:
                 left.cancel()
 
@@ -69,7 +77,7 @@ _Sent = Future[tuple[bool, Any]] | None
 
 
 def _result(
-    k: int, function: Callable[[Item], Result], items: Sequence[Item], executor: Executor, futures: list[_Sent]
+    k: int, function: Callable[[Item], Result], items: Sequence[Item], executor: Executor, futures: dict[int, _Sent]
 ) -> Result:
     """Wait for item k; send what was lost meanwhile again."""
     for losses in range(1, _LOSSES + 1):
@@ -85,8 +93,8 @@ def _result(
                     " enough memory for each of them, are functions of your own in a module, and does a program that"
                     " starts processes do so under `if __name__ == '__main__':`?"
                 ) from lost
-            for other in range(k, len(items)):
-                if _is_lost(futures[other]):
+            for other, sent in futures.items():
+                if _is_lost(sent):
                     futures[other] = _sent(executor, function, items[other])
             continue
         if succeeded:

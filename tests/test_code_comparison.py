@@ -8,13 +8,15 @@ import pinocchio as pin
 import pytest
 import scipy
 from code_comparison.__main__ import main
-from code_comparison.arms import Arm
+from code_comparison.arms import Arm, Chain
 from code_comparison.codes import CODES, HERE, PLACED
 from code_comparison.codes import OURS as ALL_OURS
 from code_comparison.data_set import MissingDataError, Rows, Split
 from code_comparison.data_sets import DATA_SETS
 from code_comparison.data_sets.charuco_hand_eye import Images, Photographs, halves
 from code_comparison.data_sets.klipper_delta import Folds, Printers, Row, heights, left_out
+from code_comparison.data_sets.motoman_pixels import Watched
+from code_comparison.data_sets.tilting_base import COLUMN, Stations
 from code_comparison.running import compared
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -41,16 +43,39 @@ def arm(errors):
     return f'<robot name="arm"><link name="l0"/>{joints}</robot>'
 
 
+def pose(turn, shift):
+    """A pose (4, 4), turned by a rotation vector [rad]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    return T
+
+
+def watched(common, links, q, unseen):
+    """A simulated arm whose markers two cameras see, as OpenCV has it; links: its last one, (n, 4, 4)."""
+    cv2 = pytest.importorskip("cv2")
+    rng, lens = np.random.default_rng(8), np.array([1500.0, 1490, 640, 500, -0.1, 0.05, 1e-3, -1e-3, 0.01])
+    markers = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.05]])
+    own = pose([0.01, 0.02, 0.0], [0.0, 0.03, 0.1])
+    cameras = [pose([0, -np.pi / 2, 0], [2.5, 0, 0.5]), pose([np.pi / 2, 0, 0], [0, 2.5, 0.5])]
+    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    rows = []
+    for k, camera in enumerate(cameras):
+        for joints, link in zip(q, links, strict=True):
+            at = np.linalg.inv(camera) @ link @ own
+            seen = cv2.projectPoints(markers, cv2.Rodrigues(at[:3, :3])[0], at[:3, 3], matrix, lens[4:])[0][:, 0]
+            seen = seen + PIXEL * rng.standard_normal((3, 2))
+            rows += [[*joints, k, *marker, *pixel] for marker, pixel in zip(markers, seen, strict=True)]
+    table = np.array(rows)
+    return Watched(
+        "watched", splits=lambda _: [Split("random", "40 poses", Rows(table[:, :6], table[:, 6:]), unseen)],
+        T_link_markers=pose([0, 0, 0], [0.0, 0.03, 0.1]), lenses=lambda _: [lens, lens], **common,
+    )  # fmt: skip
+
+
 def photographs(common):
     """Simulated photographs of a board on a tool, seen as OpenCV has it; the lens is not the published one."""
     cv2 = pytest.importorskip("cv2")
     rng = np.random.default_rng(6)
-
-    def pose(turn, shift):
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
-        return T
-
     camera, board = pose([0, 0.1, 0], [0, 0, 0]), pose([0.05, 0, 0.3], [0.01, 0.02, 0.1])
     corners = np.array([[x, y, 0.0] for x in range(-3, 4) for y in range(-2, 3)]) * 0.03
     matrix = np.array([[1200.0, 0, 640], [0, 1190, 500], [0, 0, 1]])
@@ -106,7 +131,10 @@ def stand_ins(tmp_path_factory):
     q = rng.uniform(-2, 2, (140, 6))
     base = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 2.0), np.array([1.0, -2.0, 0.3]))
     read = np.array([base.act(tip(row)) for row in q]) + NOISE * rng.standard_normal((140, 3))
-    points = Rows(q, read)
+    points, links = Rows(q, read), []
+    for joints in q:
+        pin.forwardKinematics(model, data, joints)
+        links.append(data.oMi[6].homogeneous)
     touched, sockets = [], []
     for place, middle in enumerate(((0.6, 0.1, 0.5), (0.2, 0.6, 0.6), (0.1, -0.6, 0.4))):
         for hole in (0, 1):
@@ -133,6 +161,7 @@ def stand_ins(tmp_path_factory):
             spacing=0.05,
             **common,
         ),
+        watched(common, links[:40], q[:40], points[rows >= 60]),
         photographs(common | {"files": {}}),
         printer(common | {"files": {}}),
     )
@@ -162,6 +191,13 @@ def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran):
         assert rms(rows["sockets", code]) < rms(rows["sockets", PLACED]) / 3
     # one least-squares problem, two programs that share no code
     assert rms(rows["points", OURS]) == pytest.approx(rms(rows["points", "SciPy, priors"]), rel=0.05)
+
+
+def test_codes_find_the_simulated_robot_in_pixels(ran):
+    _, rows = ran
+    ours, plain, placed = (rms(rows["watched", name]) for name in (OURS, "SciPy, priors", PLACED))
+    assert ours < placed / 4
+    assert ours == pytest.approx(plain, rel=0.05)
 
 
 def test_codes_find_a_simulated_camera(ran):
@@ -215,7 +251,7 @@ def test_what_a_code_says_of_itself_and_costs_is_kept(ran):
 def test_a_code_that_is_not_there_says_so_in_the_table(ran):
     out, rows = ran
     assert "robotkinecal==0.1.0" in rows["points", "robotkinecal"]["failed"]
-    assert "| robotkinecal | points, sockets (2 splits) | not installed" in (out / "page.md").read_text()
+    assert "| robotkinecal | points, sockets, watched (3 splits) | not installed" in (out / "page.md").read_text()
 
 
 def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran, stand_ins):
@@ -266,11 +302,44 @@ def test_errors_of_sockets_are_what_no_place_of_the_artefact_explains(stand_ins)
     assert sockets.errors(Rows(np.zeros((4, 6)), read), apart) == pytest.approx(1e-3, rel=1e-6)
 
 
+def stations(name="stations"):
+    told = dict.fromkeys(("robot", "instrument", "origin", "licence", "columns", "folder", "urdf"), "")
+    return Stations(name, files={}, splits=lambda _: [], joints=(COLUMN,), base="foot", link="tip", **told)
+
+
+def test_an_arm_that_tilts_is_placed_anew_at_each_height():
+    rng = np.random.default_rng(2)
+    height, places = np.repeat([0.0, 1.0], 10), np.tile(np.arange(10) < 6, 2)
+    points = rng.uniform(-1, 1, (20, 3))
+    off = np.where(places, 0.0, 1e-3)[:, None] * [0.0, 0.6, 0.8]
+    tilted = [pose([0.1 * k, 0, 0], [k, 2, 3]) for k in (1, 2)]
+    read = np.vstack([points[height == k] @ tilted[k][:3, :3].T + tilted[k][:3, 3] for k in (0, 1)])
+    unseen = Rows(np.zeros((20, 1)), np.column_stack([read, height, places]))
+    assert stations().errors(unseen, points + off) == pytest.approx(np.full(8, 1e-3))
+
+
+def test_a_column_of_two_segments_is_a_joint(tmp_path):
+    def segment(name, parent, child, offset=None):
+        mimic = f'<mimic joint="column_prismatic_joint" multiplier="0.5" offset="{offset}"/>' if offset else ""
+        return (
+            f'<joint name="{name}" type="prismatic"><parent link="{parent}"/><child link="{child}"/>{mimic}'
+            '<origin xyz="0 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+            f'<link name="{child}"/>'
+        )
+
+    parts = segment("column_prismatic_joint", "foot", "column_pseudo_tip")
+    parts += segment("column_middle_joint", "foot", "middle", -0.7) + segment(COLUMN, "middle", "tip", -0.8)
+    (tmp_path / "two.urdf").write_text(f'<robot name="column"><link name="foot"/>{parts}</robot>')
+    stations().nominal(tmp_path / "two.urdf").write(tmp_path / "one.urdf")
+    poses = Chain(tmp_path / "one.urdf", "foot", "tip", [COLUMN]).poses(np.array([[2.0], [3.5]]))
+    assert poses[:, 2, 3] == pytest.approx([0.5, 2.0])  # 2 (q / 2) - 0.7 - 0.8
+
+
 def test_the_splits_of_all_data_sets_keep_fitted_and_unseen_rows_apart(shared_data):
     for data in DATA_SETS:
         for split in data.splits(data.checked(shared_data)):
             fitted, unseen = split.train.keys(), split.unseen.keys()
-            least = 20 if data.problem == "arm" else 6
+            least = 5  # images, rows of printers, poses of the smallest set
             assert len(fitted) > least
             assert len(unseen) > least
             assert not fitted & unseen, f"{data.name}: {split.words}"

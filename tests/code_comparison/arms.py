@@ -1,4 +1,4 @@
-"""Arms whose points were measured, or brought into sockets: problems as `codes/exchange.py` says, and their errors."""
+"""Arms that were measured, seen, or brought into sockets: problems as `codes/exchange.py` says, and their errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from .codes import HERE
 from .data_set import DataSet, Rows, Split
 
 sys.path.insert(0, str(HERE))  # what codes share among each other imports as they do
+from exchange import moved
 from urdf_chain import Chain, placed
+
+__all__ = ["Arm", "Chain", "moved", "placed"]
 
 _CHAIN = """\
 urdf: robot.urdf
@@ -54,23 +57,29 @@ class Arm(DataSet):
     spacing: float | None = None
 
     def write(self, here: Path, split: Split, folder: Path) -> None:
-        robot = ElementTree.parse(here / self.urdf)
-        for link in robot.iter("link"):
-            for shape in [*link.findall("visual"), *link.findall("collision")]:
-                link.remove(shape)  # meshes lie elsewhere, and no code needs them
-        robot.write(folder / "robot.urdf")
+        self.nominal(here / self.urdf).write(folder / "robot.urdf")
         self._write_mdh(folder)
         poses = Chain(folder / "robot.urdf", self.base, self.link, list(self.joints)).poses(split.train.q)
         point = np.array(self.point)
         T, p = (np.eye(4), point) if self.spacing else placed(poses, split.train.read, point, self.point_sigma)
-        names = ("joints", "base", "link", "point", "point_sigma", "length_sigma", "angle_sigma", "spacing")
-        told = {name: getattr(self, name) for name in names}
-        told |= {"T_measured_base": T.tolist(), "p_link_point": p.tolist()}
-        (folder / "problem.json").write_text(json.dumps(told))
         read = ["place", "socket"] if self.spacing else ["x", "y", "z"]
+        self.write_problem(split, folder, read, T_measured_base=T.tolist(), p_link_point=p.tolist())
+
+    def write_problem(self, split: Split, folder: Path, read: list[str], **start: object) -> None:
+        """Write the joints, what was read of them (the names of its columns), and where a fit may start."""
+        names = ("joints", "base", "link", "point", "point_sigma", "length_sigma", "angle_sigma", "spacing")
+        (folder / "problem.json").write_text(json.dumps({name: getattr(self, name) for name in names} | start))
         train = np.hstack([split.train.q, split.train.read])
         for name, head, table in (("train", [*self.joints, *read], train), ("unseen", self.joints, split.unseen.q)):
             np.savetxt(folder / f"{name}.csv", table, "%.17g", ",", header=",".join(head), comments="")
+
+    def nominal(self, path: Path) -> ElementTree.ElementTree[ElementTree.Element]:
+        """The nominal robot of a URDF, as codes get it."""
+        robot = ElementTree.parse(path)
+        for link in robot.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(shape)  # meshes lie elsewhere, and no code needs them
+        return robot
 
     def _write_mdh(self, folder: Path) -> None:
         text = _CHAIN.format(joints=", ".join(self.joints), base=self.base, link=self.link)

@@ -14,13 +14,27 @@ from calib.judging.claim import claim_of
 
 
 def write_table(problem: Problem, path: Path) -> None:
-    """Write the rows to fit as a table that the program reads."""
-    joints = [f"{name} [rad]" for name in problem.joints]
-    rows = [["setup", *joints, "tool"] if problem.spacing else [*joints, *(f"point_{axis} [m]" for axis in "xyz")]]
+    """Write the rows to fit as a table that the program reads, and markers beside it."""
+    joints = problem.joints  # without a unit: SI
+    heads = {
+        "points": [*joints, *(f"point_{axis} [m]" for axis in "xyz")],
+        "sockets": ["setup", *joints, "tool"],
+        "pixels": ["pose", *joints, "camera", "point", "pixel_u", "pixel_v"],
+    }
+    rows, poses, markers = [heads[problem.reads]], dict[tuple[float, ...], int](), dict[tuple[float, ...], str]()
     for q, read in zip(problem.q.tolist(), problem.read.tolist(), strict=True):
-        rows.append([f"place{int(read[0])}", *q, f"s{int(read[1])}"] if problem.spacing else [*q, *read])
-    with path.open("w", newline="") as stream:
-        csv.writer(stream).writerows(rows)
+        if problem.reads == "points":
+            rows.append([*q, *read])
+        elif problem.reads == "sockets":
+            rows.append([f"place{int(read[0])}", *q, f"s{int(read[1])}"])
+        else:
+            pose, marker = poses.setdefault(tuple(q), len(poses)), tuple(read[1:4])
+            name = markers.setdefault(marker, f"m{len(markers)}")
+            rows.append([pose, *q, f"camera{int(read[0])}", name, *read[4:]])
+    points = [["point", "x [m]", "y [m]", "z [m]"], *([name, *place] for place, name in markers.items())]
+    for where, table in ((path, rows), (path.with_name("markers.csv"), points)):
+        with where.open("w", newline="") as stream:
+            csv.writer(stream).writerows(table)
 
 
 def solve(problem: Problem, how: str) -> Answer:
@@ -45,6 +59,16 @@ def solve(problem: Problem, how: str) -> Answer:
         artefact = {"frame": problem.base, "pose": "unknown", "points": sockets}
         described["instruments"] = {"tool": {"kind": "touch", "target": "point", "artefact": artefact}}
         described["setups"] = {place: ["tool_artefact"] if place != places[0] else [] for place in places}
+    if problem.cameras:
+        described["base"] = {"frame": problem.base}
+        described["targets"] = {"body": {"frame": problem.link, "position": "unknown", "orientation": "unknown"}}
+        camera = {"kind": "pixel", "target": "body", "camera": {"frame": problem.base}, "columns": "pixel"}
+        numbers = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        described["instruments"] = {
+            f"camera{k}": camera
+            | {"intrinsics": dict(zip(numbers, told["lens"], strict=True)), "points_file": "markers.csv"}
+            for k, told in enumerate(problem.cameras)
+        }
     (problem.folder / "robot.yaml").write_text(yaml.safe_dump(described))
     robot = calib.load(problem.folder / "robot.yaml")
     try:
@@ -57,11 +81,14 @@ def solve(problem: Problem, how: str) -> Answer:
         claim = claim_of(fit)
     except CalibrationError:
         claim = None
-    told = None if claim is None else claim.told.rms
+    told = None if claim is None or problem.cameras else claim.told.rms  # of pixels: says nothing in metres
     version = f"this project {calib.__version__}"
     if how == "auto":
         version += f" (added: {'+'.join(term.term for term in fit.terms.tried if term.added) or 'nothing'})"
-    points = fit.robot.positions(problem.unseen)[:, 0]
+    if problem.cameras:
+        points = fit.robot.forward(problem.unseen, problem.link)[:, :3].reshape(-1, 12)
+    else:
+        points = fit.robot.positions(problem.unseen)[:, 0]
     return Answer(points, told, told is not None, fit.verdict.grade, version)
 
 

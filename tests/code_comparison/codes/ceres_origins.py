@@ -3,10 +3,9 @@
 import sys
 from importlib.metadata import version
 
-import numpy as np
 import pyceres
 from exchange import Answer, Problem, fit_time, main
-from urdf_chain import Model, differences
+from urdf_chain import Model, differences, model_of
 
 
 # -- what a user writes
@@ -25,7 +24,8 @@ class Cost(pyceres.CostFunction):
 
 
 def solve(problem: Problem) -> Answer:
-    model, noise = Model(problem), 1e-4
+    model = model_of(problem)
+    noise = model.noise_before
     x = model.start.copy()
     options, summary = pyceres.SolverOptions(), pyceres.SolverSummary()
     options.linear_solver_type = pyceres.LinearSolverType.DENSE_QR
@@ -37,7 +37,7 @@ def solve(problem: Problem) -> Answer:
             pyceres.solve(options, ceres, summary)
             noise = model.noise(x)
     # -- end
-    return Answer(model.points(x, problem.unseen), np.sqrt(3) * noise, package=f"pyceres {version('pyceres')}")
+    return Answer(model.points(x, problem.unseen), model.claim(x), package=f"pyceres {version('pyceres')}")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,9 @@ point_sigma (how far it may be off [m], null: anywhere), length_sigma and angle_
 p_link_point [m];
 train.csv: the joints [rad], then x, y, z [m] as read, or the numbers of the place and of the socket;
 unseen.csv: the joints of poses to predict, whose readings no code gets.
+If cameras saw markers on the link, problem.json has cameras (a lens, OpenCV's fx fy cx cy k1 k2 p1 p2 k3, and a start
+T_base_camera) and a start T_link_markers instead of the other two; train.csv has the joints, the number of the camera,
+x, y, z of the marker [m] and its pixel. The answer is then the link's pose in its base, 12 numbers in rows.
 
 Photographs have other files: problem.json with intrinsics fx fy cx cy as published, the size of images [px], and a
 start: T_base_camera and T_tool_board (4 x 4) [m]; train_tool.csv, the tool in the base, 16 numbers for each image;
@@ -33,7 +36,7 @@ class Answer:
 
     Attributes:
         points: Predicted points of the unseen poses, (n, 3) [m], in the frame of the readings, or the base (sockets);
-            or predicted pixels of unseen corners, (n, 2).
+            poses of the link in its base, (n, 12), of arms that cameras saw; or pixels of unseen corners, (n, 2).
         claimed_rms: The error that it states for the calibrated robot, root mean square [m, px].
         own_claim: Whether that is a claim about new poses; otherwise it is what its residuals are.
         verdict: Its judgement of the result, if it has one.
@@ -57,8 +60,11 @@ class Problem:
         self.base, self.link = told["base"], told["link"]
         self.point, self.point_sigma = np.array(told["point"]), told["point_sigma"]
         self.length_sigma, self.angle_sigma = told["length_sigma"], told["angle_sigma"]
-        self.spacing = told["spacing"]
-        self.T_measured_base, self.p_link_point = np.array(told["T_measured_base"]), np.array(told["p_link_point"])
+        self.spacing, self.cameras = told["spacing"], told.get("cameras")
+        self.reads = "sockets" if self.spacing else "pixels" if self.cameras else "points"
+        self.T_measured_base, self.p_link_point, self.T_link_markers = (
+            np.array(told.get(name)) for name in ("T_measured_base", "p_link_point", "T_link_markers")
+        )
         train = np.loadtxt(folder / "train.csv", delimiter=",", skiprows=1, ndmin=2)
         self.q, self.read = train[:, : len(self.joints)], train[:, len(self.joints) :]
         self.unseen = np.loadtxt(folder / "unseen.csv", delimiter=",", skiprows=1, ndmin=2)
@@ -89,13 +95,16 @@ class Photographs:
 
 # -- what a user writes, if no package does
 def seen(tool: np.ndarray, corners: np.ndarray, camera: np.ndarray, board: np.ndarray, lens: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of corners (n, 3) of a board on the tool (n, 4, 4); lens: fx fy cx cy k1 k2, OpenCV's model."""
+    """Pixels (n, 2) of corners (n, 3) of a board on the tool (n, 4, 4); OpenCV's lens fx fy cx cy k1 k2 (p1 p2 k3)."""
     poses = np.linalg.inv(camera) @ tool @ board
     x, y, z = np.einsum("nij,nj->in", poses[:, :3, :3], corners) + poses[:, :3, 3].T
     x, y = x / z, y / z
+    k1, k2, p1, p2, k3 = [*lens[4:], 0, 0, 0][:5]
     r2 = x**2 + y**2
-    bend = 1 + lens[4] * r2 + lens[5] * r2**2
-    return np.column_stack([lens[0] * x * bend + lens[2], lens[1] * y * bend + lens[3]])
+    bend = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = x * bend + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    v = y * bend + 2 * p2 * x * y + p1 * (r2 + 2 * y**2)
+    return np.column_stack([lens[0] * u + lens[2], lens[1] * v + lens[3]])
 
 
 # -- end

@@ -1,6 +1,7 @@
 """FIGAROH, as its examples calibrate: a configuration, a class with its cost function, `initialize` and `solve`.
 
-`default`: its own choice of parameters. `map`: every parameter, with priors of the sizes that all codes are told.
+`structural`, its default: parameters that random poses tell apart. `excitation`: those that the measured poses
+determine to about the sizes that all codes are told. `map`: every parameter, with priors of these sizes.
 """
 
 import csv
@@ -23,15 +24,16 @@ class Calibration(BaseCalibration):
 
 
 def solve(problem: Problem, how: str) -> Answer:
-    if problem.spacing:
-        raise SystemExit("FIGAROH takes measured positions or poses, and contacts with planes, no sockets")
+    if problem.reads != "points":
+        raise SystemExit(f"FIGAROH takes measured positions or poses, and contacts with planes, no {problem.reads}")
     table, settings = (problem.folder.absolute() / name for name in ("figaroh.csv", "figaroh.yaml"))
     with table.open("w", newline="") as stream:
         rows = csv.writer(stream)
         rows.writerow(["x1", "y1", "z1", *problem.joints])
         rows.writerows(np.hstack([problem.read, problem.q]).tolist())
-    priors = {"translation": problem.length_sigma, "rotation": problem.angle_sigma}
-    estimation = {"method": "map", "priors": priors} if how == "map" else {"method": "structural"}
+    sizes = {"translation": problem.length_sigma, "rotation": problem.angle_sigma}
+    priors = sizes | {"prismatic_offset": problem.length_sigma, "joint_offset": problem.angle_sigma}
+    estimation = {"method": how} if how == "structural" else {"method": how, "priors": priors}
     marker = {"name": "point", "measurable_dof": [True] * 3 + [False] * 3, "sensor_type": "laser_tracker"}
     task = {
         "enabled": True,

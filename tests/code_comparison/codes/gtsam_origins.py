@@ -6,12 +6,13 @@ from importlib.metadata import version
 import gtsam
 import numpy as np
 from exchange import Answer, Problem, fit_time, main
-from urdf_chain import Model, differences
+from urdf_chain import differences, model_of
 
 
 def solve(problem: Problem) -> Answer:
     # -- what a user writes
-    model, noise = Model(problem), 1e-4
+    model = model_of(problem)
+    noise = model.noise_before
     n, start = model.n, model.start
     parts = np.split(np.arange(len(start)), [*range(6, n + 1, 6), n + 3])
     keys = list(range(len(parts)))
@@ -28,7 +29,7 @@ def solve(problem: Problem) -> Answer:
         x = start
         for _ in range(3):
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-            spread = gtsam.noiseModel.Isotropic.Sigma(3 * len(problem.q), noise)
+            spread = gtsam.noiseModel.Isotropic.Sigma(len(model.misses(x)), noise)
             graph.add(gtsam.CustomFactor(spread, keys, error))
             for key, part in zip(keys, parts, strict=True):
                 values.insert(key, x[part])
@@ -43,7 +44,7 @@ def solve(problem: Problem) -> Answer:
             x = np.concatenate([values.atVector(key) for key in keys])
             noise = model.noise(x)
     # -- end
-    return Answer(model.points(x, problem.unseen), np.sqrt(3) * noise, package=f"GTSAM {version('gtsam')}")
+    return Answer(model.points(x, problem.unseen), model.claim(x), package=f"GTSAM {version('gtsam')}")
 
 
 if __name__ == "__main__":

@@ -33,8 +33,8 @@ def product(rows: list[dict[str, str]]) -> np.ndarray:
 
 
 def solve(problem: Problem) -> Answer:
-    if problem.spacing:
-        raise SystemExit("pybotics takes measured positions, no sockets")
+    if problem.reads != "points":
+        raise SystemExit(f"pybotics takes measured positions, no {problem.reads}")
     path = problem.folder / "robot_mdh.csv"
     if not path.is_file():
         raise SystemExit("pybotics takes modified Denavit-Hartenberg parameters, which this chain has none of")

@@ -11,9 +11,9 @@ from robotkinecal import SerialRobotKineCal
 
 
 def solve(problem: Problem) -> Answer:
-    if problem.spacing:
-        raise SystemExit("robotkinecal takes measured points or poses, no sockets")
-    axes = {joint.find("axis").get("xyz") for joint in ElementTree.parse(problem.folder / "robot.urdf").iter("joint")
+    if problem.reads != "points":
+        raise SystemExit(f"robotkinecal takes measured points or poses, no {problem.reads}")
+    axes = {joint.find("axis").get("xyz") for joint in ElementTree.parse(problem.folder / "robot.urdf").findall("joint")
             if joint.get("name") in problem.joints}  # fmt: skip
     if any(np.any(np.abs(np.array(axis.split(), float) - [0, 0, 1]) > 1e-9) for axis in axes):
         raise SystemExit(

@@ -11,13 +11,13 @@ import numpy as np
 import scipy
 from exchange import Answer, Problem, fit_time, main
 from scipy.optimize import least_squares
-from urdf_chain import Model
+from urdf_chain import model_of
 
 
 def solve(problem: Problem, how: str) -> Answer:
     # -- what a user writes
-    model = Model(problem, origins=how != "placed")
-    x, noise = model.start, 1e-4
+    model = model_of(problem, origins=how != "placed")
+    x, noise = model.start, model.noise_before
     with fit_time():
         for _ in range({"placed": 4, "priors": 3, "origins": 1}[how]):
             rest = {"noise": noise, "priors": how == "priors"}
@@ -25,7 +25,7 @@ def solve(problem: Problem, how: str) -> Answer:
             noise = model.noise(x)
     # -- end
     version = f"SciPy {scipy.__version__}, NumPy {np.__version__}"
-    return Answer(model.points(x, problem.unseen), np.sqrt(3) * noise, package=version)
+    return Answer(model.points(x, problem.unseen), model.claim(x), package=version)
 
 
 if __name__ == "__main__":

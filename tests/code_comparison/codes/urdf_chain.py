@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from exchange import Problem, moved
+from exchange import Problem, moved, seen
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +14,7 @@ class Chain:
     """The joints from one link to another, each with six errors of its origin."""
 
     def __init__(self, urdf: Path, base: str, link: str, names: list[str]) -> None:
-        joints = {joint.find("child").get("link"): joint for joint in ElementTree.parse(urdf).getroot().iter("joint")}
+        joints = {joint.find("child").get("link"): joint for joint in ElementTree.parse(urdf).findall("joint")}
         self.origins, self.axes, self.columns, self.slides = [], [], [], []
         while link != base:
             if link not in joints:
@@ -50,6 +50,8 @@ class Chain:
 
 class Model:
     """The unknowns of an arm: six errors of each origin, the point, and the base, or the sockets at each place."""
+
+    noise_before = 1e-4  # the standard deviation of a reading that a first fit assumes [m, or px]
 
     def __init__(self, problem: Problem, *, origins: bool = True) -> None:
         self.problem = problem
@@ -95,7 +97,8 @@ class Model:
         """How far each unknown may be from its start, one standard deviation; inf: anywhere."""
         sizes = np.full(len(self.start), np.inf)
         sizes[: self.n] = np.tile(np.repeat([self.problem.length_sigma, self.problem.angle_sigma], 3), self.n // 6)
-        sizes[self.n : self.n + 3] = self.problem.point_sigma or np.inf
+        if not self.problem.cameras:
+            sizes[self.n : self.n + 3] = self.problem.point_sigma or np.inf
         return sizes
 
     def middle(self) -> np.ndarray:
@@ -112,7 +115,53 @@ class Model:
     def noise(self, x: np.ndarray) -> float:
         """The standard deviation that the readings show [m]."""
         rank = min(self.n, 4 * len(self.problem.joints)) + len(x) - self.n
-        return float(np.sqrt(np.sum(self.misses(x) ** 2) / max(3 * len(self.problem.q) - rank, 1)))
+        misses = self.misses(x)
+        return float(np.sqrt(np.sum(misses**2) / max(len(misses) - rank, 1)))
+
+    def claim(self, x: np.ndarray) -> float | None:
+        """The error of a point that residuals show [m]."""
+        return float(np.sqrt(3)) * self.noise(x)
+
+
+class Sights(Model):
+    """The unknowns of an arm that cameras see: six errors of each origin, the markers on the link, the cameras."""
+
+    noise_before = 1.0
+
+    def __init__(self, problem: Problem, *, origins: bool = True) -> None:
+        self.problem = problem
+        self.chain = Chain(problem.folder / "robot.urdf", problem.base, problem.link, problem.joints)
+        self.n = 6 * len(self.chain) if origins else 0
+        self.start = np.zeros(self.n + 6 + 6 * len(problem.cameras))
+
+    def points(self, x: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Poses of the link, three rows of four numbers each."""
+        return self.chain.poses(q, x[: self.n].reshape(-1, 6) if self.n else None)[:, :3].reshape(-1, 12)
+
+    def misses(self, x: np.ndarray) -> np.ndarray:
+        """Predicted less read pixels."""
+        read, link = self.problem.read, self.chain.poses(self.problem.q, x[: self.n].reshape(-1, 6) if self.n else None)
+        markers, *cameras = (
+            moved(Rotation.from_rotvec(part[3:]).as_matrix(), part[:3]) for part in x[self.n :].reshape(-1, 6)
+        )
+        off = np.zeros((len(read), 2))
+        for k, (told, camera) in enumerate(zip(self.problem.cameras, cameras, strict=True)):
+            here = read[:, 0] == k
+            places = np.array(told["T_base_camera"]) @ camera, self.problem.T_link_markers @ markers
+            off[here] = seen(link[here], read[here, 1:4], *places, told["lens"]) - read[here, 4:]
+        return off.ravel()
+
+    def middle(self) -> np.ndarray:
+        return self.start
+
+    def claim(self, x: np.ndarray) -> float | None:
+        """Residuals are pixels, and say nothing in metres."""
+        return None
+
+
+def model_of(problem: Problem, *, origins: bool = True) -> Model:
+    """The unknowns and the residuals of what was read."""
+    return (Sights if problem.cameras else Model)(problem, origins=origins)
 
 
 def differences(function, x: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
     fit = calib.fit(robot, train, validation=test)
     assert fit.verdict.grade == "FAIL"
     words = " ".join(reason.text for reason in fit.verdict.reasons)
+    assert {reason.grade for reason in fit.verdict.reasons if reason.code == "doubtful_readings"} == {"FAIL"}
     assert "doubtful_readings" in fit.verdict.to_dict()["codes"]
     assert "noise found of left, pixel, is" in words
     assert all(noise.sigma > 2 for noise in fit.noise)  # the most that cameras have [px]
@@ -44,3 +45,4 @@ def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0735
     assert set(fit.offsets) == {"left", "right"}
     assert "All readings of right at a pose share an error" in fit.report(verbose=True)
+    assert {reason.grade for reason in fit.verdict.reasons if reason.code == "doubtful_readings"} == {"CHECK"}

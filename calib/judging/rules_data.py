@@ -165,10 +165,19 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
 
 
 def doubtful_readings(fit: Fit) -> Iterator[Reason]:
-    """Ask the instruments what looks wrong about their readings."""
-    for name, readings in fit.identification.data.readings.items():
-        for text in fit.nominal.instrument(name).doubts(readings):
-            yield Code.DOUBTFUL_READINGS.says(text)
+    """Ask the instruments what looks wrong about their readings.
+
+    A fit bends the robot until such readings fit, and readings left out of the same files agree: only another kind of
+    instrument can bear the result out.
+    """
+    readings_of = fit.identification.data.readings
+    instruments = {name: fit.nominal.instrument(name) for name in readings_of}
+    doubts = {name: instruments[name].doubts(readings) for name, readings in readings_of.items()}
+    doubted = {type(instruments[name]) for name, texts in doubts.items() if texts}
+    alone = doubted.issuperset(type(instrument) for instrument in instruments.values())
+    for texts in doubts.values():
+        for text in texts:
+            yield Code.DOUBTFUL_READINGS.says(text, grade="FAIL" if alone else None)
 
 
 def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:

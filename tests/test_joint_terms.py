@@ -303,14 +303,15 @@ def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, d
     q = turned(first)
     fit = calib.fit(robot, noisy(robot, q, 4e-5, seed=1))
     words = [reason.text for reason in fit.verdict.reasons if reason.code == "turns_not_counted"]
-    assert ["joint j1, without" in text and "j1.gain, j3.by_j1 cannot be right" in text for text in words] == [
-        True
-    ] * doubted
+    wrong = (
+        "joint j1 lie within one turn, and the URDF states no limits. If these values were wrapped, j1.gain, j3.by_j1"
+    )
+    assert [wrong in text for text in words] == [True] * doubted
     rows = [",".join(robot.joint_names), *(",".join(repr(float(v)) for v in row) for row in q)]
     (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
     run = run_calib("check", robot.path, tmp_path / "poses.csv")
     assert run.code == 0
-    assert ("j1.gain, j3.by_j1 cannot be right; give values that count turns" in run.err) == doubted
+    assert ("j1.gain, j3.by_j1 cannot be right. Give values that count turns" in run.err) == doubted
 
 
 def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
@@ -326,8 +327,8 @@ def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
             for item in (counted, wrapped)
         ]
         assert results == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
-        assert told.refused.startswith("all values of joint j1, without limits in the URDF, lie within one turn")
-        assert f"and a {term} cannot be right" in told.refused
+        assert told.refused.startswith("all values of joint j1 lie within one turn, and the URDF states no limits")
+        assert f"a {term} cannot be right" in told.refused
     assert [item.sections for item in by_name["curve"]] == [by_name["curve"][0].sections] * 2  # periodic: no matter
     only = candidates(robot, noisy(robot, np.column_stack([TURNS % (2 * np.pi), np.zeros((60, 5))]), 4e-5, seed=1))
     assert "a gain cannot be right" in next(name for name in only if name.term == "gain").refused

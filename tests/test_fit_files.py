@@ -419,3 +419,17 @@ def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
     again = calib.load(tmp_path / "again" / "medrue.yaml")
     q = test.joints[:10]
     np.testing.assert_allclose(again.forward(q, "tool"), alone.robot.forward(q, "tool"), atol=2e-6)
+
+
+def test_a_robot_that_is_taken_as_it_is_is_no_worse_than_itself(tmp_path, true_tip):
+    """The robot before has its places from all poses; each pose left out is placed by the others."""
+    yaml = YAML.replace("base: {frame: l0}", "base: {frame: l0, pose: unknown}").replace(
+        "parametrisation:", "parametrisation: []"
+    )
+    placed = calib.load(write_six_axis(tmp_path, yaml))
+    fit = calib.fit(placed, measured(placed, true_tip, 40, 7))
+    assert "before" not in fit.verdict.claim.words
+    assert fit.verdict.to_dict()["claim"]["rms_before"] is None
+    assert "file_withheld" not in fit.verdict.to_dict()["codes"]
+    fit.save(tmp_path / "out", pages=False)
+    assert (tmp_path / "out" / "calibrated.urdf").read_bytes() == placed.urdf.source

@@ -198,9 +198,14 @@ def with_zeros(nominal: Robot) -> Robot:
 
 
 def file_robot(fit: Fit) -> FileRobot:
-    """Return the robot of a fit as files get it that hold all of that."""
+    """Return the robot of a fit as files get it that hold all of that.
+
+    If only places were sought, it is the nominal robot, and no worse than that.
+    """
     reached = accuracy(fit)
-    why = why_withheld(reached) if fit.converged else f"its fit did not converge: {fit.message}"
+    why = "" if np.all(fit.unknowns.placement) else why_withheld(reached)
+    if not fit.converged:
+        why = f"its fit did not converge: {fit.message}"
     return FileRobot(_values(fit.robot), reached, why)
 
 

@@ -26,7 +26,7 @@ it. Poses that are copies of others foretell each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -86,7 +86,8 @@ class Claim:
     """What a calibration claims.
 
     Attributes:
-        told: How far off the robot is at poses like those measured.
+        told: How far off the robot is at poses like those measured. `before` is NaN if only places were sought, which
+            the robot before has by all poses, those left out among them.
         shown: The same as seen at poses that had no part in the fit.
         broken: Those of them that the claim does not hold for.
         gain: What becomes of poses that were not used.
@@ -119,12 +120,14 @@ class Claim:
         subject = "The tool is" if told.is_position else f"Readings ({told.part}) are"
         if np.isfinite(told.limit95):
             off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
-            off += f" RMS {told.shown(told.rms)}; before"
+            off += f" RMS {told.shown(told.rms)}"
         else:
-            off = f"off by {told.shown(told.rms)} RMS, {self.region}. Before"
+            off = f"off by {told.shown(told.rms)} RMS, {self.region}"
+        if np.isfinite(told.before):
+            off += f"{'; before' if np.isfinite(told.limit95) else '. Before'}: {told.shown(told.before)}"
         shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
         narrow = f" Joints that moved through less than half of their limits: {listed(self.narrow)}."
-        return f"{subject} {off}: {told.shown(told.before)}.{shown}{narrow if self.narrow else ''}"
+        return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""
@@ -134,7 +137,7 @@ class Claim:
             "unit": ERROR_UNIT[told.dimension],
             "limit95": scale * told.limit95,
             "rms": scale * told.rms,
-            "rms_before": scale * told.before,
+            "rms_before": scale * told.before if np.isfinite(told.before) else None,
             "n_poses": told.n_poses,
             "known": scale * self.known,
             "region": self.region,
@@ -154,6 +157,8 @@ def claim_of(fit: Fit) -> Claim | None:
     if foretold is None:
         return None
     told = of_errors(foretold, SeenAt.ONE_BY_ONE)
+    if np.all(fit.unknowns.placement):
+        told = replace(told, before=float("nan"))
     unused = []
     if fit.validation is not None:
         unused.append(of_errors(fit.validation, SeenAt.VALIDATION))

@@ -104,7 +104,7 @@ class Panel {
         + (most > 1 ? `; of a pose, the mean of ${range(least, most, String)} readings: ${range(...means, millimetres)} mm` : "")));
     }
     if (predicted) {
-      lines.push(element("p", { id: "predicted" }, `Predicted positions are known to ${millimetres(predicted[0])} mm on average, ${millimetres(predicted[1])} mm`
+      lines.push(element("p", { id: "predicted" }, `Predicted positions are known to ${millimetres(predicted[0])} mm on average over all poses, ${millimetres(predicted[1])} mm`
         + " at worst (1\u03c3, from noise alone)"));
     }
     return lines;

@@ -10,7 +10,6 @@ from exchange import Answer, Problem, fit_time, main
 
 import calib
 from calib.base.errors import CalibrationError
-from calib.judging.claim import claim_of
 
 
 def write_table(problem: Problem, path: Path) -> None:
@@ -77,11 +76,8 @@ def solve(problem: Problem, how: str) -> Answer:
         # -- end
     except CalibrationError as error:
         raise SystemExit(str(error).partition("; not separable")[0]) from error
-    try:
-        claim = claim_of(fit)
-    except CalibrationError:
-        claim = None
-    told = None if claim is None or problem.cameras else claim.told.rms  # of pixels: says nothing in metres
+    expected = None if problem.cameras else fit.claim_at(problem.unseen)  # of pixels: says nothing in metres
+    told = None if expected is None else expected.rms
     version = f"this project {calib.__version__}"
     if how == "auto":
         version += f" (added: {'+'.join(term.term for term in fit.terms.tried if term.added) or 'nothing'})"

@@ -240,6 +240,11 @@ BAD = {
             ("def p():", "def p(a):", "is set more than once"),
             ("movej(a)", "movec(a, q)", "q: is set more than once, or not to plain numbers"),
             ("movej(a)", "servoj(q, t=0.008)", "q: is set more than once"),
+            (
+                "movej(a)",
+                "w = p[0.6,0,0.5,0,1.4,0]\n  movel(pose_trans(w, p[0,0,0,0,0,0]), v=1)\n  movel(w)",
+                "line 5: pose_trans(w, p[0,0,0,0,0,0]), v=1): moves along with w, a target that is its frame or tool",
+            ),
         ],
     ),
     ".mod": (
@@ -271,6 +276,9 @@ BAD = {
             (f"[0,0,0,0],{NO_AXES}]", "[0,0,0,0]]", "robtarget 'p' is not complete"),
             ("45,0]", "45]", "robax has 5 numbers; expected 6"),
             ("MoveL p,", "SearchL di1,p,p,", "is where a search ends"),
+            ("MoveL p,", "CONST robtarget p:=[[1,2,3],[1,0,0,0]];\nMoveL p,", "p: is declared in several places"),
+            ("PROC main()", "PROC main(robtarget p,num n)", "p: is declared in several places; name each otherwise"),
+            ("PROC main()", "PROC main(INOUT tooldata t)", "'t' is declared in several places"),
         ],
     ),
     ".src": (
@@ -302,6 +310,13 @@ BAD = {
             ("LIN {X", "DECL E6POS XP1={X 1}\nLIN XP1 ;{X", "gives only a part of a position"),
             ("LIN {X", "DECL E6POS P1={X 1,Y 1,Z 1,A 1,B 1,C 1}\nP1.X=5\nLIN P1 ;{X", "is set while the program runs"),
             ("LIN {X", "CIRC XP1,{X", "XP1: is declared nowhere here"),
+            (
+                "LIN {X",
+                "DECL FRAME P1={X 600,Y 0,Z 500,A 0,B 80,C 0}\nLIN P1\n$BASE=P1\nLIN {X",
+                "moves along with P1, a target that is its frame or tool",
+            ),
+            ("S 2,T 0}", "S 2,T 0} WITH $BASE=BASE_DATA[3]", "BASE_DATA[3] is not known here"),
+            ("LIN {X", "SPLINE WITH $TOOL=STOOL2(FP1)\nLIN {X", "FP1 is declared nowhere here"),
         ],
     ),
     ".ls": (
@@ -312,7 +327,7 @@ BAD = {
             ("/POS", "/PAS", "has no /MN and /POS sections"),
             ("/MN", "/MM", "has no /MN and /POS sections"),
             ("L P[2] 1", "L P[7] 1", "line 4: P[7] is not in /POS; save the program again"),
-            ("L P[2] 1", "L P[R[1]] 1", "is worked out at run time"),
+            ("L P[2] 1", "L P[R[1]] 1", "line 4: P[R[1]]: is worked out at run time"),
             ("L P[2] 1", "L PR[1] 1", "is a position register"),
             ("mm/sec FINE ;", "mm/sec FINE Offset,PR[1] ;", "is worked out at run time (Offset)"),
             ("mm/sec FINE ;", "mm/sec FINE Tool_Offset,PR[1] ;", "is worked out at run time (Tool_Offset)"),
@@ -351,6 +366,27 @@ def test_what_cannot_be_read_is_named_with_its_line(suffix, k, tmp_path):
         heard = [str(error)]
     assert [message for message in heard if said in message], heard
     assert all(f"part{suffix}" in message and "\n" not in message for message in heard)
+
+
+def test_targets_are_taken_by_their_keywords(tmp_path):
+    path = tmp_path / "part.script"
+    path.write_text(UR.replace("movej(a)", "movej(a=1.4, v=1, q=a)").replace("movel(p[", "movel(a=1, pose=p["))
+    program = read_program(path)
+    assert (len(program.targets), program.left_out) == (2, ())
+
+
+def test_what_stands_behind_with_holds_for_its_motion_or_spline(tmp_path):
+    """Bases at 0, 10, 20 mm in x: of the program, of a motion, of a spline; by hand."""
+    path = tmp_path / "part.src"
+    pose = "{X 500,Y 0,Z 500,A 0,B 80,C 0}"
+    path.write_text(
+        "DEF p()\n$TOOL=$NULLFRAME\n$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}\n"
+        f"SLIN {pose} WITH $VEL.CP=0.1, $BASE={{X 10,Y 0,Z 0,A 0,B 0,C 0}}\nLIN {pose}\n"
+        f"SPLINE WITH $BASE={{X 20,Y 0,Z 0,A 0,B 0,C 0}}\nSLIN {pose}\nSPL {pose}\nENDSPLINE\nLIN {pose}\nEND\n"
+    )
+    program = read_program(path)
+    assert program.left_out == ()
+    assert [round(1e3 * target.flange.translation[0]) for target in program.targets] == [510, 500, 520, 520, 500]
 
 
 @pytest.mark.parametrize("suffix", BAD)

@@ -33,7 +33,7 @@ from calib.using.programs.robot_program import (
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _BLANK = r"(?m)^\s*\d+:\s*(?:!|//)[^\n]*"
 _MOTION = re.compile(r"(?m)^\s*\d*:\s*([JLCAS])\s+([^;]*);")
-_PLACE = re.compile(r"P\[\s*([^\]:]+?)\s*(?::[^\]]*)?\]|PR\[[^\]]*\]")
+_PLACE = re.compile(r"P\[\s*(\w+\[[^\]]*\]|[^\]:]+?)\s*(?::[^\]]*)?\]|PR\[[^\]]*\]")
 _CHANGED = re.compile(r"\b(Tool_Offset|Offset|VOFFSET|TOOL_OFFSET|OFFSET|INC|LOCK\s+PREG|CV_TCP)\b", re.IGNORECASE)
 _POSITION = re.compile(r"P\[\s*(\d+)\s*(?::[^\]]*)?\]\s*\{(.*?)\}\s*;", re.DOTALL)
 _GROUP = re.compile(r"GP(\d+)\s*:")

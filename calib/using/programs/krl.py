@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,11 @@ _STATE = re.compile(
     r"|BAS[ \t]*\([ \t]*#(TOOL|BASE)[ \t]*,([^)\n]*)\))",
     re.IGNORECASE | re.MULTILINE,
 )
-_WITH = re.compile(r"(STOOL2?|SBASE)\s*\(\s*(\w+)", re.IGNORECASE)
+_SPLINE = re.compile(
+    r"^[ \t]*(?:(ENDSPLINE)\b|(?:PTP_)?SPLINE\b(?:[ \t]+WITH\b([^\n]*))?)", re.IGNORECASE | re.MULTILINE
+)
+_WITH = re.compile(r"(\$TOOL|\$BASE)\s*=\s*(.*)", re.IGNORECASE)
+_FORM = re.compile(r"S(?:TOOL2?|BASE)\s*\(\s*(\w+)", re.IGNORECASE)
 _COMPONENT = re.compile(rf"\s*([A-Z]\w*)\s+({NUMBER})\s*", re.IGNORECASE)
 _MEMBER = re.compile(r"(TOOL_NO|BASE_NO)\s+(\d+)|IPO_FRAME\s+(#\w+)", re.IGNORECASE)
 _POSE, _AXES = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -63,6 +67,23 @@ class _Literal:
     start: int
     name: str
     components: Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Tool and base that hold somewhere in the text, or why they are not known.
+
+    Attributes:
+        tool, base: T_flange_tool and T_base_frame.
+        outside: Whether the tool is not on the robot.
+        of_tool, of_base: Places of the positions that they were set to.
+    """
+
+    tool: pin.SE3 | str
+    base: pin.SE3 | str
+    outside: bool = False
+    of_tool: tuple[tuple[int, int], ...] = ()
+    of_base: tuple[tuple[int, int], ...] = ()
 
 
 def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str]) -> RobotProgram:
@@ -94,9 +115,10 @@ class _Reader:
         for file, source in enumerate(sources):
             self._declarations(file, source)
         self.set_later = {match[1].upper() for match in _ASSIGNED.finditer(sources[0].code)}
-        self.tool: pin.SE3 | str = "nothing before it selects a tool (BAS, $TOOL, an inline form)"
-        self.base: pin.SE3 | str = "nothing before it selects a base (BAS, $BASE, an inline form)"
-        self.outside = False
+        self.held = _Held(
+            "nothing before it selects a tool (BAS, $TOOL, an inline form)",
+            "nothing before it selects a base (BAS, $BASE, an inline form)",
+        )
 
     def _declarations(self, file: int, source: Source) -> None:
         for match in _DECLARED.finditer(source.code):
@@ -140,12 +162,21 @@ class _Reader:
     def program(self) -> RobotProgram:
         """Walk through the text."""
         code = self.sources[0].code
-        matches = [*_MOVE.finditer(code), *_STATE.finditer(code)]
+        matches = [*_MOVE.finditer(code), *_STATE.finditer(code), *_SPLINE.finditer(code)]
+        outside = self.held
         for match in sorted(matches, key=lambda match: match.start()):
             if match.re is _STATE:
                 self._set(match)
+            elif match.re is _SPLINE:
+                if match[1]:
+                    self.held = outside
+                else:
+                    outside = self.held
+                    self._with(match.start(2), match.end(2))
             else:
+                held = self.held
                 self._move(match)
+                self.held = held
         return self.collector.program(LANGUAGE, self.sources)
 
     def _set(self, match: re.Match[str]) -> None:
@@ -154,24 +185,47 @@ class _Reader:
         if match[3]:
             self._choose(match[3].upper(), match[4].strip())
         elif variable == "$IPO_MODE":
-            self.outside = value == "#TCP"
+            self.held = replace(self.held, outside=value == "#TCP")
         elif variable == "FDAT_ACT":
             self._form(value)
         else:
-            opening = match.start(2)
-            end = closing(self.sources[0].code, opening) if value.startswith("{") else None
-            frame = self._frame(0, opening, end + 1, variable) if end is not None else self._named(value)
-            if variable == "$TOOL":
-                self.tool = frame
+            self._hold(variable, match.start(2), value)
+
+    def _hold(self, variable: str, start: int, value: str) -> None:
+        """Take in what `$TOOL` or `$BASE` is set to."""
+        code = self.sources[0].code
+        end = closing(code, start) if value.startswith("{") else None
+        frame = self._frame(0, start, end + 1, variable) if end is not None else self._named(value)
+        literal = self.declared.get(value.replace(" ", ""))
+        constants = ((literal.file, literal.components["X"][0]),) if literal and "X" in literal.components else ()
+        if variable == "$TOOL":
+            self.held = replace(self.held, tool=frame, of_tool=constants)
+        else:
+            self.held = replace(self.held, base=frame, of_base=constants)
+
+    def _with(self, start: int, end: int) -> None:
+        """Take in what a motion or a spline sets for itself, behind WITH."""
+        code = self.sources[0].code
+        for left, right in arguments(code, start, end):
+            match = _WITH.match(code, left, right)
+            if match is None:
+                continue
+            held, variable, form = self.held, match[1].upper(), _FORM.match(match[2])
+            if form is None:
+                self._hold(variable, match.start(2), match[2].strip().upper())
+                continue
+            self._form(form[1].upper())
+            if variable == "$BASE":
+                self.held = replace(held, base=self.held.base, of_base=(), outside=self.held.outside)
             else:
-                self.base = frame
+                self.held = replace(held, tool=self.held.tool, of_tool=(), outside=self.held.outside)
 
     def _choose(self, kind: str, number: str) -> None:
         frame = self._named(f"{kind}_DATA[{number}]")
         if kind == "TOOL":
-            self.tool = frame
+            self.held = replace(self.held, tool=frame, of_tool=())
         else:
-            self.base = frame
+            self.held = replace(self.held, base=frame, of_base=())
 
     def _named(self, value: str) -> pin.SE3 | str:
         name = value.replace(" ", "")
@@ -188,23 +242,19 @@ class _Reader:
         """Take in the tool and base of an inline form."""
         members = {(m[1] or "IPO").upper(): (m[2] or m[3]).upper() for m in _MEMBER.finditer(self.forms.get(name, ""))}
         if not {"TOOL_NO", "BASE_NO"} <= set(members):
-            self.tool = self.base = f"{name} is declared nowhere here"
+            self.held = _Held(f"{name} is declared nowhere here", f"{name} is declared nowhere here")
             return
         self._choose("TOOL", members["TOOL_NO"])
         self._choose("BASE", members["BASE_NO"])
-        self.outside = members.get("IPO") == "#TCP"
+        self.held = replace(self.held, outside=members.get("IPO") == "#TCP")
 
     def _move(self, match: re.Match[str]) -> None:
         """Take in one motion."""
         source, word = self.sources[0], match[1].upper()
-        for keyword, name in _WITH.findall(match[3]):
-            held = self.tool, self.base, self.outside
-            self._form(name.upper())
-            if keyword.upper() == "SBASE":
-                self.tool = held[0]
-            else:
-                self.base = held[1]
-        end = match.end(3) - len(match[3]) + len(re.split(r"(?i)\bWITH\b", match[3])[0])
+        pieces = re.split(r"(?i)\bWITH\b", match[3])
+        if len(pieces) > 1:
+            self._with(match.end(3) - len(pieces[-1]), match.end(3))
+        end = match.start(3) + len(pieces[0])
         spans = list(arguments(source.code, match.start(3), end))
         for span in spans[: 2 if word.endswith("CIRC") else 1]:
             start = span[0]
@@ -238,13 +288,24 @@ class _Reader:
             return ProgramTarget(line, path, literal.name, self._cells(literal, _AXES), None)
         if not set(_POSE) <= set(numbers):
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
-        for frame in (self.tool, self.base, "the tool is not on the robot" if self.outside else None):
+        held = self.held
+        for frame in (held.tool, held.base, "the tool is not on the robot" if held.outside else None):
             if isinstance(frame, str):
                 raise LeftOutError(frame)
-        assert isinstance(self.tool, pin.SE3)
-        assert isinstance(self.base, pin.SE3)
+        assert isinstance(held.tool, pin.SE3)
+        assert isinstance(held.base, pin.SE3)
         cells, configuration = self._cells(literal, _POSE), _configuration(numbers)
-        return ProgramTarget(line, path, literal.name, cells, "zyx", self.base, self.tool, configuration)
+        return ProgramTarget(
+            line,
+            path,
+            literal.name,
+            cells,
+            "zyx",
+            held.base,
+            held.tool,
+            configuration,
+            constants=held.of_base + held.of_tool,
+        )
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

@@ -10,7 +10,7 @@ declared in the program, or in another module, or in a table of frames. Axis con
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,6 +47,8 @@ _STATEMENT = re.compile(
     r"(?!\s*:=)([^;]*);",
     re.IGNORECASE,
 )
+_PARAMETERS = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+\w+\s*\(([^)]*)\)", re.IGNORECASE)
+_PARAMETER = re.compile(rf"\b(?:{_TYPES})\s+(\w+)", re.IGNORECASE)
 _ASSIGNED = re.compile(r"(?:^|[;\n])[ \t]*(\w+)(?:\{[^}\n]*\})?(?:\.[\w.]+)?[ \t]*:=")
 _TWO = re.compile(r"(Move|Trigg|Arc|Disp|Paint)C", re.IGNORECASE)
 _ABSOLUTE = re.compile(r"\w+AbsJ", re.IGNORECASE)
@@ -85,7 +87,9 @@ def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
 class _Reader:
     def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str]) -> None:
         self.source, self.code, self.collector = source, source.code, Collector()
-        self.declared = {declared.name.upper(): declared for declared in self._declarations()}
+        declarations = self._declarations()
+        self.declared = {declared.name.upper(): declared for declared in declarations}
+        self.several = self._several([declared.name.upper() for declared in declarations])
         self.frames: dict[str, pin.SE3 | str] = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity(), **frames}
         self.frames |= {
             name: self._frame(declared) for name, declared in self.declared.items() if "data" in declared.type
@@ -109,6 +113,13 @@ class _Reader:
                     _Declared(match[1].lower(), f"{match[2]}{{{k}}}", *span) for k, span in enumerate(elements, 1)
                 ]
         return declarations
+
+    def _several(self, names: Sequence[str]) -> set[str]:
+        """Names that mean several things in the module: constants of routines, and parameters of routines."""
+        parameters = {
+            name.upper() for match in _PARAMETERS.finditer(self.code) for name in _PARAMETER.findall(match[1])
+        }
+        return {name.partition("{")[0] for name in names if names.count(name) > 1} | parameters
 
     def _groups(self, start: int, end: int) -> list[tuple[int, int]]:
         return list(arguments(self.code, start + 1, end - 1))
@@ -199,6 +210,8 @@ class _Reader:
 
     def _target(self, word: str, span: tuple[int, int], spans: list[tuple[int, int]]) -> ProgramTarget:
         name, start, end = self._base(span), *span
+        if name.partition("{")[0] in self.several:
+            raise LeftOutError("is declared in several places; name each otherwise")
         if name.startswith("["):
             close = closing(self.code, start)
             declared = _Declared("jointtarget" if _ABSOLUTE.match(word) else "robtarget", "", start, (close or end) + 1)
@@ -266,6 +279,8 @@ class _Reader:
         frame = self.frames[name]
         if isinstance(frame, str):
             raise LeftOutError(frame)
+        if name in self.several:
+            raise LeftOutError(f"'{name.lower()}' is declared in several places; name each otherwise")
         if name in self.assigned:
             raise LeftOutError(f"'{name.lower()}' is set while the program runs")
         return frame

@@ -98,6 +98,7 @@ class ProgramTarget:
         tool: T_flange_tool, of what a pose is.
         configuration: What it says of the joints.
         near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
+        constants: Places (file, start) of the program's own poses that are its frame or tool.
     """
 
     line: int
@@ -109,6 +110,7 @@ class ProgramTarget:
     tool: pin.SE3 = field(default_factory=pin.SE3.Identity)
     configuration: Configuration | None = None
     near: tuple[float, ...] = ()
+    constants: tuple[tuple[int, int], ...] = ()
 
     @property
     def label(self) -> str:
@@ -254,24 +256,38 @@ class Collector:
     def __init__(self) -> None:
         self._targets: dict[tuple[int, int], ProgramTarget | None] = {}
         self._left: dict[tuple[str, int, str], NotCompensated] = {}
+        self._places: dict[tuple[int, int], tuple[Source, int]] = {}
 
     def take(self, target: ProgramTarget, source: Source, at: int) -> None:
         """Take a target that the program goes to at a place of the text."""
         key = (target.cells[0].file, target.cells[0].start)
         known = self._targets.setdefault(key, target)
+        self._places.setdefault(key, (source, at))
         if known is None:
             return
         same = known.rotation is None or (known.frame.isApprox(target.frame) and known.tool.isApprox(target.tool))
         if not same:
             self._targets[key] = None
             self.leave(source, at, target.name, "is reached with different tools or frames; give each a target")
-        elif target.near and not known.near:
-            self._targets[key] = replace(known, near=target.near)
+        else:
+            near, constants = known.near or target.near, known.constants + target.constants
+            self._targets[key] = replace(known, near=near, constants=tuple(dict.fromkeys(constants)))
 
     def leave(self, source: Source, at: int, text: str, why: str) -> None:
         """Note what is not compensated."""
         line = source.line(at)
         self._left.setdefault((source.path, line, text), NotCompensated(source.path, line, text, why))
+
+    def _leave_what_moves_along(self) -> None:
+        """Leave out targets whose frame or tool is a target too: its new numbers move them already."""
+        taken = {key: target for key, target in self._targets.items() if target is not None}
+        for key, target in taken.items():
+            first = next((taken[place] for place in target.constants if place in taken), None)
+            if first is not None:
+                source, at = self._places[key]
+                text = target.name or source.shown(at, source.code.find("\n", at))
+                self._targets[key] = None
+                self.leave(source, at, text, f"moves along with {first.name}, a target that is its frame or tool")
 
     def program(self, language: str, sources: Sequence[Source]) -> RobotProgram:
         """Return the program.
@@ -279,6 +295,7 @@ class Collector:
         Raises:
             DataError: It goes nowhere.
         """
+        self._leave_what_moves_along()
         targets = tuple(target for target in self._targets.values() if target is not None)
         left = tuple(
             sorted(self._left.values(), key=lambda left_out: (left_out.path != sources[0].path, left_out.line))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pinocchio as pin
@@ -41,6 +41,7 @@ _ASSIGNED = re.compile(
 _PARAMETERS = re.compile(r"\bdef[ \t]+\w+[ \t]*\(([^)\n]*)\)")
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _ANGLE = re.compile(rf"d2r\s*\(\s*({NUMBER})\s*\)")
+_KEYWORD = re.compile(r"(?:pose|q|pose_to|pose_via)\s*=\s*")
 _FUNCTION = re.compile(r"(get_inverse_kin|pose_trans)\s*\(")
 
 
@@ -55,6 +56,20 @@ class _Literal:
     @property
     def values(self) -> tuple[float, ...]:
         return tuple(cell.value for cell in self.cells)
+
+    @property
+    def place(self) -> tuple[int, int]:
+        return self.cells[0].file, self.cells[0].start
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """A target, the frame that it is in, the constants that make the frame, and joints that it is near to."""
+
+    literal: _Literal
+    frame: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    constants: tuple[tuple[int, int], ...] = ()
+    near: tuple[float, ...] = ()
 
 
 def read_urscript(path: Path | str, frames: Mapping[str, pin.SE3]) -> RobotProgram:
@@ -75,6 +90,7 @@ def read_urscript(path: Path | str, frames: Mapping[str, pin.SE3]) -> RobotProgr
 class _Reader:
     def __init__(self, source: Source, tool: pin.SE3 | None) -> None:
         self.source, self.code, self.tool = source, source.code, tool
+        self.tool_constant: tuple[tuple[int, int], ...] = ()
         self.collector = Collector()
         self.constants = self._constants()
 
@@ -123,15 +139,25 @@ class _Reader:
                 continue
             given = list(arguments(self.code, match.end(), end))
             if match[1] == "set_tcp":
-                self.tool = self._tool(given[:1])
+                self._set_tool(given[:1])
                 continue
-            for span in given[: _MOVES[match[1]]]:
+            for span in self._targets_first(given)[: _MOVES[match[1]]]:
                 self._go(span)
         return self.collector.program(LANGUAGE, [self.source])
 
-    def _tool(self, given: list[tuple[int, int]]) -> pin.SE3 | None:
+    def _targets_first(self, given: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Arguments with the targets first, which may stand anywhere if they are named."""
+        return sorted(given, key=lambda span: _KEYWORD.match(self.code, *span) is None and self._is_named(span))
+
+    def _is_named(self, span: tuple[int, int]) -> bool:
+        return re.compile(r"[A-Za-z_]\w*\s*=(?!=)").match(self.code, *span) is not None
+
+    def _set_tool(self, given: list[tuple[int, int]]) -> None:
+        """Take in a tool that holds from here on."""
         literal = self._constant(*given[0]) if given else None
-        return pose_of(literal.values, "vector") if literal is not None and literal.is_pose else None
+        known = literal is not None and literal.is_pose
+        self.tool = pose_of(literal.values, "vector") if known and literal else None
+        self.tool_constant = (literal.place,) if known and literal else ()
 
     def _constant(self, start: int, end: int) -> _Literal | None:
         text = self.code[start:end]
@@ -140,10 +166,11 @@ class _Reader:
     def _go(self, span: tuple[int, int]) -> None:
         """Take in one target of a move."""
         start, end = span
-        keyword = re.compile(r"(?:pose|q|pose_to|pose_via)\s*=\s*").match(self.code, start, end)
+        keyword = _KEYWORD.match(self.code, start, end)
         start = keyword.end() if keyword else start
         try:
-            literal, frame, near = self._target(start, end)
+            goal = self._target(start, end)
+            literal = goal.literal
             if literal.is_pose and self.tool is None:
                 raise LeftOutError("no set_tcp before it selects a tool; add one, or TCP to the frames (--frames)")
         except LeftOutError as why:
@@ -155,18 +182,18 @@ class _Reader:
             literal.name,
             literal.cells,
             "vector" if literal.is_pose else None,
-            frame,
+            goal.frame,
             self.tool if literal.is_pose and self.tool is not None else pin.SE3.Identity(),
             None,
-            near,
+            goal.near,
+            goal.constants + self.tool_constant if literal.is_pose else (),
         )
         self.collector.take(target, self.source, start)
 
-    def _target(self, start: int, end: int) -> tuple[_Literal, pin.SE3, tuple[float, ...]]:
-        """A target, in which frame it is, and which joints it is near to."""
+    def _target(self, start: int, end: int) -> _Goal:
         literal = self._constant(start, end)
         if literal is not None:
-            return literal, pin.SE3.Identity(), ()
+            return _Goal(literal)
         call = _FUNCTION.match(self.code, start, end)
         if call is None or closing(self.code, call.end() - 1) != end - 1:
             name = _NAME.fullmatch(self.code[start:end])
@@ -174,18 +201,28 @@ class _Reader:
                 "is set more than once, or not to plain numbers" if name else "is worked out at run time"
             )
         given = list(arguments(self.code, call.end(), end - 1))
-        if call[1] == "get_inverse_kin":
-            pose, frame, near = self._target(*given[0]) if given else (None, pin.SE3.Identity(), ())
-            for first, last in given[1:2]:
-                keyword = re.compile(r"qnear\s*=\s*").match(self.code, first, last)
-                joints = self._constant(keyword.end() if keyword else first, last)
-                near = joints.values if joints is not None and not joints.is_pose else near
-        else:
-            feature = self._constant(*given[0]) if len(given) == 2 else None
-            if feature is None or not feature.is_pose:
-                raise LeftOutError("is worked out at run time: its frame is not constant")
-            pose, inner, near = self._target(*given[1])
-            frame = pose_of(feature.values, "vector") * inner
-        if pose is None or not pose.is_pose:
+        if call[1] == "pose_trans":
+            return self._in_feature(given)
+        goal = self._pose_target(*given[0]) if given else None
+        if goal is None:
             raise LeftOutError("is worked out at run time")
-        return pose, frame, near
+        for first, last in given[1:2]:
+            keyword = re.compile(r"qnear\s*=\s*").match(self.code, first, last)
+            joints = self._constant(keyword.end() if keyword else first, last)
+            if joints is not None and not joints.is_pose:
+                goal = replace(goal, near=joints.values)
+        return goal
+
+    def _in_feature(self, given: list[tuple[int, int]]) -> _Goal:
+        feature = self._constant(*given[0]) if len(given) == 2 else None
+        if feature is None or not feature.is_pose:
+            raise LeftOutError("is worked out at run time: its frame is not constant")
+        goal = self._pose_target(*given[1])
+        frame = pose_of(feature.values, "vector") * goal.frame
+        return replace(goal, frame=frame, constants=(feature.place, *goal.constants))
+
+    def _pose_target(self, start: int, end: int) -> _Goal:
+        goal = self._target(start, end)
+        if not goal.literal.is_pose:
+            raise LeftOutError("is worked out at run time")
+        return goal

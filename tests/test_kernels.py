@@ -1,5 +1,6 @@
 """Compiled kinematics against Pinocchio's, which is the reference: every kind of robot that the tests have."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -165,3 +166,20 @@ def test_the_same_poses_are_sampled_by_compiled_code():
         with compiled(item):
             sampled.append(robot.sample(200, seed=4))
     assert np.array_equal(*sampled)
+
+
+FIRST_USE = """
+import numpy as np
+from calib.robots import kernels
+
+kernels._stand(np.zeros((1, 12)))
+kernels._twist(np.zeros((1, 12)), 0, np.zeros((1, 6)), 0, np.zeros((1, 6)), 0)
+"""
+
+
+def test_the_first_program_says_once_that_it_compiles(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    program = [sys.executable, "-c", FIRST_USE]
+    first, second = (subprocess.run(program, env=environment, capture_output=True, text=True, check=True) for _ in "12")
+    assert first.stderr == "numba compiles the kinematics; this takes about 10 s, once for each version\n"
+    assert second.stderr == ""

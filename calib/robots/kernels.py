@@ -9,21 +9,46 @@ A frame i has the pose T_i in the world, twelve numbers: its rotation column by 
 (`calib.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis is
 S_i = [v; w] in its own frame. World twists are [v; w] with v at the world's origin.
 
-Compiled code is kept beside this file, or where numba may write, so that only the first program ever waits for it. All
-of it is in this one file, because numba compiles again only where the file of a function has changed.
+Compiled code is kept beside this file, or where numba may write, so that only the first program ever waits for it, and
+says so. All of it is in this one file, because numba compiles again only where the file of a function has changed.
+Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its errors, which
+takes longer than all of the rest.
 """
 
 from __future__ import annotations
 
+import logging
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.core import event
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.robots.mechanism import Mechanism, Reduced
 
+_LOG = logging.getLogger("calib")
 _compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
+
+
+class _FirstUse(event.Listener):  # type: ignore[misc]  # numba has no types
+    """Says once that functions of this file are being compiled, and not read from where they are kept."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def on_start(self, event: Any) -> None:
+        """Say it."""
+        compiled = getattr(event.data.get("dispatcher"), "py_func", None)
+        if not self._told and getattr(compiled, "__module__", "") == __name__:
+            self._told = True
+            _LOG.warning("numba compiles the kinematics; this takes about 10 s, once for each version")
+
+    def on_end(self, event: Any) -> None:
+        """Say nothing."""
+
+
+event.register("numba:compile", _FirstUse())
 
 
 class Tree(NamedTuple):
@@ -168,10 +193,13 @@ def _solve(A: FloatArray, B: FloatArray) -> bool:
 @_compiled
 def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return which coordinate each joint follows, or -1 where no loop feels it, and by what factor, (n_joints,)."""
-    leader, factor = np.full(len(select), -1), np.zeros(len(select))
+    leader, factor = np.empty(len(select), dtype=np.intp), np.zeros(len(select))
     for j in range(len(select)):
+        leader[j], felt = -1, False
+        for r in range(len(signs)):
+            felt = felt or signs[r, j] != 0.0
         for c in range(select.shape[1]):
-            if select[j, c] != 0.0 and np.any(signs[:, j] != 0.0):
+            if select[j, c] != 0.0 and felt:
                 leader[j], factor[j] = c, select[j, c]  # one at most
     return leader, factor
 
@@ -217,9 +245,10 @@ def close(
     values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
     follows, factor = _leads(select, loops.signs)
     driven, gear = _leads(motors, loops.signs)
-    all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints + 1, dtype=np.bool_)
+    all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
-        moved[j + 1] = follows[j] >= 0 or moved[tree.parents[j]]
+        before = tree.parents[j]
+        moved[j] = follows[j] >= 0 or (before > 0 and moved[before - 1])
     _stand(T)
     for k in range(n):
         last = np.inf
@@ -229,13 +258,14 @@ def close(
             for j in range(n_joints):
                 if follows[j] >= 0:
                     q[j] = rest[k, j] + factor[j] * passive[k, follows[j]]
-            _walk(tree, moved[1:] if attempt else all_joints, q, T)
+            _walk(tree, moved if attempt else all_joints, q, T)
             for j in range(n_joints):
                 if follows[j] >= 0:
                     _twist(T, j + 1, tree.axes, j, twists, j)
-            C[:] = 0.0
             worst = 0.0
             for r in range(n_passive):
+                for c in range(n_passive):
+                    C[r, c] = 0.0
                 a, b, axis = loops.a[r], loops.b[r], loops.axis[r]
                 values[r, 0] = 0.0
                 for i in range(3):
@@ -246,7 +276,12 @@ def close(
                     if follows[j] >= 0 and loops.signs[r, j] != 0.0:
                         C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
             if worst <= enough:
-                slope[k], by_motor[k], closed[k] = C, 0.0, True
+                closed[k] = True
+                for r in range(n_passive):
+                    for c in range(n_passive):
+                        slope[k, r, c] = C[r, c]
+                    for c in range(n_actuated):
+                        by_motor[k, r, c] = 0.0
                 for j in range(n_joints):
                     if driven[j] >= 0:
                         _twist(T, j + 1, tree.axes, j, twists, j)
@@ -266,7 +301,11 @@ def close(
                 passive[k, c] -= values[c, 0]
             last = size
         if not closed[k]:
-            slope[k], by_motor[k] = np.nan, np.nan
+            for r in range(n_passive):
+                for c in range(n_passive):
+                    slope[k, r, c] = np.nan
+                for c in range(n_actuated):
+                    by_motor[k, r, c] = np.nan
     return slope, by_motor, closed
 
 
@@ -318,11 +357,14 @@ def motion(
     twist, X, transposed = np.empty((1, 6)), np.empty((n_passive, n_rows)), np.empty((n_passive, n_passive))
     rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
     joints, columns, twists = entries
-    slides = np.array([np.all(twists[e, 3:] == 0.0) for e in range(len(joints))])
-    alike = np.arange(n_joints)  # the first joint that moves what this one moves
+    alike = np.empty(n_joints, dtype=np.intp)  # the first joint that moves what this one moves
     for j in range(n_joints):
+        alike[j] = j
         for i in range(j - 1, -1, -1):
-            if signs[i] == signs[j] and np.all(loops.signs[:, i] == loops.signs[:, j]):
+            same = signs[i] == signs[j]
+            for r in range(len(loops.signs)):
+                same = same and loops.signs[r, i] == loops.signs[r, j]
+            if same:
                 alike[j] = alike[i]
                 break
     follows, factor = _leads(select, np.ones((1, n_joints)))
@@ -339,7 +381,9 @@ def motion(
                 for r in range(n_rows):
                     X[follows[j], r] += signs[j] * factor[j] * _dot(map_k, r, twist, 0)
         if n_passive and not _solve(transposed, X):
-            X[:] = np.nan
+            for i in range(n_passive):
+                for r in range(n_rows):
+                    X[i, r] = np.nan
         for i in range(n_passive):
             _row(T, loops.a[i], loops.axis[i], loops.b[i], rows, i)
         for j in range(n_joints):
@@ -357,7 +401,7 @@ def motion(
         for e in range(len(joints)):
             j, column = joints[e], columns[e]
             m, a = tree.parents[j], alike[j]
-            if slides[e]:
+            if twists[e, 3] == 0.0 and twists[e, 4] == 0.0 and twists[e, 5] == 0.0:
                 x, y, z = twists[e, 0], twists[e, 1], twists[e, 2]
                 u = T[m, 0] * x + T[m, 3] * y + T[m, 6] * z
                 v = T[m, 1] * x + T[m, 4] * y + T[m, 7] * z

@@ -181,7 +181,7 @@ compared ran alternately in one run, with one thread of linear algebra; figures 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
 `computeJointJacobians` of the URDF as users load it for each pose, called from Python, nothing read out.
 
-With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes tens of seconds once
+With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
 once use it, and so does code under `with calib.robots.acceleration.compiled():`.
 

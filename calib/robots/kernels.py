@@ -31,7 +31,7 @@ _LOG = logging.getLogger("calib")
 _compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
 
 
-class _FirstUse(event.Listener):  # type: ignore[misc]  # numba has no types
+class _FirstUse(event.Listener):
     """Says once that functions of this file are being compiled, and not read from where they are kept."""
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class _FirstUse(event.Listener):  # type: ignore[misc]  # numba has no types
         """Say nothing."""
 
 
-event.register("numba:compile", _FirstUse())
+event.register("numba:compile", _FirstUse())  # type: ignore[no-untyped-call]
 
 
 class Tree(NamedTuple):

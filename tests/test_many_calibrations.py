@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
+from test_workers import Shared
 
 import calib
-from calib.base.workers import Workers
+from calib.base.workers import Workers, in_order
 from calib.fitting.settings import Settings
 from calib.planning.studies.many_calibrations import Repeated
 from calib.planning.studies.study_data import Resampled
@@ -180,7 +181,8 @@ def test_who_cannot_work_is_refused(five_bar, executor):
         calib.fit(*five_bar, executor=executor)
 
 
-def test_a_dask_cluster_does_the_draws(five_bar, alone):
+def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
+    monkeypatch.setattr(Shared, "sent", 0)
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra 'dask')")
     robot, data = five_bar
     fit = calib.fit(robot, data, folds=3)
@@ -190,6 +192,9 @@ def test_a_dask_cluster_does_the_draws(five_bar, alone):
     ):
         studied = calib.study(robot, data, draws=60, executor=client.get_executor())
         folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
+        products = list(in_order(Shared(3), range(20), client.get_executor()))
+    assert products == [3 * k for k in range(20)]
+    assert Shared.sent == 1
     assert np.array_equal(studied.draws.values, alone.draws.values)
     assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
 

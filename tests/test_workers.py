@@ -284,3 +284,40 @@ def test_a_hang_up_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
         program.terminate()
         assert program.wait(BUSY) == -signal.SIGTERM
         assert ended(output)
+
+
+class Shared:
+    """What all pieces of work share; counts how often it is sent. `unreadable` ones cannot be read by a process."""
+
+    sent = 0
+
+    def __init__(self, factor: int, unreadable: bool = False) -> None:
+        self.factor, self.unreadable = factor, unreadable
+
+    def __reduce__(self):
+        Shared.sent += 1
+        return (_unread if self.unreadable else Shared), (self.factor,)
+
+    def __call__(self, item: int) -> int:
+        return self.factor * item
+
+
+def _unread(factor: int) -> None:
+    raise ImportError("not here")
+
+
+def test_each_process_gets_what_the_work_shares_once(monkeypatch):
+    monkeypatch.setattr(Shared, "sent", 0)
+    with Workers(2) as executor:
+        assert list(in_order(Shared(3), range(50), executor)) == [3 * k for k in range(50)]
+        assert Shared.sent == 2
+        assert list(in_order(Shared(5), range(50), executor)) == [5 * k for k in range(50)]
+        assert Shared.sent == 4
+
+
+def test_a_process_that_could_not_read_a_function_does_not_use_the_one_before():
+    with Workers(2) as executor:
+        assert list(in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]
+        with pytest.raises(ComputationError, match="not here"):
+            list(in_order(Shared(7, unreadable=True), range(6), executor))
+        assert list(in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]

@@ -5,6 +5,8 @@ can be raised anywhere, as Ctrl-C does, and the processes be ended at any moment
 through a pipe, makes the program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results,
 and waits for the rest of one whose process is gone.
 
+What many pieces of work share is sent to each process once; it holds one such function at a time.
+
 A process ends with the program that started it, by itself where that died without a word.
 """
 
@@ -24,7 +26,10 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
+_Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
+"""A function, what stands for it where processes hold it (or None), and its arguments."""
 
 
 class Processes(Executor):
@@ -38,7 +43,8 @@ class Processes(Executor):
         self._jobs = jobs
         self._processes: dict[Connection, BaseProcess] = {}
         self._busy: dict[Connection, Future[Any]] = {}
-        self._waiting: deque[tuple[Future[Any], tuple[Any, ...]]] = deque()
+        self._waiting: deque[tuple[Future[Any], _Work]] = deque()
+        self._held: dict[Connection, object] = {}
 
     def start(self) -> None:
         """Start the processes that are missing."""
@@ -53,10 +59,18 @@ class Processes(Executor):
 
     def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
         """See `concurrent.futures.Executor`."""
+        return self._taken((function, None, arguments, named))
+
+    def holding(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
+        """Return what submits calls of a function that is sent to each process once."""
+        held = object()
+        return lambda item: self._taken((function, held, (item,), {}))
+
+    def _taken(self, work: _Work) -> Future[Any]:
         if not self._processes:
             raise RuntimeError("these processes have been ended")
-        future = _Awaited[Result](self)
-        self._waiting.append((future, (function, arguments, named)))
+        future = _Awaited[Any](self)
+        self._waiting.append((future, work))
         self._send()
         return future
 
@@ -78,6 +92,7 @@ class Processes(Executor):
             if error is None:
                 future.set_result(result)
             else:
+                self._held.pop(line, None)  # it may not have been able to read the function
                 future.set_exception(error)
         self._send()
 
@@ -85,11 +100,14 @@ class Processes(Executor):
         """Give work to free processes."""
         for line in [line for line in self._processes if line not in self._busy]:
             while self._waiting and line not in self._busy:
-                future, work = self._waiting.popleft()
+                future, (function, held, arguments, named) = self._waiting.popleft()
                 if not future.set_running_or_notify_cancel():
                     continue
+                there = held is not None and self._held.get(line) is held
                 try:
-                    line.send(work)
+                    line.send((None if there else function, held is not None, arguments, named))
+                    if held is not None:
+                        self._held[line] = held
                 except ConnectionError:
                     future.set_exception(self._lost(line))
                     break
@@ -101,6 +119,7 @@ class Processes(Executor):
     def _lost(self, line: Connection) -> Exception:
         """Replace a process, and say how it ended."""
         process = self._processes.pop(line)
+        self._held.pop(line, None)
         line.close()
         process.join()
         self.start()
@@ -115,7 +134,7 @@ class Processes(Executor):
         for future in (*self._busy.values(), *(future for future, _ in self._waiting)):
             if not future.cancel():
                 future.set_exception(ProcessLookupError("the processes were ended"))
-        self._processes, self._busy = {}, {}
+        self._processes, self._busy, self._held = {}, {}, {}
         self._waiting.clear()
 
     def kill(self) -> None:
@@ -155,14 +174,19 @@ def _without_interrupts() -> Iterator[None]:
 def _work(line: Connection) -> None:
     """Do what is asked, until no more can be asked."""
     _end_with_parent()
+    held: Any = None
     while True:
         try:
-            function, arguments, named = line.recv()
+            function, hold, arguments, named = line.recv()
         except (EOFError, OSError):
             return
         except Exception as error:  # work that cannot be read, such as a function that is not in a module
             line.send((error, None))
             continue
+        if function is None:
+            function = held
+        elif hold:
+            held = function
         try:
             line.send((None, function(*arguments, **named)))
         except Exception as error:  # of the work, or a result that cannot be sent

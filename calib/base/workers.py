@@ -4,7 +4,8 @@ Workers are any `concurrent.futures` executor: threads, processes of this machin
 (docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
 to `in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing: its
 worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because losing
-a worker has broken it, the rest is done here.
+a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study, goes to
+each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every piece.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
@@ -19,6 +20,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from functools import partial
 from types import FrameType, TracebackType
 from typing import Any, TypeVar, cast
 
@@ -43,7 +45,8 @@ def in_order(
 ) -> Iterator[Result]:
     """Yield the function's results, first item first.
 
-    At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number.
+    At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
+    function is what the pieces share.
 
     Args:
         function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
@@ -55,13 +58,14 @@ def in_order(
         ComputationError: The same piece of work was lost several times.
     """
     futures = dict[int, _Sent]()
+    send = None if executor is None else _sender(executor, function)
     try:
         for k in range(len(items)):
-            if executor is None:
+            if executor is None or send is None:
                 result = function(items[k])
             else:
                 for more in range(k + len(futures), min(k + _AHEAD, len(items))):
-                    futures[more] = _sent(executor, function, items[more])
+                    futures[more] = _sent(send, items[more])
                 result = _result(k, function, items, executor, futures)
                 del futures[k]  # what came out of it is not kept twice
             if progress is not None:
@@ -73,7 +77,9 @@ def in_order(
                 left.cancel()
 
 
-_Sent = Future[tuple[bool, Any]] | None
+_Answer = tuple[bool, Any]
+_Sent = Future[_Answer] | None
+_Send = Callable[[Item], Future[_Answer]]
 
 
 def _result(
@@ -95,7 +101,7 @@ def _result(
                 ) from lost
             for other, sent in futures.items():
                 if _is_lost(sent):
-                    futures[other] = _sent(executor, function, items[other])
+                    futures[other] = _sent(_plainly(executor, function), items[other])
             continue
         if succeeded:
             return cast(Result, result)
@@ -103,10 +109,23 @@ def _result(
     raise AssertionError("the last loss raises")
 
 
-def _sent(executor: Executor, function: Callable[[Item], Result], item: Item) -> _Sent:
+def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
+    """How an item is sent: without the function, where the workers hold it."""
+    if isinstance(executor, Processes):
+        return executor.holding(partial(_answer, function))
+    if type(executor).__module__.partition(".")[0] == "distributed":
+        return _plainly(executor, cast(Any, executor)._client.scatter(function, broadcast=True, hash=False))
+    return _plainly(executor, function)
+
+
+def _plainly(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
+    return lambda item: executor.submit(_answer, function, item)
+
+
+def _sent(send: _Send[Item], item: Item) -> _Sent:
     """A future, or None where the executor takes no more work."""
     try:
-        return executor.submit(_answer, function, item)
+        return send(item)
     except RuntimeError:  # a broken executor, or one that was shut down
         return None
 

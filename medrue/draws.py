@@ -185,7 +185,7 @@ class Calibrator:
             if np.linalg.norm(jacobian @ step) <= _SMALL_STEP * np.linalg.norm(residual):
                 return robot
             linear = linearise(robot, self._assembled(robot, self._chosen))
-        raise NotConvergedError(f"a simulated identification did not settle in {_MAX_STEPS} steps")
+        raise NotConvergedError(f"a simulated identification did not converge in {_MAX_STEPS} steps")
 
     def predict(self, robot: Robot) -> FloatArray:
         """Return the positions of the tool at all candidates, (n, 3) [m]."""

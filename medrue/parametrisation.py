@@ -105,8 +105,7 @@ class MedrueParametrisation:
                 and np.allclose(rpy, self.origins[name].rpy, rtol=0, atol=1e-12)
             ):
                 raise DescriptionError(
-                    f"parametrisation 'medrue': the origin of joint '{name}' is not one that the"
-                    " paper's 36 parameters can give"
+                    f"parametrisation 'medrue': the paper's 36 parameters cannot describe the origin of joint '{name}'"
                 )
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:

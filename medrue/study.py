@@ -151,7 +151,7 @@ def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
     """
     closed = forward(joints, parameters)
     if not closed.closes.all():
-        raise ValueError("a pose of the target workspace does not close with the parameters given")
+        raise ValueError("with these parameters, the loops do not close at every pose of the target workspace")
     return np.array(closed.p_world_tool)
 
 

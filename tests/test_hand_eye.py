@@ -102,7 +102,7 @@ def test_the_robots_part_is_told_from_the_cameras():
     assert noise.pixel == pytest.approx(0.2, rel=0.1)
     assert noise.shift == pytest.approx(4e-4, rel=0.35)  # 84 squares: 16 images of 6, less 12 unknowns
     assert rms(result.alone) < 0.35 < rms(result.pixels)
-    assert "come with the robot's poses" in report(result, Frames())
+    assert "comes from the robot's poses" in report(result, Frames())
     exact = calibrate(scene(10, "tool", noise=0.2), INTRINSICS, mounts=("tool",))
     assert exact.fitted.noise.shift < 5e-5
     assert judge(exact).grade == "PASS"

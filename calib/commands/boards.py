@@ -66,7 +66,9 @@ def given_board(text: str) -> Board:
 @click.option(
     "--paper", type=click.Choice(sorted(PAPERS)), help="Page to print on; as large as the board if not given."
 )
-@click.option("--photographs", metavar="DIR", help="Write 12 simulated photographs too, with poses, to try it.")
+@click.option(
+    "--photographs", metavar="DIR", help="Also write 12 simulated photographs with poses, to try calib hand-eye."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the photographs.")
 @click.option("-o", "--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
 @shared_options()

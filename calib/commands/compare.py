@@ -16,7 +16,7 @@ from calib.reporting.comparing_results import compare
 def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     """Compare results of `calib fit`: parameters with 95 % intervals, errors, and which differences are real.
 
-    Results are tested in pairs. Fits that used the same readings are shown, not tested.
+    Results are tested in pairs. Fits that used the same readings are shown but not tested.
     """
     output.check(html)
     with output.working(f"comparing {len(results)} results"):

@@ -49,7 +49,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
 @click.option(
     "--grid",
     metavar="NX,NY,NZ",
-    help="Write a table of corrections instead, at so many nodes over the box of PROGRAM's positions.",
+    help="Write a table of corrections instead, at NX x NY x NZ nodes over the box of PROGRAM's positions.",
 )
 @click.option(
     "--tolerance-mm",

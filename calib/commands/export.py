@@ -65,8 +65,8 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @click.option("-o", "--out", required=True, metavar="FILE", help="File to write; for joint-tables, the folder.")
 @shared_options(
     json_output=True,
-    forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"
-    " to (it says so inside). Also replace files that this program did not write, or that this command reads.",
+    forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values need"
+    " (it says so inside). Also replace files that this program did not write, or that this command reads.",
 )
 def command(
     robot: str,

@@ -71,7 +71,10 @@ _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
 @click.option("--no-pages", is_flag=True, help="Do not write report.html and viewer.html; this saves most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option(
-    "-o", "--out", metavar="DIR", help="Folder for the result. If not given, it is printed, and nothing is written."
+    "-o",
+    "--out",
+    metavar="DIR",
+    help="Folder for the result. If not given, the result is printed, and nothing is written.",
 )
 @shared_options(
     json_output=True,

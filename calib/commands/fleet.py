@@ -15,7 +15,7 @@ from calib.reporting.fleet import fleet, urdf_beside
     "-o",
     "--out",
     metavar="FILE",
-    help="YAML file to write: the next robot, with its prior; its URDF goes beside.",
+    help="YAML file to write: the next robot, with its prior; its URDF is written beside it.",
 )
 @click.option(
     "--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and which robots are unlike."

@@ -74,12 +74,14 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     show_default=True,
     help="First start of the exchange.",
 )
-@click.option("--starts", type=int, default=1, show_default=True, help="Number of starts; the others are random.")
+@click.option(
+    "--starts", type=int, default=1, show_default=True, help="Number of starts; all but the first are random."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 @click.option(
     "--off-grid",
     is_flag=True,
-    help="Then move the chosen poses continuously, within joint limits and the range of the candidates.",
+    help="Afterwards, move the chosen poses continuously, within joint limits and the range of the candidates.",
 )
 @jobs_option("starts and moves off the grid")
 @click.option(

@@ -43,7 +43,7 @@ from calib.rows.simulate import simulate, unstated_noise
 @click.option(
     "--photographs",
     metavar="DIR",
-    help="Write what the camera photographs of its board, an image for each pose, in place of its pixels.",
+    help="Write simulated photographs of the camera's board, one for each pose, instead of its pixels.",
 )
 @click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()

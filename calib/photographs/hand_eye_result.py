@@ -130,7 +130,7 @@ def report(result: HandEye, frames: Frames) -> str:
             f" {result.rms_given:.3f} px with the intrinsics given)"
         )
     elif result.lens_found:
-        lines.append("Lens: found from these images, none was given")
+        lines.append("Lens: found from these images, because none was given")
     else:
         lines.append("Lens: as given")
     if result.lens_found:
@@ -165,8 +165,8 @@ def _shares(result: HandEye, usable: bool) -> str:
     rest = _MM * rms(result.board) * np.sqrt(share)
     text = (
         f"The camera alone (board placed freely in each image) leaves {alone:.3f} px: {100 * share:.0f} % of"
-        f" the squares,"
-        f" {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, come with the robot's poses"
+        f" the squared error,"
+        f" {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, comes from the robot's poses"
     )
     if noise.shift > 0 or noise.turn > 0:
         text += f" (about {_MM * noise.shift:.2f} mm and {np.rad2deg(noise.turn):.3f} deg per axis)"

@@ -60,10 +60,12 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
     reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
     not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
     if most is not None:
-        more = [counted(len(reasons) - most, "more reason")] if len(reasons) > most else []
-        more += [counted(len(not_covered), "limit") + " of this verdict"] if not_covered else []
+        hidden, limits = max(len(reasons) - most, 0), len(not_covered)
+        more = [counted(hidden, "more reason")] if hidden else []
+        more += [counted(limits, "limit") + " of this verdict"] if limits else []
         reasons = reasons[:most]
-        not_covered = [f"  {' and '.join(more)}: --verbose prints them"] if more else []
+        not_covered = [f"  {' and '.join(more)}: --verbose prints {'it' if hidden + limits == 1 else 'them'}"]
+        not_covered = not_covered if more else []
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
 
 

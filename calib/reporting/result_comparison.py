@@ -137,7 +137,11 @@ class ResultComparison(Worded):
             unit = next(str(row["unit"]) for row in difference.rows if row is not None)
             table.add_row(difference.name, unit, *cells, ", ".join(p_text(p) for p in difference.p_values))
         more = len(self.differences) - len(shown)
-        kinds = "with less certain differences, or none to test" if real else "that are more alike, or have no test"
+        kinds = (
+            "with less certain differences, or without a test"
+            if real
+            else "with smaller differences, or without a test"
+        )
         lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
         tested = [pair.sentence() for pair in self.pairs if not np.isnan(pair.together)]
         answer = [*tested, *self.notes]  # a note says why a pair was not tested

@@ -110,7 +110,7 @@ HEALTHY: dict[str, Scenario] = {
     "errors as expected": Scenario("healthy", Lab.good),
     "errors as expected, nothing held out": Scenario("healthy", Lab.good, validate=0.0),
     "errors as expected, noise not stated": Scenario("healthy", Lab.good, stated=False),
-    "no errors: robot as drawn": Scenario("healthy", as_drawn),
+    "no errors: robot as designed": Scenario("healthy", as_drawn),
     "each pose read three times": Scenario("healthy", repeated),
     "readings in steps of half the noise": Scenario("healthy", fine_digits),
     "sent to whole tenths of a degree": Scenario("healthy", round_commands, stated=False),

@@ -164,8 +164,8 @@ class Scenario:
     """One thing that happens to calibrations.
 
     Attributes:
-        kind: `healthy`; `sick`: something is wrong that a verdict should see; `hidden`: no measurements of the sort can
-            show it.
+        kind: `healthy`; `faulty`: something is wrong that a verdict should see; `hidden`: no measurements of the sort
+            can show it.
         make: What is measured.
         stated: Whether the noise is stated.
         validate: Part of the poses that is held out; 0 for none.
@@ -175,7 +175,7 @@ class Scenario:
         named: What a PASS must say that it does not cover, where that hides it; empty where it cannot know.
     """
 
-    kind: Literal["healthy", "counted", "sick", "hidden"]
+    kind: Literal["healthy", "counted", "faulty", "hidden"]
     make: Callable[[Lab], Trial | Measurements]
     stated: bool = True
     validate: float = 0.25

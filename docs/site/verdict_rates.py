@@ -1,4 +1,4 @@
-"""How often the verdict is right: simulated calibrations, healthy and sick, and what is said of them.
+"""How often the verdict is right: simulated calibrations, healthy and faulty, and what is said of them.
 
     python docs/site/verdict_rates.py [--each N] [--processes N] [--only WORDS] [--kept FILE] [--out FILE] [--page]
 
@@ -38,8 +38,8 @@ OUTCOMES = ("PASS", "CHECK", "FAIL", "refused")
 KINDS = {
     "healthy": "healthy",
     "counted": "something is wrong, and the claim includes it at poses like those measured",
-    "sick": "sick",
-    "hidden": "sick, and no such data can show it",
+    "faulty": "faulty",
+    "hidden": "faulty, and no such data can show it",
 }
 """Kinds of scenarios, and what their tables are called."""
 _PLACE = re.compile(r"(<!-- begin verdict rates -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -102,7 +102,7 @@ def _without_noise(robot: calib.Robot) -> calib.Robot:
 
 
 def runs(each: int, only: str = "") -> list[Run]:
-    """Return all calibrations: `each` of every sick scenario on every robot, and more of the healthy ones."""
+    """Return all calibrations: `each` of every faulty scenario on every robot, and more of the healthy ones."""
     return [
         Run(robot, name, seed)
         for turn in range(each)
@@ -189,7 +189,7 @@ def markdown(table: list[list[str]]) -> str:
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--each", type=int, default=EACH, help="calibrations of each sick scenario on each robot")
+    parser.add_argument("--each", type=int, default=EACH, help="calibrations of each faulty scenario on each robot")
     parser.add_argument("--only", default="", help="words that the names of scenarios must contain")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--kept", type=Path, help="file that collects outcomes; those in it are not done again")

@@ -181,31 +181,31 @@ def other_tool(lab: Lab) -> Measurements:
 
 
 READINGS: dict[str, Scenario] = {
-    "5 % outliers": Scenario("sick", outliers),
-    "six outliers in a row": Scenario("sick", run_of_outliers, stated=False),
+    "5 % outliers": Scenario("faulty", outliers),
+    "six outliers in a row": Scenario("faulty", run_of_outliers, stated=False),
     "noise ten times what was stated": Scenario("counted", noisy),
     "noise a third of what was stated": Scenario("counted", quiet),
-    "two instruments, one ten times worse": Scenario("sick", two_instruments, stated=False),
+    "two instruments, one ten times worse": Scenario("faulty", two_instruments, stated=False),
     "two instruments, frames 0.5 mm apart": Scenario("counted", two_frames),
-    "the tracker drifts": Scenario("sick", drift),
-    "the tracker is moved half-way": Scenario("sick", tracker_moved),
-    "the tracker turns slowly, noise not stated": Scenario("sick", turning, stated=False),
-    "the frame turns about the robot, noise not stated": Scenario("sick", turning_in_place, stated=False),
-    "the tracker turns, rows shuffled, with time": Scenario("sick", turning_with_time, stated=False),
-    "warming up by 800 ppm, noise not stated": Scenario("sick", warming_up, stated=False),
+    "the tracker drifts": Scenario("faulty", drift),
+    "the tracker is moved half-way": Scenario("faulty", tracker_moved),
+    "the tracker turns slowly, noise not stated": Scenario("faulty", turning, stated=False),
+    "the frame turns about the robot, noise not stated": Scenario("faulty", turning_in_place, stated=False),
+    "the tracker turns, rows shuffled, with time": Scenario("faulty", turning_with_time, stated=False),
+    "warming up by 800 ppm, noise not stated": Scenario("faulty", warming_up, stated=False),
     "a tracker's scale, known lengths measured": Scenario(
         "counted", known_length, robots=("arm",), measured="positions and distances"
     ),
-    "the reflector slips by 0.2 mm half-way": Scenario("sick", slipped_reflector, stated=False),
-    "the reflector was taken off and put on": Scenario("sick", other_tool, stated=False),
+    "the reflector slips by 0.2 mm half-way": Scenario("faulty", slipped_reflector, stated=False),
+    "the reflector was taken off and put on": Scenario("faulty", other_tool, stated=False),
     "a base called known stands 20 mm elsewhere": Scenario(
-        "sick", base_elsewhere, robots=("arm",), measured="base known"
+        "faulty", base_elsewhere, robots=("arm",), measured="base known"
     ),
     "a base 20 mm elsewhere, which free parameters describe": Scenario("counted", base_elsewhere, robots=("MedRUE",)),
     "a base called known is turned by 20 mrad": Scenario(
-        "sick", base_a_little_elsewhere, robots=("arm",), measured="base known"
+        "faulty", base_a_little_elsewhere, robots=("arm",), measured="base known"
     ),
-    "tracker moved before validation": Scenario("sick", moved_between),
+    "tracker moved before validation": Scenario("faulty", moved_between),
     "lengths read 300 ppm too long": Scenario("hidden", wrong_scale, stated=False, named="scale error"),
     "a robot 80 ppm longer by heat": Scenario("hidden", warm_robot, stated=False, named="scale error"),
     "the frame turns, rows shuffled, no time": Scenario("hidden", turning_shuffled, stated=False, named="random order"),

@@ -155,9 +155,9 @@ ROBOT: dict[str, Scenario] = {
     "an encoder off its centre": Scenario("counted", eccentric_encoder),
     "two bad encoders, noise not stated": Scenario("counted", two_bad_encoders, stated=False),
     "a fast gear error, noise not stated": Scenario("counted", fast_gear, stated=False),
-    "an encoder that slips": Scenario("sick", slipped_encoder),
-    "a motor that warms up, noise not stated": Scenario("sick", warm_motor, stated=False),
-    "a motor that loses steps for a while": Scenario("sick", lost_steps, stated=False),
+    "an encoder that slips": Scenario("faulty", slipped_encoder),
+    "a motor that warms up, noise not stated": Scenario("faulty", warm_motor, stated=False),
+    "a motor that loses steps for a while": Scenario("faulty", lost_steps, stated=False),
     "a loose joint": Scenario("counted", loose_joint),
     "all poses in one corner": Scenario("counted", one_corner),
     "a joint that never moved": Scenario("counted", still_joint),
@@ -169,11 +169,11 @@ ROBOT: dict[str, Scenario] = {
         "counted", little_moved_otherwise, robots=("arm",), measured="pixels"
     ),
     "joints that moved together": Scenario("counted", together),
-    "calibrated in a small region, validated far away": Scenario("sick", far_validation),
-    "validated with another robot": Scenario("sick", another_on_validation),
-    "a collision before validation": Scenario("sick", changed_between),
+    "calibrated in a small region, validated far away": Scenario("faulty", far_validation),
+    "validated with another robot": Scenario("faulty", another_on_validation),
+    "a collision before validation": Scenario("faulty", changed_between),
     "too few poses": Scenario("counted", too_few, validate=0.0),
-    "six poses": Scenario("sick", handful, validate=0.0),
+    "six poses": Scenario("faulty", handful, validate=0.0),
     "a joint that sags, over a short range": Scenario("counted", sag, robots=("MedRUE", "3-RRR")),
     "all joints a little loose, noise not stated": Scenario(
         "hidden", loose_joints, stated=False, named="the noise of the instrument was not stated"

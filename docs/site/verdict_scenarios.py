@@ -1,4 +1,4 @@
-"""What a simulated calibration can go through: a table of small functions, healthy ones and sick ones.
+"""What a simulated calibration can go through: a table of small functions, healthy ones and faulty ones.
 
 A scenario gets a `Lab` and returns the measurements that would be handed to `calib fit`. To add one, write such a
 function into the file where it belongs, and name it in the table at the end of that file; to add a robot, write a

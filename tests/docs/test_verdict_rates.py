@@ -80,7 +80,7 @@ def test_rows_count_what_was_said():
     table = rows([*said, Outcome(Run("arm", sick, 0), "FAIL", ("b", "c"))])
     assert table[0] == ["healthy", name, "2", "1", "1", "0", "0", "a 1"]
     assert table[1][1:3] == ["all healthy", "2"]
-    assert table[2] == ["sick", sick, "1", "0", "0", "1", "0", "b 1, c 1"]
+    assert table[2] == ["faulty", sick, "1", "0", "0", "1", "0", "b 1, c 1"]
     assert f"| {sick} | 1 | 0 | 0 | 1 | 0 | b 1, c 1 |" in markdown(table)
 
 
@@ -93,7 +93,7 @@ def test_the_page_has_every_scenario_and_keeps_its_promise():
     assert runs == sum(counts) >= 300
     assert grades["FAIL"] == grades["refused"] == 0
     assert grades["CHECK"] <= 0.05 * runs
-    runs, passed = (int(cell) for cell in by_name["all sick"][:2])
+    runs, passed = (int(cell) for cell in by_name["all faulty"][:2])
     assert runs >= 100
     assert passed <= 0.05 * runs
     counted = [int(cell) for cell in by_name["all counted"][:5]]

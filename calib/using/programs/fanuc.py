@@ -1,7 +1,7 @@
 """Targets of FANUC's teach pendant programs as text (`.ls`): the positions of `/POS` that lines of `/MN` go to.
 
 Each position says its user frame (UF) and tool (UT); what these are, the controller knows, and a table of frames says
-(`UFRAME[1]`, `UTOOL[1]`). Position registers, offsets, increments and further motion groups are worked out at run time.
+(`UFRAME[1]`, `UTOOL[1]`). Position registers, offsets, increments and further motion groups are computed at run time.
 Numbers keep their three decimals and their columns.
 """
 
@@ -83,9 +83,9 @@ def _target(
     if place[0].startswith("PR"):
         raise LeftOutError("is a position register; its numbers are not in the program")
     if not place[1].isdigit():
-        raise LeftOutError("is worked out at run time")
+        raise LeftOutError("is computed at run time")
     if changed:
-        raise LeftOutError(f"is worked out at run time ({changed[0]})")
+        raise LeftOutError(f"is computed at run time ({changed[0]})")
     position = declared.get(place[1])
     if position is None:
         raise DataError(f"{source.where(place.start())}: P[{place[1]}] is not in /POS; save the program again")

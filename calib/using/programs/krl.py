@@ -274,9 +274,7 @@ class _Reader:
         if literal is None:
             if name in self.declared or text.startswith("{"):
                 raise LeftOutError("is not plain numbers")
-            raise LeftOutError(
-                "is declared nowhere here" if re.fullmatch(r"\w+", text) else "is worked out at run time"
-            )
+            raise LeftOutError("is declared nowhere here" if re.fullmatch(r"\w+", text) else "is computed at run time")
         if name in self.set_later:
             raise LeftOutError("is set while the program runs")
         code = self.sources[literal.file].code

@@ -224,7 +224,7 @@ class _Reader:
             along = (
                 f"; it moves along with {self.declared[moved[2]].name}" if moved and moved[2] in self.declared else ""
             )
-            raise LeftOutError(f"is worked out at run time{along}" if "(" in name else "is declared nowhere here")
+            raise LeftOutError(f"is computed at run time{along}" if "(" in name else "is declared nowhere here")
         if self.displaced:
             raise LeftOutError("a program displacement (PDispOn, PDispSet, EOffsOn) is active here")
         groups, line = self._groups(declared.start, declared.end), self.source.line(declared.start)

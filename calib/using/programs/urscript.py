@@ -130,7 +130,7 @@ class _Reader:
         """Walk through the text."""
         for match in _RELATIVE.finditer(self.code):
             self.collector.leave(
-                self.source, match.start(), match[1], "moves the robot by what it works out at run time"
+                self.source, match.start(), match[1], "moves the robot by an amount that it computes at run time"
             )
         for match in _CALL.finditer(self.code):
             end = closing(self.code, match.end() - 1)
@@ -197,15 +197,13 @@ class _Reader:
         call = _FUNCTION.match(self.code, start, end)
         if call is None or closing(self.code, call.end() - 1) != end - 1:
             name = _NAME.fullmatch(self.code[start:end])
-            raise LeftOutError(
-                "is set more than once, or not to plain numbers" if name else "is worked out at run time"
-            )
+            raise LeftOutError("is set more than once, or not to plain numbers" if name else "is computed at run time")
         given = list(arguments(self.code, call.end(), end - 1))
         if call[1] == "pose_trans":
             return self._in_feature(given)
         goal = self._pose_target(*given[0]) if given else None
         if goal is None:
-            raise LeftOutError("is worked out at run time")
+            raise LeftOutError("is computed at run time")
         for first, last in given[1:2]:
             keyword = re.compile(r"qnear\s*=\s*").match(self.code, first, last)
             joints = self._constant(keyword.end() if keyword else first, last)
@@ -216,7 +214,7 @@ class _Reader:
     def _in_feature(self, given: list[tuple[int, int]]) -> _Goal:
         feature = self._constant(*given[0]) if len(given) == 2 else None
         if feature is None or not feature.is_pose:
-            raise LeftOutError("is worked out at run time: its frame is not constant")
+            raise LeftOutError("is computed at run time: its frame is not constant")
         goal = self._pose_target(*given[1])
         frame = pose_of(feature.values, "vector") * goal.frame
         return replace(goal, frame=frame, constants=(feature.place, *goal.constants))
@@ -224,5 +222,5 @@ class _Reader:
     def _pose_target(self, start: int, end: int) -> _Goal:
         goal = self._target(start, end)
         if not goal.literal.is_pose:
-            raise LeftOutError("is worked out at run time")
+            raise LeftOutError("is computed at run time")
         return goal

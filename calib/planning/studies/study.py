@@ -45,7 +45,7 @@ from calib.fitting.settings import Settings
 from calib.numerics.losses import checked_loss
 from calib.planning.studies.many_calibrations import Estimate, Repeated
 from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
-from calib.planning.studies.study_result import Draws, Study
+from calib.planning.studies.study_result import Draws, DrawSums, Study
 from calib.robots.acceleration import compilation_requested, compiled
 from calib.robots.configurations import joint_vector
 from calib.robots.loading import RobotLike, as_robot
@@ -68,6 +68,8 @@ class _Setting:
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
         near: Passive joints there, (n, n_passive) [m or rad].
         compiled: Whether there is so much to do that loading compiled code is worth it.
+        seed: Of the whole study; draws have those spawned from it.
+        keep_draws: Whether every number of every draw is kept.
     """
 
     source: Simulated | Resampled
@@ -76,11 +78,22 @@ class _Setting:
     elsewhere: FloatArray
     near: FloatArray
     compiled: bool
+    seed: np.random.SeedSequence
+    keep_draws: bool
 
     @property
     def states_noise(self) -> bool:
         """Whether chi-square means something: what is drawn twice scatters less than noise does."""
         return self.first.chi_square is not None and isinstance(self.source, Simulated)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    """What some draws gave; why some gave no answer."""
+
+    sums: DrawSums
+    draws: Draws | None
+    failures: tuple[str, ...]
 
 
 @worded
@@ -96,6 +109,7 @@ def study(
     loss: str = "none",
     elsewhere: ArrayLike | None = None,
     seed: int = 0,
+    keep_draws: bool = True,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Study:
@@ -116,6 +130,8 @@ def study(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
+        keep_draws: Whether `draws` of the result has every number of every draw. Without them, memory does not grow
+            with the number of draws.
         executor: What runs the draws; as in `calib.fit`.
         progress: Called with the number of draws done and of all draws, in the order of work.
 
@@ -129,19 +145,24 @@ def study(
     if draws < 2:
         raise InputError(f"draws {draws}: must be 2 or more")
     settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
-    seeds = np.random.SeedSequence(seed).spawn(draws)
-    chunks = [tuple(seeds[start : start + _CHUNK]) for start in range(0, draws, _CHUNK)]
-    parts = list[tuple[Draws, tuple[str, ...]]]()
+    shared = np.random.SeedSequence(seed)
+    chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
+    kept, failures, sums = list[Draws](), list[str](), None
     with Workers(executor, len(chunks)) as workers:
         source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
-        setting = _prepared(robot, source, settings, elsewhere, seeds)
+        setting = _prepared(robot, source, settings, elsewhere, shared, draws, keep_draws)
         if setting.compiled and workers is not None:
-            _chunk(setting, seeds[:1])  # compiles what they then load, instead of each by itself
-        for part in in_order(partial(_chunk, setting), chunks, workers):
-            parts.append(part)
+            _chunk(setting, range(1))  # compiles what they then load, instead of each by itself
+        for chunk in in_order(partial(_chunk, setting), chunks, workers):
+            sums = chunk.sums if sums is None else sums.with_more(chunk.sums)
+            kept += [] if chunk.draws is None else [chunk.draws]
+            failures += chunk.failures
             if progress is not None:
-                progress(sum(len(chunk) for chunk, _ in parts), draws)
-    return _joined(setting, parts, seed, time.perf_counter() - started)
+                progress(sums.n, draws)
+    assert sums is not None  # two draws or more
+    if not sums.answered:
+        raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
+    return _study(setting, sums, kept, failures, time.perf_counter() - started)
 
 
 def _measured(poses: object, truth: object, noise: object) -> Measurements:
@@ -158,29 +179,37 @@ def _prepared(
     source: Simulated | Measurements,
     settings: Settings,
     elsewhere: ArrayLike | None,
-    seeds: Sequence[np.random.SeedSequence],
+    seed: np.random.SeedSequence,
+    draws: int,
+    keep_draws: bool,
 ) -> _Setting:
     """Do the calibration that all others start from."""
     q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
     near = robot.assemble(q).passive
-    data = source if isinstance(source, Measurements) else source.measured(seeds[0]).data
+    data = source if isinstance(source, Measurements) else source.measured(_of_draw(seed, 0)).data
     first = calibrate(robot, data, None, settings)
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
-    return _Setting(known, settings, first, q, near, len(seeds) * len(data) >= _MANY or compilation_requested())
+    use_compiled = draws * len(data) >= _MANY or compilation_requested()
+    return _Setting(known, settings, first, q, near, use_compiled, seed, keep_draws)
+
+
+def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
+    """Return the seed of a draw: that of `seed.spawn`, without all those before it."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=(number,))
 
 
 @one_blas_thread
-def _chunk(setting: _Setting, seeds: Sequence[np.random.SeedSequence]) -> tuple[Draws, tuple[str, ...]]:
-    """Do some draws; return what they gave, and why some gave no answer."""
+def _chunk(setting: _Setting, numbers: range) -> _Chunk:
+    """Do the draws of these numbers."""
     repeated = Repeated(setting.first, setting.settings)
     draws, failures = list[Draws](), list[str]()
     with compiled() if setting.compiled else nullcontext():
-        for seed in seeds:
+        for number in numbers:
             try:
-                drawn = setting.source.measured(seed)
+                drawn = setting.source.measured(_of_draw(setting.seed, number))
                 estimate = repeated.estimate(drawn.data, drawn.passive)
                 if not estimate.convergence.converged:
                     raise NotConvergedError(estimate.convergence.message)
@@ -188,7 +217,8 @@ def _chunk(setting: _Setting, seeds: Sequence[np.random.SeedSequence]) -> tuple[
             except CalibrationError as error:
                 failures.append(str(error))
                 draws.append(_unanswered(setting))
-    return Draws.joined(draws), tuple(failures)
+    all_draws = Draws.joined(draws)
+    return _Chunk(DrawSums.of(all_draws), all_draws if setting.keep_draws else None, tuple(failures))
 
 
 def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
@@ -225,12 +255,21 @@ def _unanswered(setting: _Setting) -> Draws:
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
 
 
-def _joined(setting: _Setting, parts: Sequence[tuple[Draws, tuple[str, ...]]], seed: int, seconds: float) -> Study:
-    """Put the parts together."""
+def _study(setting: _Setting, sums: DrawSums, kept: Sequence[Draws], failures: Sequence[str], seconds: float) -> Study:
+    """Return the study of all draws."""
     first = setting.first
-    draws = Draws.joined([part for part, _ in parts])
-    failures = tuple(text for _, texts in parts for text in texts)
     free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
     groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
-    n_poses, resampled = setting.source.data.n_poses, isinstance(setting.source, Resampled)
-    return Study(first.nominal.name, free, groups, draws, failures, n_poses, seed, seconds, resampled)
+    draws = Draws.joined(kept) if setting.keep_draws else None
+    return Study(
+        first.nominal.name,
+        free,
+        groups,
+        sums,
+        draws,
+        tuple(failures),
+        setting.source.data.n_poses,
+        setting.settings.seed,
+        seconds,
+        isinstance(setting.source, Resampled),
+    )

@@ -238,6 +238,7 @@ BAD = {
             ("set_tcp(p[0,0,0.1,0,0,0])", "set_tcp(get_tcp())", "no set_tcp before it selects"),
             ("set_tcp(p[0,0,0.1,0,0,0])", "set_tcp([0,0,0.1,0,0,0])", "no set_tcp before it selects"),
             ("def p():", "def p(a):", "is set more than once"),
+            ("movej(a)", "movej(a # )", "line 4: movej(: has a bracket that is not closed"),
             ("movej(a)", "movec(a, q)", "q: is set more than once, or not to plain numbers"),
             ("movej(a)", "servoj(q, t=0.008)", "q: is set more than once"),
             (

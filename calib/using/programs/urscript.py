@@ -135,7 +135,10 @@ class _Reader:
         for match in _CALL.finditer(self.code):
             end = closing(self.code, match.end() - 1)
             defined = re.search(r"\bdef[ \t]+$", self.code[max(0, match.start() - 40) : match.start()])
-            if end is None or defined:
+            if defined:
+                continue
+            if end is None:
+                self.collector.leave(self.source, match.start(), match[0], "has a bracket that is not closed")
                 continue
             given = list(arguments(self.code, match.end(), end))
             if match[1] == "set_tcp":

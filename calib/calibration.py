@@ -260,5 +260,5 @@ def _freed(robot: Robot, free: str | Sequence[str]) -> Robot:
     freed = robot.free(free)
     if len(free) and bool(np.all(freed.is_free == robot.is_free)):
         names = free if isinstance(free, str) else listed(free)
-        raise InputError(f"free: {names}: free already; to find nothing else, give fix='all' too")
+        raise InputError(f"free: {names}: free already; to fit nothing else, also give fix='all'")
     return freed

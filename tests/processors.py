@@ -34,7 +34,7 @@ NOT_NUMERICAL = (
     *("parameter_files", "plain_text", "remembered", "rosbag", "searched_input", "sharing", "tables", "urdf_text"),
     *("wheel", "workers"),
 )
-"""Tests that hang on no sum of these: bad input, files and what is printed, processes, programs of others, code that
+"""Tests that depend on no sum of these: bad input, files and what is printed, processes, programs of others, code that
 other packages compile, and everything whose name has `viz`."""
 _DISPATCHED = (
     "from numpy._core._multiarray_umath import __cpu_dispatch__ as names, __cpu_features__ as able\n"

@@ -212,7 +212,7 @@ def test_functions_in_other_languages_have_the_direction(tmp_path):
         ("{setups: [wall]}", "gravity.setups: should be keys and values"),
         ("{setups: {wall: [0, 0, 0]}}", "gravity.setups: a direction of gravity needs a length"),
         ("{frame: 3}", "gravity.frame: should be text"),
-        ("{sigma: 3}", "gravity.sigma: a direction that may be off by 172 deg is not known; write '3 deg'"),
+        ("{sigma: 3}", "gravity.sigma: 172 deg means that nothing is known; write a unit, such as '3 deg'"),
         ("{sigma: -2 deg}", "gravity.sigma: should be greater than 0"),
     ],
 )
@@ -265,7 +265,7 @@ def test_of_two_files_both_say_where_gravity_points_or_none(tmp_path):
     with_it = table(np.zeros((2, 3)), np.zeros((2, 3)), gravity_x=[0, 0], gravity_y=[0, 0], gravity_z=[-1, -1])
     (tmp_path / "one.csv").write_text(with_it)
     (tmp_path / "two.csv").write_text(table(np.zeros((2, 3)), np.zeros((2, 3))))
-    with pytest.raises(calib.DataError, match=r"two\.csv: has no column 'gravity_x', and another file has it"):
+    with pytest.raises(calib.DataError, match=r"two\.csv: has no column 'gravity_x', but another file has it"):
         calib.read_measurements([tmp_path / "one.csv", tmp_path / "two.csv"], robot)
 
 

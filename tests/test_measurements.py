@@ -257,7 +257,7 @@ def test_files_of_two_sessions_follow_one_another(tmp_path):
     np.testing.assert_array_equal(data.context["temperature"], [20, np.nan])
     (tmp_path / "two.csv").write_text("turn,slide,wrist,arm_x,arm_y,arm_z,approach_turn\n0.5,0,0,7,8,9,1\n")
     text = complaint(read_measurements, [tmp_path / "one.csv", tmp_path / "two.csv"], robot)
-    assert "one.csv: states no directions of approach, and another file does" in text
+    assert "one.csv: states no directions of approach, but another file does" in text
 
 
 def test_context_and_approach_are_read(read):

@@ -312,7 +312,9 @@ def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_pa
 def test_a_name_that_is_taken_is_refused(tmp_path, monkeypatch):
     installed_into(tmp_path, {"calib.terms": {"gain": "lab_calib.hysteresis:Hysteresis"}})
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(calib.DescriptionError, match=r"'gain' \(lab_calib.hysteresis:Hysteresis\): there is another"):
+    with pytest.raises(
+        calib.DescriptionError, match=r"'gain' \(lab_calib.hysteresis:Hysteresis\): another package has"
+    ):
         list(TERMS)
 
 

@@ -339,10 +339,10 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
         (ONE, ("--change", "joint_3.ry=1 deg"), "needs --plan"),
         (ONE, ("--plan", "--change", "joint_3.ry"), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_3.ry="), "write NAME=SIZE"),
-        (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "no change 'joint_9.ry'"),
+        (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "'joint_9.ry' is no parameter or joint zero"),
         (ONE, ("--plan", "--change", "joint_3.ry=1 mm"), "joint_3.ry"),
         (ONE, ("--plan", "--change", "joint_3.ry=0 deg"), "is not a change"),
-        (ONE, ("--plan", "--change", "base.x=1 mm"), "no change 'base.x'"),
+        (ONE, ("--plan", "--change", "base.x=1 mm"), "'base.x' is no parameter or joint zero"),
         ("a,b\n1,2\n", ("--plan",), "no column 'joint_1'"),
     ],
 )

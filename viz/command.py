@@ -31,8 +31,8 @@ MAP_POSES = 1000
     default=0,
     type=click.IntRange(0, 20000),
     metavar="[COUNT]",
-    help="Show what the calibration knows over the workspace, at so many poses"
-    f" (--map alone: {MAP_POSES}): predicted error and its standard deviation, and ellipsoids at measured poses.",
+    help="Show predicted errors and their standard deviations at COUNT poses over the workspace"
+    f" (--map alone: {MAP_POSES}), and ellipsoids at measured poses.",
 )
 @click.option("--html", metavar="FILE", help="Write one self-contained page instead, and end.")
 @click.option(

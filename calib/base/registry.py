@@ -83,7 +83,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
             if entry.name in self._built_in or other.value != entry.value:
                 known = f" ({other.value})" if other.value != entry.value else ""
                 raise DescriptionError(
-                    f"{self.what} '{entry.name}' ({entry.value}): there is another one of this name{known}; uninstall"
+                    f"{self.what} '{entry.name}' ({entry.value}): another package has the same name{known}; uninstall"
                     " one of the packages, or have it renamed"
                 )
         return entries

@@ -139,7 +139,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
     if values.shape not in ((len(data),), (len(data), 3)):
         raise DataError(f"sigma of shape {values.shape}: expected ({len(data)},) or ({len(data)}, 3), one for each row")
     if not np.all(np.isfinite(values) & (values > 0)):
-        raise DataError("sigma: must be positive numbers [m]; leave out rows that shall not be used")
+        raise DataError("sigma: must be positive numbers [m]; leave out rows that the fit should not use")
     stds = np.broadcast_to(values[:, None] if values.ndim == 1 else values, (len(data), 3))
     changed = dict(data.readings)
     for name, readings in data.readings.items():

@@ -214,8 +214,8 @@ def _joints_of_table(
             raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")
         if name not in table.names and sensor is None:
             raise DataError(
-                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
-                " says what files call it"
+                f"{table.path}: no column '{name}'{nearest(name, table.names)} (if your file has"
+                " another name for it: translate that under 'columns' in the robot description)"
             )
         if name not in table.names and sensor not in reading:
             raise DataError(
@@ -271,12 +271,16 @@ def _joined(parts: Sequence[Poses]) -> Poses:
     for key in keys:
         lacking = next((part.path for part in parts if key in GRAVITY_COLUMNS and key not in part.context), None)
         if lacking is not None:
-            raise DataError(f"{lacking}: has no column '{key}', and another file has it; all need it, or none")
+            raise DataError(
+                f"{lacking}: has no column '{key}', but another file has it; give it in all files, or in none"
+            )
     setups = [part.setups for part in parts if part.setups is not None]
     approach = [part.approach for part in parts if part.approach is not None]
     if 0 < len(approach) < len(parts):
         silent = next(part.path for part in parts if part.approach is None)
-        raise DataError(f"{silent}: states no directions of approach, and another file does; all need them, or none")
+        raise DataError(
+            f"{silent}: states no directions of approach, but another file does; give them in all files, or in none"
+        )
     return Poses(
         np.concatenate([part.joints for part in parts]),
         tuple(chain.from_iterable(part.labels for part in parts)),

@@ -103,7 +103,7 @@ class Poses(ReadOnlyArrays):
         """The robot that is given, or that they were made for."""
         known = self.robot if robot is None else robot
         if known is None:
-            raise InputError(f"{self.path}: says nothing about its robot; give it")
+            raise InputError(f"{self.path}: does not have its robot; give the robot as an argument")
         return known
 
     def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:

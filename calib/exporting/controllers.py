@@ -182,7 +182,9 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
         if joint.axis != (0.0, 0.0, 1.0):
             raise InputError(f"{robot.urdf.path}, joint '{joint.name}': its axis is not 0 0 1; {hint}")
         if k and joint.parent != chain.joints[k - 1].child:
-            raise InputError(f"{robot.urdf.path}, joint '{joint.name}': does not hang on the joint before it; {hint}")
+            raise InputError(
+                f"{robot.urdf.path}, joint '{joint.name}': is not attached to the link of the joint before it; {hint}"
+            )
 
 
 def _mount(robot: Robot, nominal: SerialChain) -> pin.SE3:

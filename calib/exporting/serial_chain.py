@@ -86,8 +86,8 @@ def _way(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
     while link != base:
         if link not in parent:
             raise InputError(
-                f"{urdf.path}: link '{tip}' does not hang on '{base}'; this format starts at the base's frame, so name"
-                " a link below the first joint there"
+                f"{urdf.path}: link '{tip}' is not behind '{base}' in the tree; this format starts at the base's frame,"
+                " so name a link below the first joint there"
             )
         way.insert(0, parent[link])
         link = parent[link].parent

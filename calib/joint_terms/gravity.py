@@ -70,7 +70,7 @@ class GravitySection(Section):
     @classmethod
     def _is_small(cls, value: float | None) -> float | None:
         if value is not None and value > np.pi / 2:
-            raise ValueError(f"a direction that may be off by {np.degrees(value):.0f} deg is not known; write '3 deg'")
+            raise ValueError(f"{np.degrees(value):.0f} deg means that nothing is known; write a unit, such as '3 deg'")
         return value
 
     def stated(self, setups: Sequence[str] = ()) -> FloatArray:

@@ -56,7 +56,7 @@ _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 @dataclass(frozen=True, eq=False)
 class Acceptance(Worded):
-    """What new measurements say of a calibrated robot.
+    """What new measurements say about a calibrated robot.
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
@@ -99,7 +99,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
 
     Args:
         calibrated: The fit, or what `load_result` loads; or what a calibration promises.
-        data: Measurements that the calibration has not seen; or files or data frames of them.
+        data: Measurements that the calibration has not used; or files or data frames of them.
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 
     Raises:
@@ -194,7 +194,7 @@ def poses_needed(
 
     names = [c.name for c in candidates(promise.robot)]
     if name not in names:
-        raise DataError(f"no change '{name}' can be looked for{nearest(name, names)}")
+        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
     if not shows(len(planned)):
         return None
     low, high = 0, len(planned)  # more poses show more

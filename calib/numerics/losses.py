@@ -83,7 +83,7 @@ def checked_loss(name: str) -> Loss:
     for loss in LOSSES:
         if loss == name:
             return loss
-    raise InputError(f"loss '{name}'{nearest(name, LOSSES)}")
+    raise InputError(f"unknown loss '{name}'{nearest(name, LOSSES)}")
 
 
 @lru_cache

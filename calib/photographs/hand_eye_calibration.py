@@ -57,7 +57,7 @@ def calibrate(
     """
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
-        raise DataError("the lens is to stay as given, but no intrinsics are given; give them with --camera FILE")
+        raise DataError("no intrinsics are given, so the lens cannot stay as given; give them with --camera FILE")
     scene = _in_order_of_content(scene)
     first = intrinsics_at_first(scene) if intrinsics is None else intrinsics
     begin, points = without_points_off(start(scene, first, mounts=mounts), first)

@@ -85,7 +85,7 @@ def first_focal(scene: Scene) -> float:
     focal = float(middle[0] / np.sqrt(value)) if value > 0 else float("nan")
     if not 0.2 * middle[0] < focal < 50 * middle[0]:
         raise NotIdentifiableError(
-            "the photographs do not tell the focal length; give intrinsics (--camera FILE), or tilt the board"
+            "the photographs do not determine the focal length; give intrinsics (--camera FILE), or tilt the board"
             " by 30 deg in"
             " some images"
         )

@@ -140,8 +140,8 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
     if not problem.determined_by(helped.chosen):
         raise NotIdentifiableError(
-            f"no {len(start)} poses were found that determine as much as all candidates together, which is"
-            f" {problem.known.rank} combinations of parameters; choose more poses, or hold parameters"
+            f"no choice of {len(start)} poses was found that determines the {problem.known.rank} combinations of"
+            " parameters that all candidates together determine; choose more poses, or hold parameters"
         )
     final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
     nothing = -np.inf if index in ("O1", TASK) else 0.0

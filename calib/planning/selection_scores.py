@@ -81,7 +81,7 @@ def scores_of(problem: SelectionProblem, index: str, gathered: FloatArray) -> Sc
     if index == TASK:
         return Task(problem, gathered)
     if index not in CHOICES:
-        raise InputError(f"index '{index}'{nearest(index, CHOICES)}")
+        raise InputError(f"unknown index '{index}'{nearest(index, CHOICES)}")
     return Spectrum(problem, problem.strengths[:, None] * gathered * problem.strengths, index)
 
 

@@ -141,7 +141,7 @@ def prepare(
         NotIdentifiableError: No choice determines what the index is about.
     """
     if request.index not in CHOICES:
-        raise InputError(f"index '{request.index}'{nearest(request.index, CHOICES)}")
+        raise InputError(f"unknown index '{request.index}'{nearest(request.index, CHOICES)}")
     require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = assumed_sigma(robot, sigma)
@@ -204,8 +204,8 @@ def _require_on_grid(robot: Robot, request: Request, poses: Poses) -> None:
             looks.pairs, all_looks[name].pairs
         ):
             raise InputError(
-                f"{poses.path}: says at which poses '{name}' reads what, and says nothing of poses off the grid; choose"
-                " on the grid"
+                f"{poses.path}: says what '{name}' reads only at the poses in the file, not at poses off the grid;"
+                " choose on the grid"
             )
 
 
@@ -260,7 +260,7 @@ def _require_candidates(request: Request, usable: BoolArray, pairs: Pairs) -> No
 def _require_answer(problem: SelectionProblem, request: Request) -> None:
     if problem.known.rank.rank == 0:
         raise NotIdentifiableError(
-            "the candidates determine no parameter at all; the targets do not depend on any free one"
+            "the candidates determine no parameter at all; the targets depend on no free parameter"
         )
     if request.index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(

@@ -67,7 +67,7 @@ class Fleet(ReadOnlyArrays):
     """Robots of one model.
 
     Attributes:
-        robot: The first one, nominal, with what the fleet says of one more robot in its description.
+        robot: The first one, nominal, with the prior of one more robot in its description.
         members: The robots.
         parameters: What they share, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].

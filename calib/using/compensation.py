@@ -69,10 +69,10 @@ class Compensation(ReadOnlyArrays):
         labels: What to call each in messages.
         target: The target that it is about.
         keep: What was kept, of `KEEP`.
-        program: Joints with which the nominal robot does what is meant, (n, n_actuated) [m or rad]; NaN where none.
+        program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
         q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
         reasons: Why a row has no command; empty if it has one.
-        meant: Where the target is meant to be in the measurement frame, (n, 3) [m]; NaN where that is not known.
+        meant: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
         before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or the uncertainty of the robot is not known.
@@ -80,7 +80,7 @@ class Compensation(ReadOnlyArrays):
         before_angle, expected_angle, low95_angle, high95_angle: The same of the orientation where the pose is kept, and
             of the z axis where that is, (n,) [rad]; NaN where only the position is.
         scale: What one radian of each joint is compared with, (n_actuated,).
-        frame: In which frame all this is meant, in words.
+        frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
             corrected; `expected` is then the error of the calibrated robot.
     """

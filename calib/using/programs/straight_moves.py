@@ -78,7 +78,7 @@ class CompensatedMoves:
         deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
             the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
         n_measured: At how many points it was measured.
-        frame: In which frame all this is meant, in words.
+        frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the moves were left as they are, because the verdict is that nothing is to be
             corrected.
     """

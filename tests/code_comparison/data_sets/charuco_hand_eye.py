@@ -144,7 +144,7 @@ DATA = Photographs(
         "cal.yaml": "e718f5fdfdfeba967bb3302a1b41871882c29be57c44db1ab5b7adce3e1475da",
     },
     splits=_splits,
-    owners="the owners report 1.251 px of all images fitted, in their measure half of the RMS: 2.50 px",
+    owners="the owners report 1.251 px with all images fitted; their measure is half of the RMS, which is 2.50 px",
     camera=(-0.019646, 1.27843, 0.283965, -0.048080, -0.558686, 0.827604, -0.025104),
     board=(0.063314, 0.119958, 0.211056, -0.633597, 0.262427, 0.664998, 0.295794),
     intrinsics=(1352.02747, 1356.14287, 789.67065, 627.2995),

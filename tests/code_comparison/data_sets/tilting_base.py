@@ -89,5 +89,5 @@ DATA = Stations(
     length_sigma=2e-3,
     angle_sigma=5e-3,
     splits=_splits,
-    owners="the owners place it by four of these points; their figures are of that",
+    owners="the owners' figures are with the base placed by four of these points",
 )

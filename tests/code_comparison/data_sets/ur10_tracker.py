@@ -41,7 +41,7 @@ DATA = Arm(
     link="flange",
     splits=_splits,
     reasons={
-        "low half of the shoulder's lift fitted": "joint terms chosen on rows of the fitted half hold less where the"
-        " shoulder has not been; without them this project is best, and on these rows the two tie"
+        "low half of the shoulder's lift fitted": "joint terms were chosen on the fitted half, and hold less at other"
+        " values of the shoulder; without them this project is best. On these rows the two tie"
     },
 )

@@ -53,10 +53,11 @@ _KEY = """\
 | column | meaning |
 |---|---|
 | better, tie, worse | on how many splits a code predicts unseen rows better than this project (the line without \
-numbers), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of squared errors, \
-row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or 1 in 100 (images, printers) |
-| claimed / true | the error that a code states for the calibrated robot, divided by the error at unseen rows: below 1, \
-the claim is too small. \\*: the code claims nothing about new poses; this is the RMS of its own residuals |
+numbers), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of squared \
+errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or 1 in 100 (images, \
+printers) |
+| claimed / true | the error that a code states for the calibrated robot, divided by the error at unseen rows: below \
+1, the claim is too small. \\*: the code claims nothing about new poses; this is the RMS of its own residuals |
 | verdict right | PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot, \
 otherwise another grade |
 | fit, command, memory | processor time of the fit and of the whole process, and its largest memory: medians over the \

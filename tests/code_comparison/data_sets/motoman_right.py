@@ -50,8 +50,8 @@ DATA = Arm(
         " left out at either end of each joint's range, the coupling predicts these ends better than origins do, by"
         " 8 % over all",
         "second half of a file unseen": "79 rows of one region do not show what another region is like. With priors"
-        " from a third to ten times as wide, fits leave 0.062 to 0.067 mm in these rows, and 0.12 to 0.14 mm in the others;"
-        " FIGAROH with the same priors leaves 0.143 mm there. The fitted rows do not show which priors are better, so"
-        " they stay as stated for all data",
+        " from a third to ten times as wide, fits leave 0.062 to 0.067 mm in these rows, and 0.12 to 0.14 mm in the"
+        " others; FIGAROH with the same priors leaves 0.143 mm there. The fitted rows do not show which priors are"
+        " better, so they stay as stated for all data",
     },
 )

@@ -15,7 +15,7 @@ A `JudgedFit` is a fit that can be asked what it is worth: it has findings and v
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import entry_points
 from typing import Self
@@ -97,6 +97,7 @@ def judge(fit: Fit) -> Verdict:
     needless = Code.NOTHING_TO_CORRECT in codes
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(claim, needless=needless), *reasons]
+    reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
     elsewhere = rules_model.base_elsewhere(fit) if codes & (_NOTHING_FITS | _MOVED) else ""
     if elsewhere:
         reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if codes & _NOTHING_FITS else "CHECK"))
@@ -113,6 +114,13 @@ def judge(fit: Fit) -> Verdict:
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
+
+
+def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
+    """What others take back: no gain, where there is harm; patterns in residuals that are as large as the robot."""
+    codes = {reason.code for reason in reasons}
+    pairs = ((Code.WORSE_ON_VALIDATION, Code.NO_GAIN), (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC))
+    return {less for more, less in pairs if more in codes}
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:

@@ -154,7 +154,7 @@ def test_a_touch_is_chosen_only_where_the_candidates_say_what_is_touched(tmp_pat
         select(robot, candidates, {"probe": 11, "tracker": 3})
     with pytest.raises(calib.InputError, match="nothing says which poses touch what; add a column 'probe'"):
         select(robot, q, 8, instruments="each")
-    with pytest.raises(calib.InputError, match="says at which poses 'probe' reads what"):
+    with pytest.raises(calib.InputError, match="says what 'probe' reads only at the poses in the file"):
         select(robot, candidates, 8, off_grid=True)
 
 

@@ -5,6 +5,7 @@ import re
 import pytest
 from situations import SITUATIONS, Shop
 
+from calib.judging.next_step import next_step
 from calib.judging.reasons import Code
 
 
@@ -38,3 +39,11 @@ def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradi
     codes = shop.situation(Code(code)).there.verdict.to_dict()["codes"]
     assert cause in codes
     assert contradicted not in codes
+
+
+@pytest.mark.parametrize("code", ["likely_mistake", "misread", "lengths_scaled", "equal_columns"])
+def test_after_a_mistake_the_next_step_is_to_correct_it(shop, code):
+    """Outliers, terms and more poses are no answer to readings that mean something else."""
+    said = next_step(shop.situation(Code(code)).there)
+    assert said.aim == "correct the data or the description as the reasons say, and fit again"
+    assert "--" not in said.command.removesuffix("--out DIR-2")

@@ -49,7 +49,9 @@ def say(monkeypatch):
         ("CHECK", ("systematic",), "calib fit a.yaml 'my data.csv' --terms auto --out out-2"),
         ("CHECK", ("at_bounds", "joint_never_moved"), "calib check a.yaml 'my data.csv'"),
         ("CHECK", ("terms_untested",), "calib check a.yaml 'my data.csv'"),
-        ("FAIL", ("likely_mistake",), "calib view a.yaml --result out"),
+        ("FAIL", ("likely_mistake", "outliers", "systematic"), "calib fit a.yaml 'my data.csv' --out out-2"),
+        ("FAIL", ("lengths_scaled", "systematic"), "calib fit a.yaml 'my data.csv' --out out-2"),
+        ("FAIL", ("far_from_nominal",), "calib view a.yaml --result out"),
         ("FAIL", ("not_converged",), "calib fit a.yaml 'my data.csv' --starts 5 --out out-2"),
     ],
 )

@@ -50,6 +50,9 @@ def next_step(fit: Fit) -> NextStep:
     """Return what answers the first reason of the verdict, or how the result is tested or used."""
     verdict = judge(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
+    if Answer.CORRECT in answers:  # what else is seen comes from the mistake
+        aim = "correct the data or the description as the reasons say, and fit again"
+        return NextStep(aim, f"calib fit {ROBOT} {DATA} --out {AGAIN}")
     option = next((answer for answer in _OPTIONS if answer in answers), None)
     if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
         aim, words = _OPTIONS[option]

@@ -19,6 +19,7 @@ Grade = Literal["PASS", "CHECK", "FAIL"]
 class Answer(Enum):
     """What answers a reason: see `calib.judging.next_step`."""
 
+    CORRECT = "correct the data or the description"
     LEAVE_OUT = "fit without outliers"
     ADD_TERMS = "add joint terms"
     TRY_STARTS = "fit from several starting points"
@@ -54,7 +55,7 @@ class Code(StrEnum):
 
     # the fit as a whole
     BASE_ELSEWHERE = "base_elsewhere", "CHECK"
-    LIKELY_MISTAKE = "likely_mistake", "FAIL"
+    LIKELY_MISTAKE = "likely_mistake", "FAIL", False, Answer.CORRECT
     NOT_CONVERGED = "not_converged", "FAIL", False, Answer.TRY_STARTS
     NOT_ASSEMBLED = "not_assembled", "FAIL"
     WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.ADD_TERMS
@@ -72,7 +73,7 @@ class Code(StrEnum):
     NOISE_AS_LARGE_AS_ROBOT = "noise_as_large_as_robot", "FAIL", False, Answer.OTHER_POSES
     NO_NOISE = "no_noise", "CHECK"
     NOISE = "noise", "CHECK", True, Answer.ADD_TERMS
-    MISREAD = "misread", "FAIL"
+    MISREAD = "misread", "FAIL", False, Answer.CORRECT
     # measurements
     POSES_EQUAL = "poses_equal", "FAIL", False, Answer.OTHER_POSES
     JOINT_NEVER_MOVED = "joint_never_moved", "CHECK", True, Answer.OTHER_POSES
@@ -86,14 +87,14 @@ class Code(StrEnum):
     DOUBTFUL_READINGS = "doubtful_readings", "CHECK", False, Answer.LEAVE_OUT
     COPIED = "copied", "CHECK"
     ZERO_READINGS = "zero_readings", "FAIL"
-    EQUAL_COLUMNS = "equal_columns", "FAIL"
+    EQUAL_COLUMNS = "equal_columns", "FAIL", False, Answer.CORRECT
     REPEATABILITY = "repeatability", "CHECK", True
     ROUNDED = "rounded", "CHECK", True
     LEVERAGE = "leverage", "CHECK", True, Answer.LEAVE_OUT
     # parameters
     FAR_FROM_NOMINAL = "far_from_nominal", "FAIL"
     AT_BOUNDS = "at_bounds", "CHECK", True
-    LENGTHS_SCALED = "lengths_scaled", "FAIL"
+    LENGTHS_SCALED = "lengths_scaled", "FAIL", False, Answer.CORRECT
     LARGE_TERMS = "large_terms", "CHECK", True
     UNLIKE_FLEET = "unlike_fleet", "CHECK"
     RANK_UNCLEAR = "rank_unclear", "CHECK"

@@ -194,6 +194,8 @@ def test_bad_input_is_one_line_that_says_what_to_do(results, tmp_path):
         ((first,), "1 result given; give those of two or more robots"),
         ((first, first), "is given twice"),
         ((first, folder), "holds no result"),
+        ((first, folder / "arm.yaml"), "arm.yaml: holds no result"),
+        ((first, folder / "nowhere"), "nowhere: holds no result"),
         ((first, second, "--out", tmp_path / "fleet.json"), "ends in .yaml"),
     ):
         done = run(*arguments)

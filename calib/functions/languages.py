@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calib.base.errors import InputError
-from calib.functions.c_text import c_text
-from calib.functions.facts import facts_of
-from calib.functions.python_text import python_text
 from calib.robots.robot import Robot
 
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
@@ -28,6 +25,11 @@ def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
         InputError: A loop constrains whole poses, or nothing moves the robot's target.
         ComputationError: No configuration is known at which the loops close.
     """
+    # here, so that commands that only know the names of formats do not load these writers
+    from calib.functions.c_text import c_text
+    from calib.functions.facts import facts_of
+    from calib.functions.python_text import python_text
+
     for loop in robot.mechanism.loops:
         if loop.full_pose:
             raise InputError(

@@ -190,12 +190,13 @@ def fleet(*results: Path | str) -> Fleet:
     if len({Path(result).resolve() for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
     folders = [Path(result) for result in results]
+    contents = [read_result(folder) for folder in folders]
     robots = [load(folder) for folder in folders]
     shared = _shared(robots, folders)
     _require_different(folders)
     told = []
-    for folder, robot in zip(folders, robots, strict=True):
-        known, freedom = load_uncertainty(folder, robot), float(read_result(folder)["degrees_of_freedom"])
+    for folder, robot, content in zip(folders, robots, contents, strict=True):
+        known, freedom = load_uncertainty(folder, robot), float(content["degrees_of_freedom"])
         told.append(told_of(robot, known.free, known.covariance, freedom, shared))
     learned, odd, compared = learn_without_odd(told, _kinds(shared))
     like = [folder for k, folder in enumerate(folders) if k not in odd]

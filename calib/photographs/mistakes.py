@@ -307,12 +307,13 @@ def _of_the_lens(scene: Scene, fitted: Estimate, given: FloatArray | None, used:
         k = int(np.argmax(sure))
         # a focal length that is off by a percent is a distance that is off by a percent
         if not used or (sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / fitted.placed.intrinsics[0]) > 0.02):
-            name = NAMES[fitted.free[k]]
+            name, digits = NAMES[fitted.free[k]], 1 if fitted.free[k] < 4 else 4  # px, or of the distortion
             result.append(
                 Mistake(
                     "lens_given",
-                    f"the intrinsics given contradict the photographs: {name} is {given[fitted.free[k]]:.1f} there and"
-                    f" {fitted.placed.intrinsics[fitted.free[k]]:.1f} ± {std[k]:.1f}"
+                    f"the intrinsics given contradict the photographs: {name} is"
+                    f" {given[fitted.free[k]]:.{digits}f} there and"
+                    f" {fitted.placed.intrinsics[fitted.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"
                     f" here; {'those found are used' if used else 'let them be found (leave out --lens given)'}",
                 )
             )

@@ -20,11 +20,12 @@ from calib.base.workers import Progress, Workers
 from calib.calibrating.calibrate import calibrate
 from calib.calibrating.file_robots import with_files
 from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
-from calib.exporting.formats import export, format_of
+from calib.exporting.formats import export
 from calib.fitting.error_sets import Folds, error_table
 from calib.fitting.fit import of_a_part
 from calib.fitting.settings import Settings
 from calib.fitting.validation import cross_validate, n_folds
+from calib.instruments.kind import Readings
 from calib.joint_terms.terms import terms_text
 from calib.judging.verdict import JudgedFit
 from calib.numerics.losses import checked_loss
@@ -166,7 +167,7 @@ class Calibration(JudgedFit):
             format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
-        export(self.robot, format or format_of(path), path, force=force)
+        export(self.robot, path, format, force=force)
 
     @worded
     def save(
@@ -186,7 +187,8 @@ class Calibration(JudgedFit):
 @worded
 def fit(
     robot: RobotLike,
-    data: MeasurementsLike,
+    data: MeasurementsLike | ArrayLike,
+    readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     *,
     validation: MeasurementsLike | float | None = None,
     sigma: float | str | ArrayLike | None = None,
@@ -198,7 +200,7 @@ def fit(
     terms: str | Sequence[str] | None = None,
     fix: str | Sequence[str] = (),
     free: str | Sequence[str] = (),
-    prior: Mapping[str, float | str] | None = None,
+    prior: Mapping[str, str] | None = None,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -206,7 +208,9 @@ def fit(
 
     Args:
         robot: The nominal robot; or its description or URDF.
-        data: Measurements to identify with; or files or data frames of them, as `read_measurements` reads them.
+        data: Measurements to identify with; or files or data frames of them, as `read_measurements` reads them; or,
+            with `readings`, joint values (n, n_actuated) [m or rad].
+        readings: What was read at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
         validation: Measurements to validate the result with, likewise; or the part of the poses to hold out for that,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
@@ -223,8 +227,8 @@ def fit(
         fix: Parameters to leave as they are, beside those that the description holds; `all` stands for all but those
             that only say where base and targets are.
         free: Parameters to fit although the description or `fix="all"` holds them.
-        prior: How far off parameters are expected to be, one standard deviation by name: a number [m or rad], or text
-            such as `0.1 mm`.
+        prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as
+            `0.1 mm`.
         executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
@@ -233,7 +237,7 @@ def fit(
     robot = _freed(as_robot(robot).fix(fix), free)
     for name, how_far in (prior or {}).items():
         robot = robot.with_prior(name, how_far)
-    used, held = as_measurements(robot, data), None
+    used, held = as_measurements(robot, data, readings), None
     one_for_all = sigma if sigma is None or isinstance(sigma, (float, str)) or np.ndim(sigma) == 0 else None
     if sigma is not None and one_for_all is None:
         used = with_sigma(robot, used, sigma)

@@ -108,7 +108,7 @@ def files_of(robot, train, test, folder):
     for name in (name for name, holds in HELD.items() if holds is not Holds.EVERYTHING):
         path = folder / f"{name}{ENDINGS.get(name, '.csv')}"
         try:
-            calib.export(loaded, name, path)
+            calib.export(loaded, path, name)
             errors[name] = held_out(in_file(robot, name, path), robot, *points)
         except calib.CalibrationError as error:
             errors[name] = str(error).replace(str(folder), "...")

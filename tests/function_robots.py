@@ -145,7 +145,7 @@ def imported(path):
 def exported(robot, language, folder):
     """The functions of a robot as a module of Python; of C, as `Compiled`."""
     path = folder / ("robot.h" if language == "c" else f"robot_{language}.py")
-    calib.export(robot, language, path)
+    calib.export(robot, path, language)
     return Compiled(robot, path) if language == "c" else imported(path)
 
 

@@ -55,7 +55,7 @@ def run(*arguments: str | Path) -> Result:
 
 
 def test_nominal_urdf_goes_out_byte_for_byte(nominal: calib.Robot, tmp_path: Path) -> None:
-    export(nominal, "urdf", tmp_path / "out.urdf", provenance=["not needed: nothing was edited"])
+    export(nominal, tmp_path / "out.urdf", "urdf", provenance=["not needed: nothing was edited"])
     assert read_plain(tmp_path / "out.urdf") == URDF.read_bytes()
 
 
@@ -92,7 +92,7 @@ def test_provenance_is_one_comment_that_says_program_file_and_values(calibrated:
 
 def test_provenance_of_an_earlier_export_is_replaced_not_repeated(calibrated: calib.Robot, tmp_path: Path) -> None:
     (tmp_path / "robot.urdf").write_bytes(urdf_bytes(calibrated, ["first"]))
-    export(calibrated, "toolbox", tmp_path / "home.yaml")  # for its assembled home
+    export(calibrated, tmp_path / "home.yaml", "toolbox")  # for its assembled home
     content = yaml.safe_load((tmp_path / "home.yaml").read_text())
     (tmp_path / "robot.yaml").write_text(yaml.safe_dump(content | {"urdf": "robot.urdf"}))
     again = calib.load(tmp_path / "robot.yaml")
@@ -109,14 +109,14 @@ def test_provenance_of_an_earlier_export_is_replaced_not_repeated(calibrated: ca
 @pytest.mark.parametrize("values", ["nominal", "calibrated"])
 def test_export_load_export_is_identical(values: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     robot = request.getfixturevalue(values)
-    export(robot, "toolbox", tmp_path / "robot.yaml")
+    export(robot, tmp_path / "robot.yaml", "toolbox")
     loaded = calib.load(tmp_path / "robot.yaml")
     assert plain(urdf_bytes(loaded)) == urdf_bytes(robot)
     for file_format in ("toolbox", "mjcf", "drake"):
         first, two = tmp_path / "one" / "robot.yaml", tmp_path / "two" / "robot.yaml"
         for path, source in ((first, robot), (two, loaded)):
             path.parent.mkdir(exist_ok=True)
-            export(source, file_format, path)
+            export(source, path, file_format)
         if file_format == "toolbox":
             assert yaml.safe_load(first.read_text()) == yaml.safe_load(two.read_text())
         else:
@@ -124,7 +124,7 @@ def test_export_load_export_is_identical(values: str, tmp_path: Path, request: p
 
 
 def test_the_loaded_robot_stands_where_the_exported_one_did(calibrated: calib.Robot, tmp_path: Path) -> None:
-    export(calibrated, "toolbox", tmp_path / "robot.yaml")
+    export(calibrated, tmp_path / "robot.yaml", "toolbox")
     q = target_workspace().q[::20]
     difference = calib.load(tmp_path / "robot.yaml").positions(q) - calibrated.positions(q)
     assert np.abs(difference).max() < 1e-12  # rotations go through rpy and back: a few roundings of 1 m
@@ -142,7 +142,7 @@ def test_a_found_base_and_target_are_in_the_exported_description(tmp_path: Path)
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(content))
     robot = calib.load(tmp_path / "arm.yaml")
     placed = robot.with_parameters({"base.x": 0.3, "base.rz": 0.4, "base.rx": -0.2, "tool.y": 0.05})
-    export(placed, "toolbox", tmp_path / "robot.yaml")
+    export(placed, tmp_path / "robot.yaml", "toolbox")
     q = target_workspace().q[:3]
     assert np.abs(calib.load(tmp_path / "robot.yaml").positions(q) - placed.positions(q)).max() < 1e-12
 
@@ -188,7 +188,7 @@ def test_mjcf_has_a_servo_for_each_motor_and_a_connect_for_each_loop(nominal: ca
 
 
 def test_drake_urdf_is_the_calibrated_urdf_plus_one_block(calibrated: calib.Robot, tmp_path: Path) -> None:
-    export(calibrated, "drake", tmp_path / "out.urdf")
+    export(calibrated, tmp_path / "out.urdf", "drake")
     written, before = read_plain(tmp_path / "out.urdf"), urdf_bytes(calibrated)
     start = written.index(b"\n<!-- calib: a closed robot for Drake")
     end = written.index(b"</robot>")
@@ -210,7 +210,7 @@ def test_link_poses_of_the_text_are_those_of_the_engine(calibrated: calib.Robot)
 def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path: Path) -> None:
     before = calibrated.positions(calibrated.home)
     for file_format in (item for item in FORMATS if item not in NOT_OURS):
-        export(calibrated, file_format, tmp_path / f"out.{file_format}")
+        export(calibrated, tmp_path / f"out.{file_format}", file_format)
     assert np.array_equal(calibrated.positions(calibrated.home), before)
 
 
@@ -282,4 +282,4 @@ def test_wrong_use_is_one_line_and_exit_code_2(
 
 def test_unknown_format_from_python_names_the_nearest(nominal: calib.Robot, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown; did you mean 'mjcf'"):
-        export(nominal, "mjfc", tmp_path / "x")
+        export(nominal, tmp_path / "x", "mjfc")

@@ -152,7 +152,7 @@ def test_meshes_that_mujoco_reads_are_named_relative_to_the_file_and_others_are_
              "package://pkg/meshes/c.dae", "package://gone/d.stl", "http://far/away.stl")  # fmt: skip
     robot = arm(robots, with_meshes(*names))
     (tmp_path / "out").mkdir()
-    export(robot, "mjcf", tmp_path / "out" / "arm.xml")
+    export(robot, tmp_path / "out" / "arm.xml", "mjcf")
     text = (tmp_path / "out" / "arm.xml").read_text(encoding="utf-8")
     root = ElementTree.fromstring(text)
     (mesh,) = root.find("asset")  # the same file and scale twice is one mesh

@@ -83,7 +83,7 @@ def test_every_file_of_origins_is_as_good_as_a_fit_of_origins_alone(fit, folder,
     nominal = rms_of(fit, tip_of(urdf_links(fit.nominal.urdf.source), robot))
     assert dropped > nominal > 1.5 * expected  # a file with the origins of the whole model would be worse than none
     for file_format, name in FILES.items():
-        calib.export(robot, file_format, tmp_path / name)
+        calib.export(robot, tmp_path / name, file_format)
         assert rms_of(fit, in_file(robot, file_format, tmp_path / name)) < 1.03 * expected
     assert rms_of(fit, tip_of(urdf_links((folder / "calibrated.urdf").read_bytes()), robot)) < 1.03 * expected
 
@@ -92,7 +92,7 @@ def test_files_that_hold_more_get_more(fit, folder, tmp_path):
     """Tables get a fit with the gains; joint zeros what the nominal robot makes of zeros alone."""
     robot, errors = calib.load(folder), {}
     for file_format in ("joint-tables", "joint-offsets"):
-        calib.export(robot, file_format, tmp_path / file_format)
+        calib.export(robot, tmp_path / file_format, file_format)
         errors[file_format] = rms_of(fit, in_file(robot, file_format, tmp_path / file_format))
     known = {holds: file.accuracy.rms for holds, file in robot.files.items()}
     assert errors["joint-tables"] == pytest.approx(known[Holds.TABLES], rel=0.03)
@@ -105,8 +105,8 @@ def test_files_that_hold_more_get_more(fit, folder, tmp_path):
 
 def test_from_python_the_same_files_come_out(fit, folder, tmp_path):
     for robot, name in ((fit.robot, "a"), (calib.load(folder), "b"), (pickle.loads(pickle.dumps(fit.robot)), "c")):
-        calib.export(robot, "urdf", tmp_path / f"{name}.urdf")
-        calib.export(robot, "joint-offsets", tmp_path / f"{name}.csv")
+        calib.export(robot, tmp_path / f"{name}.urdf", "urdf")
+        calib.export(robot, tmp_path / f"{name}.csv", "joint-offsets")
     contents = [_numbers(tmp_path / f"{name}.urdf") for name in "abc"]
     np.testing.assert_allclose(contents[1], contents[0], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(contents[2], contents[0], rtol=1e-12, atol=1e-15)
@@ -220,7 +220,7 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     behind = [p.name for p in held.parameters if p.name.startswith(("left_tool_mount", "left_wrist_3-flange"))]
     values = dict(zip((p.name for p in held.parameters), held.values, strict=True))
     assert [values[name] for name in behind] == [held.parameters[name].nominal_si for name in behind]
-    calib.export(robot, "ur-kinematics", tmp_path / "kinematics.yaml")
+    calib.export(robot, tmp_path / "kinematics.yaml", "ur-kinematics")
     q = test[:5]
     result = in_file(nominal, "ur-kinematics", tmp_path / "kinematics.yaml")(q)
     base = nominal.description.base.frame
@@ -293,8 +293,8 @@ def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):
     _, arm, train, test = withheld
     fit = calib.fit(arm, train, validation=test)
     with pytest.raises(calib.ComputationError, match="such a file is not written: it is worse than the nominal robot"):
-        calib.export(fit.robot, "urdf", tmp_path / "x.urdf")
-    calib.export(fit.robot, "urdf", tmp_path / "x.urdf", force=True)
+        calib.export(fit.robot, tmp_path / "x.urdf", "urdf")
+    calib.export(fit.robot, tmp_path / "x.urdf", "urdf", force=True)
     tip = in_file(arm, "urdf", tmp_path / "x.urdf")
     file, nominal = (
         np.sqrt(np.mean(np.sum(((item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - test.points(arm)[:, 0]) ** 2, 1)))
@@ -370,7 +370,7 @@ def test_values_of_terms_that_no_fit_has_are_refused_unless_forced(fit, tmp_path
     with pytest.raises(calib.ComputationError, match="A fit also finds the best origins without them"):
         robot.calibrated_urdf()
     with pytest.raises(calib.ComputationError, match=r"format 'dh': .* loses the joint terms of j2"):
-        calib.export(robot, "dh", tmp_path / "x.csv")
+        calib.export(robot, tmp_path / "x.csv", "dh")
     assert fit.nominal.calibrated_urdf() == fit.nominal.urdf.source
     assert fit.robot.with_parameters({"j2.x": 0.05}).files == {}
 
@@ -383,7 +383,7 @@ def test_terms_that_stay_at_zero_are_no_loss(tmp_path, true_tip):
     assert fit.reduced == {}
     assert b"<!--" not in (tmp_path / "out" / "calibrated.urdf").read_bytes()
     np.testing.assert_allclose(_numbers_of(robot.calibrated_urdf()), _numbers(tmp_path / "out" / "calibrated.urdf"))
-    calib.export(robot, "toolbox", tmp_path / "robot.yaml")
+    calib.export(robot, tmp_path / "robot.yaml", "toolbox")
     calib.load(tmp_path / "robot.yaml")  # which holds no term that is not there
 
 

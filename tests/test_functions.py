@@ -206,7 +206,7 @@ def test_the_placement_of_the_base_is_stated(tmp_path, language):
 
 def test_the_file_needs_nothing_but_its_library(tmp_path):
     robot = calib.load(write_arm(tmp_path))
-    calib.export(robot, "numpy", tmp_path / "arm.py")
+    calib.export(robot, tmp_path / "arm.py", "numpy")
     check = (
         "import sys, arm\n"
         "assert not [name for name in sys.modules if name.split('.')[0] in ('calib', 'pinocchio', 'scipy')]\n"
@@ -274,7 +274,7 @@ def test_what_holds_everything_is_the_whole_fit(tmp_path):
     """Files of a fit with terms get these terms, and how good they are."""
     robot, data = terms_and_data(tmp_path)
     fit = calib.fit(robot, data)
-    calib.export(fit.robot, "numpy", tmp_path / "fitted.py")
+    calib.export(fit.robot, tmp_path / "fitted.py", "numpy")
     module, q = imported(tmp_path / "fitted.py"), data.joints[:10]
     assert np.abs(module.forward(q) - fit.robot.forward(q)).max() < 1e-12
     assert "error of the robot in this file: " in module.__doc__

@@ -59,6 +59,14 @@ RUN = {
     "fit(robot, frame)": lambda t: np.allclose(
         calib.fit(t.robot, t.frame).robot.values, calib.fit(t.robot, t.data).robot.values, atol=1e-12
     ),
+    "fit(robot, q, xyz)": lambda t: same(
+        calib.fit(t.robot, t.data.joints, t.data.points()[:, 0]), calib.fit(t.robot, t.data)
+    ),
+    "solve(robot, T)": lambda t: calib.solve(t.robot, t.robot.forward(t.q), near=t.q).miss_angle.max() < 1e-6,
+    "with_parameters(text)": lambda t: (
+        t.robot.with_parameters({"joint_3.z": "441 mm"}).values.max()
+        == t.robot.with_parameters({"joint_3.z": 0.441}).values.max()
+    ),
     "fit(robot, [a, b])": lambda t: len(calib.read_measurements([t.frame, t.frame], t.robot)) == 160,
     "read_measurements(frame)": lambda t: np.allclose(calib.read_measurements(t.frame, t.robot).joints, t.data.joints),
     "read_measurements(dict)": lambda t: len(calib.read_measurements(t.data.to_dict(), t.robot)) == 80,
@@ -239,7 +247,16 @@ ANSWERED = {
     "calib.fit(t.robot, t.data, random_state=1)": "seed=",
     "calib.fit(t.robot, t.data, n_jobs=4)": "executor=4",
     "calib.fit(t.robot, t.data, test_size=0.2)": "validation=0.25",
-    "calib.fit(t.robot, t.q, t.q[:, :3])": "calib.as_measurements(robot, q, xyz)",
+    "calib.fit(t.robot, t.q, t.q[:, :3], 1)": "calib.fit(robot, q, xyz)",
+    "calib.fit(t.robot, {'q': t.q})": "calib.as_measurements(robot, q, xyz)",
+    "calib.compare(t.robot, t.fit.robot)": "fit.to_dataframe()",
+    "t.robot.make_params()": "robot.parameters",
+    "t.robot.parameters.keys()": "parameter.name",
+    "calib.URDF('x.urdf')": "calib.load",
+    "t.robot.compute_forward_kinematics(t.q)": "robot.forward",
+    "t.robot.getJointNames()": "robot.joint_names",
+    "t.fit.to_json()": "fit.to_dict()",
+    "calib.fit(t.robot, t.data, prior={'joint_3.z': 0.5})": "has no unit",
     "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
     "t.data.split(test_size=0.25)": "data.split(0.25, seed=1)",
     "t.robot.fit(t.data)": "calib.fit(robot, data)",

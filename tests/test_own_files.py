@@ -178,7 +178,7 @@ def test_the_same_holds_from_python(here, fitted):
     for file in ("arm.yaml", "arm.urdf"):
         os.link(here / file, here / f"hard_{file}")
         with pytest.raises(InputError, match="is read here"):
-            calib.export(robot, "urdf", here / f"hard_{file}")
+            calib.export(robot, here / f"hard_{file}", "urdf")
     with pytest.raises(InputError, match="is read here"):
         robot.save(here / "arm.yaml")
     robot.save(here / "other.yaml")

@@ -181,7 +181,7 @@ def test_a_robot_with_loops_needs_no_file():
 
 
 def test_priors_are_stated_without_a_file(robot, data):
-    tight = robot.with_prior(["joint_2.y", "joint_3.y"], "1 um").with_prior("joint_4.rx", 1e-6)
+    tight = robot.with_prior(["joint_2.y", "joint_3.y"], "1 um").with_prior("joint_4.rx", "1 urad")
     sigma = {p.name: p.sigma_si for p in tight.parameters}
     assert (sigma["joint_2.y"], sigma["joint_3.y"], sigma["joint_4.rx"]) == (1e-6, 1e-6, 1e-6)
     assert {name: s for name, s in sigma.items() if name not in ("joint_2.y", "joint_3.y", "joint_4.rx")} == {
@@ -189,7 +189,7 @@ def test_priors_are_stated_without_a_file(robot, data):
     }
     assert {p.name: p.sigma_si for p in tight.with_prior("joint_2.y", "2 mm").parameters}["joint_2.y"] == 2e-3
     assert calib.fit(tight, data).parameters["joint_2.y"].std_si < 1.001e-6
-    moved = robot.with_parameters({"joint_2.y": 1e-3}).with_prior("joint_3.y", 1e-4)
+    moved = robot.with_parameters({"joint_2.y": 1e-3}).with_prior("joint_3.y", "0.1 mm")
     assert {p.name: v for p, v in zip(moved.parameters, moved.values, strict=True)}["joint_2.y"] == 1e-3
 
 
@@ -225,7 +225,7 @@ def test_the_package_says_its_version():
 
 
 def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
-    made = robot.fix("joint_3.z").with_prior(["joint_2.y", "joint_4.rx"], 1e-5)
+    made = robot.fix("joint_3.z").with_prior("joint_2.y", "10 um").with_prior("joint_4.rx", "10 urad")
     made.save(tmp_path / "robot.yaml")
     again = calib.load(tmp_path / "robot.yaml")
     assert again.parameters == made.parameters
@@ -247,9 +247,10 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
         (lambda robot: calib.robot(EXAMPLES / "arm.urdf", base="floor"), "floor"),
         (lambda robot: calib.robot(EXAMPLES / "arm.urdf", target="hand"), "hand"),
         (lambda robot: calib.robot(EXAMPLES / "arm.urdf", sigmas="1 mm"), "unknown key 'sigmas'; did you mean 'sigma'"),
-        (lambda robot: robot.with_prior("joint_3.zz", 1e-3), "did you mean"),
+        (lambda robot: robot.with_prior("joint_3.zz", "1 mm"), "did you mean"),
+        (lambda robot: robot.with_prior("joint_3.z", 0.5), "has no unit"),
         (lambda robot: robot.with_prior("joint_3.z", "1 deg"), "unit 'deg' is for an angle"),
-        (lambda robot: robot.with_prior("joint_3.z", 0.0), "must be positive"),
+        (lambda robot: robot.with_prior("joint_3.z", "0 mm"), "must be positive"),
         (lambda robot: robot.with_parameters({"joint_3.z": 0.5}).save("robot.yaml"), "'joint_3.z' is not nominal"),
         (lambda robot: robot.save("robot.txt"), "ends in .yaml"),
         (lambda robot: calib.sample(robot, 0), "at least one pose"),
@@ -295,7 +296,7 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     np.testing.assert_array_equal(
         again.points(robot), calib.simulate(fit.robot, chosen.joints, 3e-5, seed=4).points(robot)
     )
-    calib.export(fit.robot, "urdf", tmp_path / "arm.urdf")
+    calib.export(fit.robot, tmp_path / "arm.urdf", "urdf")
     assert read_plain(tmp_path / "arm.urdf") == fit.robot.calibrated_urdf()
     fit.save(tmp_path / "result", pages=False)
     np.testing.assert_allclose(calib.load(tmp_path / "result").values, fit.robot.values, rtol=1e-14)  # through mm

@@ -70,10 +70,26 @@ def way(word: str, place: str) -> str:
         word: The word.
         place: Where it is looked for, as the table has it.
     """
+    row = _row(word, place, str) or _row(word, place, _plain)
+    return f"; here: {row.here.replace('`', '')}" if row else ""
+
+
+def _row(word: str, place: str, spelling: Callable[[str], str]) -> Words | None:
+    """The row of the table that has a word, of which spellings count as the same that this function makes the same."""
+    spelled = spelling(word)
     for row in tables().get(place, ()):
-        if word in row.words:
-            return f"; here: {row.here.replace('`', '')}"
-    return ""
+        if spelled in (spelling(other) for other in row.words):
+            return row
+    return None
+
+
+def _plain(word: str) -> str:
+    """A word without capitals, underscores and a verb that says nothing: `getParams` is `params`."""
+    plain = word.casefold().replace("_", "")
+    for verb in ("get", "compute", "calculate", "calc", "load", "read", "make"):
+        if len(plain) > len(verb) and plain.startswith(verb):
+            return plain.removeprefix(verb)
+    return plain or word
 
 
 class _Worded(ABCMeta):
@@ -171,7 +187,7 @@ _MEANT: dict[str, tuple[Callable[[object], bool], str]] = {
     "float": (lambda value: isinstance(value, Real), "a number"),
     "Path | str": (_is_path, "a path"),
     "str | Sequence[str]": (lambda value: isinstance(value, (str, Sequence)), "a name, or a list of names"),
-    "Mapping[str, float | str] | None": (
+    "Mapping[str, str] | None": (
         lambda value: value is None or isinstance(value, Mapping),
         'values by name, such as {"joint_3.z": "0.1 mm"}',
     ),

@@ -72,8 +72,10 @@ class Parameter(Worded):
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 
 
-class Parameters(tuple[Parameter, ...]):
+class Parameters(tuple[Parameter, ...], Worded):
     """Parameters in their order, one of which is taken by its number or its name."""
+
+    _other_words = "all parameters of a robot"
 
     @overload
     def __getitem__(self, which: SupportsIndex | str) -> Parameter: ...

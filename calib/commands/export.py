@@ -90,8 +90,8 @@ def command(
     output.check(*(() if file_format == JOINT_TABLES else (out,)))
     gaps = export(
         model,
-        file_format,
         out,
+        file_format,
         free_slide=free_slide,
         meshes=meshes,
         provenance=lines,

@@ -75,7 +75,7 @@ Source = Path | str | Columns
 def is_columns(source: object) -> TypeGuard[Columns]:
     """Return whether this is a table in memory."""
     if isinstance(source, Mapping):
-        return all(isinstance(name, str) for name in source)
+        return all(isinstance(name, str) and np.ndim(column) == 1 for name, column in source.items())
     return all(hasattr(type(source), name) for name in ("columns", "head", "__getitem__"))
 
 

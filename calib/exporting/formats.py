@@ -57,8 +57,8 @@ def format_of(path: Path | str) -> str:
 @worded
 def export(
     robot: RobotLike,
-    format: str,
     path: Path | str,
+    format: str | None = None,
     *,
     free_slide: bool = False,
     meshes: str | None = None,
@@ -103,7 +103,7 @@ def export(
             close.
     """
     robot = as_robot(robot)
-    path = Path(path)
+    format, path = format or format_of(path), Path(path)
     if format not in HELD:
         raise InputError(f"format '{format}': unknown{nearest(format, HELD)}")
     if free_slide and format not in ("mjcf", "drake"):

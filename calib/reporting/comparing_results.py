@@ -93,6 +93,12 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     """
     if len(results) < 2:
         raise InputError(f"{counted(len(results), 'result')} given; give two or more to compare")
+    for given in results:
+        if not isinstance(given, (Fit, Path, str)):
+            raise InputError(
+                f"compare: expected fits or result folders, not {type(given).__name__}; the nominal robot and the"
+                " calibrated one of a fit are side by side in fit.to_dataframe()"
+            )
     folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")

@@ -204,13 +204,15 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
     return parametrisation
 
 
-def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str) -> SomeRobot:
+def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> SomeRobot:
     """Return a robot of which parameters are expected to be off by `sigma`; see `Robot.with_prior`."""
     priors = dict(robot.description.prior)
     for name in [names] if isinstance(names, str) else names:
         place = index_of(robot.parameters, name)
         if place >= robot.n_origin_parameters:
             raise ParameterError(f"parameter '{name}' is of a joint term, whose sigma stands in the robot description")
+        if not isinstance(sigma, str):
+            raise InputError(f"prior of '{name}': {sigma!r:.40} has no unit; write it, such as '0.5 mm' or '1 mrad'")
         if quantity(sigma, robot.parameters[place].dimension, f"prior of '{name}'") <= 0:
             raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
         priors[name] = sigma

@@ -82,16 +82,16 @@ class Robot(RobotData):
         return replace(self, description=changed)
 
     @worded
-    def with_prior(self, names: str | Sequence[str], sigma: float | str) -> Robot:
+    def with_prior(self, names: str | Sequence[str], sigma: str) -> Robot:
         """Return a robot with the expected error `sigma` of these parameters.
 
         Args:
             names: A parameter, or several.
-            sigma: One standard deviation [m or rad], or text with a unit, such as `0.5 mm`.
+            sigma: One standard deviation with its unit, such as `0.5 mm`.
 
         Raises:
             ParameterError: An unknown name, or one of a joint term.
-            InputError: Sigma is not a positive number of this dimension.
+            InputError: Sigma has no unit, or is not a positive number of this dimension.
         """
         return with_prior(self, names, sigma)
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
 from calib.base.errors import DescriptionError, ParameterError, nearest
 from calib.base.parameter import Parameters, index_of
+from calib.base.units import in_si
 from calib.instruments.kind import Instrument
 from calib.joint_terms.term import JointTerm
 from calib.robots.closure import AssemblyMode
@@ -183,11 +184,12 @@ class RobotData(ReadOnlyArrays):
         """Return what an instrument looks along, in the order of `Readings.pairs`."""
         return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, instrument))
 
-    def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Self:
+    def with_parameters(self, values: Mapping[str, float | str] | ArrayLike) -> Self:
         """Return a robot with other parameter values.
 
         Args:
-            values: New values by name [m or rad], the others staying as they are; or all of them, (n_parameters,).
+            values: New values by name [m or rad], or text such as `0.5 mm`, the others staying as they are; or all of
+                them, (n_parameters,).
 
         Raises:
             ParameterError: Unknown name, wrong number of values, or a value that is not finite.
@@ -195,7 +197,8 @@ class RobotData(ReadOnlyArrays):
         if isinstance(values, Mapping):
             vector = self.values.copy()
             for name, value in values.items():
-                vector[index_of(self.parameters, name)] = value
+                place = index_of(self.parameters, name)
+                vector[place] = in_si(value, self.parameters[place].dimension, name)
         else:
             vector = np.array(values, dtype=float)
         if vector.shape != self.values.shape:

@@ -98,7 +98,8 @@ def solve(
             loaded result, errors to expect are known too; if its verdict finds nothing to correct, the nominal robot is
             used, with base and targets where they agree best.
         goals: Goals of the target; or positions of the first target alone, (n, 3) [m], with
-            NaN throughout for a coordinate that is not asked for. `Goals` may differ in that from row to row.
+            NaN throughout for a coordinate that is not asked for; or poses as `robot.forward` gives them for that
+            target, (n, 4, 4) or (4, 4). `Goals` may differ in that from row to row.
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 
@@ -129,7 +130,11 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     if isinstance(goals, Goals):
         return goals
-    goals = Goals(np.atleast_2d(numbers_in(goals, "goals")))
+    values = numbers_in(goals, "goals")
+    if values.shape[-2:] == (4, 4) and values.ndim in (2, 3):
+        poses = values.reshape(-1, 4, 4)
+        return Goals(poses[:, :3, 3], rotations=poses[:, :3, :3])
+    goals = Goals(np.atleast_2d(values))
     odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
     if np.any(odd):
         raise DataError(

@@ -85,7 +85,7 @@ class Arm(DataSet):
         text = _CHAIN.format(joints=", ".join(self.joints), base=self.base, link=self.link)
         (folder / "chain.yaml").write_text(text)
         try:
-            calib.export(calib.load(folder / "chain.yaml"), "mdh", folder / "robot_mdh.csv")
+            calib.export(calib.load(folder / "chain.yaml"), folder / "robot_mdh.csv", "mdh")
         except calib.CalibrationError:
             (folder / "robot_mdh.csv").unlink(missing_ok=True)
 

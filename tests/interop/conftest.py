@@ -63,10 +63,10 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     robot = calib.load(REPOSITORY / "urdf" / "medrue.yaml").with_parameters(values)
     folder = tmp_path_factory.mktemp(request.param)
     for file_format, name in (("urdf", "robot.urdf"), ("toolbox", "robot.yaml"), ("mjcf", "robot.xml")):
-        export(robot, file_format, folder / name)
-    export(robot, "drake", folder / "drake.urdf")
-    export(robot, "mjcf", folder / "free.xml", free_slide=True)
-    export(robot, "drake", folder / "free_drake.urdf", free_slide=True)
+        export(robot, folder / name, file_format)
+    export(robot, folder / "drake.urdf", "drake")
+    export(robot, folder / "free.xml", "mjcf", free_slide=True)
+    export(robot, folder / "free_drake.urdf", "drake", free_slide=True)
     q = target_workspace().q[::8][:50]
     closed = forward(q, values)
     names = (*ACTUATED_JOINTS, *PASSIVE_JOINTS)

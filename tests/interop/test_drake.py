@@ -112,14 +112,14 @@ def test_a_tilted_five_bar_stands_right_with_a_free_slide(tilted, tmp_path) -> N
     q = tilted.home + np.array([0.0, 0.25, 0.2, 0.1, -0.2, 0.3])
     passive = tilted.assemble(q).passive[0]
     joints = dict(zip((*tilted.joint_names, *tilted.passive_names), (*q, *passive), strict=True))
-    export(tilted, "drake", tmp_path / "out.urdf", free_slide=True)
+    export(tilted, tmp_path / "out.urdf", "drake", free_slide=True)
     *where, actual = hold(tmp_path / "out.urdf", tilted, q, joints)
     assert np.linalg.norm(place(*where, "target_tool") - tilted.forward(actual)[:3, 3]) < SOFTNESS
     assert np.linalg.norm(place(*where, "target_tool") - tilted.forward(q)[:3, 3]) < SAG
 
 
 def test_whole_frames_that_meet_are_tied_at_three_points(four_bar, tmp_path) -> None:
-    export(four_bar, "drake", tmp_path / "out.urdf")
+    export(four_bar, tmp_path / "out.urdf", "drake")
     start = {"motor": 0.9, "a": -0.9, "foot": 0.9, "b": -0.9}
     *where, actual = hold(tmp_path / "out.urdf", four_bar, [0.9], start, weld="ground")
     point = np.array([0.2 * np.cos(actual[0]) + 0.1, 0.2 * np.sin(actual[0]) + 0.05, 0.0])  # a parallelogram

@@ -126,12 +126,12 @@ def check(urdf: Path, target: str, folder: Path, held: str | None = None) -> Non
     assert errors.mean() < 2 * SIGMA  # more parameters than the data hold well: not below the noise itself
     assert errors.mean() < 0.1 * before.mean()
 
-    export(fit.robot, "toolbox", folder / "robot.yaml")
-    export(fit.robot, "mjcf", folder / "robot.xml")
-    export(fit.robot, "drake", folder / "robot.drake.urdf")
+    export(fit.robot, folder / "robot.yaml", "toolbox")
+    export(fit.robot, folder / "robot.xml", "mjcf")
+    export(fit.robot, folder / "robot.drake.urdf", "drake")
     again = calib.load(folder / "robot.yaml")
     assert np.abs(again.positions(held_out.joints) - fit.robot.positions(held_out.joints)).max() < 1e-12
-    export(again, "toolbox", folder / "again.yaml")
+    export(again, folder / "again.yaml", "toolbox")
     assert (folder / "again.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
     same_in_pinocchio(fit.robot, folder / "robot.urdf", target, held_out.joints[:5])
     same_in_pinocchio_from_mjcf(fit.robot, folder / "robot.xml", held_out.joints[:5])

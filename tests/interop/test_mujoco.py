@@ -125,7 +125,7 @@ def test_a_tilted_five_bar_is_strained_by_a_3d_constraint_and_stands_right_with_
     expected = tilted.forward(q, "tool")[:3, 3]
     misses = {}
     for free_slide in (False, True):
-        export(tilted, "mjcf", tmp_path / "out.xml", free_slide=free_slide)
+        export(tilted, tmp_path / "out.xml", "mjcf", free_slide=free_slide)
         data, actual = hold(tmp_path / "out.xml", tilted, q, joints)
         misses[free_slide] = np.linalg.norm(data.body("target_tool").xpos - expected)
         if free_slide:
@@ -137,8 +137,8 @@ def test_a_tilted_five_bar_is_strained_by_a_3d_constraint_and_stands_right_with_
 
 def test_a_direction_in_which_the_mechanism_moves_is_refused_without_a_free_slide(slider_crank, tmp_path) -> None:
     with pytest.raises(InputError, match=r"direction x: .* the mechanism moves in this direction; use .*--free-slide"):
-        export(slider_crank, "mjcf", tmp_path / "out.xml")
-    export(slider_crank, "mjcf", tmp_path / "out.xml", free_slide=True)
+        export(slider_crank, tmp_path / "out.xml", "mjcf")
+    export(slider_crank, tmp_path / "out.xml", "mjcf", free_slide=True)
     for angle in (-1.0, 0.3, 1.4):
         start = {"motor": angle, "pin": slider_crank.assemble([angle]).passive[0, 0]}
         data, actual = hold(tmp_path / "out.xml", slider_crank, np.array([angle]), start)
@@ -147,7 +147,7 @@ def test_a_direction_in_which_the_mechanism_moves_is_refused_without_a_free_slid
 
 
 def test_whole_frames_that_meet_are_welded(four_bar, tmp_path) -> None:
-    export(four_bar, "mjcf", tmp_path / "out.xml")
+    export(four_bar, tmp_path / "out.xml", "mjcf")
     for angle in (0.9, 1.2, 1.5):
         start = {"motor": angle, "a": -angle, "foot": angle, "b": -angle}
         data, actual = hold(tmp_path / "out.xml", four_bar, np.array([angle]), start)
@@ -166,7 +166,7 @@ def test_a_follower_joint_follows_in_mujoco(tmp_path) -> None:
         '<mimic joint="leader" multiplier="-2" offset="0.5"/></joint></robot>'
     )
     robot = calib.load(tmp_path / "follower.urdf")
-    export(robot, "mjcf", tmp_path / "follower.xml")
+    export(robot, tmp_path / "follower.xml", "mjcf")
     for value in (-0.3, 0.0, 0.4):
         start = {"leader": value, "follower": 0.5 - 2 * value}
         data, actual = hold(tmp_path / "follower.xml", robot, np.array([value]), start)
@@ -185,6 +185,6 @@ def test_meshes_load(tmp_path) -> None:
         f'<robot name="arm"><link name="a"/><link name="b"><visual>{mesh}</visual><collision>{mesh}</collision></link>'
         '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
     )
-    export(calib.load(tmp_path / "arm.urdf"), "mjcf", tmp_path / "out.xml")
+    export(calib.load(tmp_path / "arm.urdf"), tmp_path / "out.xml", "mjcf")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
     assert (model.nmesh, model.ngeom) == (1, 3)  # the floor is one

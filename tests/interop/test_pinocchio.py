@@ -115,7 +115,7 @@ def test_toolbox_yaml_closes_the_same_loops(case) -> None:
 
 
 def test_welds_of_whole_frames_are_read_and_closed(four_bar: calib.Robot, tmp_path) -> None:
-    export(four_bar, "mjcf", tmp_path / "out.xml")
+    export(four_bar, tmp_path / "out.xml", "mjcf")
     model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(tmp_path / "out.xml"))
     assert (len(points), len(frames)) == (0, 1)
     data = model.createData()

@@ -105,7 +105,7 @@ def export(
     robot = as_robot(robot)
     format, path = format or format_of(path), Path(path)
     if format not in HELD:
-        raise InputError(f"format '{format}': unknown{nearest(format, HELD)}")
+        raise InputError(f"format '{format}': unknown{nearest(format, HELD)}; the path comes before the format")
     if free_slide and format not in ("mjcf", "drake"):
         raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
     if meshes and format not in _WITH_URDF:

@@ -219,7 +219,7 @@ ANSWERED = {
     "setattr(t.robot, 'values', t.robot.values)": "robot.with_parameters({...})",
     "setattr(t.fit.parameters['joint_3.z'], 'value', 1.0)": "never changes",
     # what is left out, or comes in another order
-    "calib.fit(t.robot)": "data is missing; it takes robot, data in this order",
+    "calib.fit(t.robot)": "data is missing; it takes robot, data, readings in this order",
     "calib.fit(READ, ARM)": "the robot comes first",
     "calib.robot(ARM)": "calib.load(",
     "calib.verify('folder', t.data)": "calib.load_result(folder)",

@@ -1,7 +1,7 @@
 """Robots as functions in numpy and C: the same poses as the engine's, the way back, NaN where loops do not close."""
 
-import shutil
 import re
+import shutil
 import subprocess
 import sys
 

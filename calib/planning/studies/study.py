@@ -123,7 +123,7 @@ def study(
         truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
             from the priors each time.
         resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
-            replacement (`calib.planning.studies.study_data` says what that tells). The truth is then the fit of all poses.
+            replacement (`calib.planning.studies.study_data` says what that tells). The truth is the fit of all.
         sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
         noise: Function of exact measurements and a generator that returns the readings of a draw; normal noise as
             stated if not given. It must be in a module, so that other processes find it.

@@ -33,6 +33,7 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
     [
         ("beyond_curves", "worse_on_validation", "no_gain"),  # "no gain beyond the uncertainty" beside "worse"
         ("likely_mistake", "noise_as_large_as_robot", "systematic"),  # "the target sits 595 mm elsewhere on its link"
+        ("equal_columns", "equal_columns", "instruments_disagree"),
     ],
 )
 def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradicted):
@@ -41,7 +42,19 @@ def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradi
     assert contradicted not in codes
 
 
-@pytest.mark.parametrize("code", ["likely_mistake", "misread", "lengths_scaled", "equal_columns"])
+@pytest.mark.parametrize(
+    "code",
+    [
+        "likely_mistake",
+        "misread",
+        "lengths_scaled",
+        "equal_columns",
+        "base_elsewhere",
+        "copied",
+        "zero_readings",
+        "doubtful_readings",
+    ],
+)
 def test_after_a_mistake_the_next_step_is_to_correct_it(shop, code):
     """Outliers, terms and more poses are no answer to readings that mean something else."""
     said = next_step(shop.situation(Code(code)).there)

@@ -17,21 +17,21 @@ class Gradients:
     """Poses of commands, and their derivatives by the commands, (n, 4, 4, n_joints), as a library finds them."""
 
     def __init__(self, library, module):
-        self.library, self.module = pytest.importorskip(library), module
+        self.package, self.module = pytest.importorskip(library), module
 
     def poses(self, q, given):
-        if self.library.__name__ != "casadi":
+        if self.package.__name__ != "casadi":
             return np.asarray(self.module.forward(q, **given))
         flat = np.array(self.module.forward(q.T, **_columns(given)))
         return flat.reshape(4, len(q), 4).swapaxes(0, 1)
 
     def rates(self, q, given):
-        return {"jax": self._of_jax, "torch": self._of_torch, "casadi": self._of_casadi}[self.library.__name__](
+        return {"jax": self._of_jax, "torch": self._of_torch, "casadi": self._of_casadi}[self.package.__name__](
             q, given
         )
 
     def jacobian(self, q, given):
-        if self.library.__name__ != "casadi":
+        if self.package.__name__ != "casadi":
             return np.asarray(self.module.jacobian(q, **given))
         flat = np.array(self.module.jacobian(q.T, **_columns(given)))
         return flat.reshape(6, len(q), -1).swapaxes(0, 1)
@@ -40,24 +40,24 @@ class Gradients:
         def of_one(q, given):
             return self.module.forward(q, **given)
 
-        return np.asarray(self.library.vmap(self.library.jacrev(of_one))(q, given))
+        return np.asarray(self.package.vmap(self.package.jacrev(of_one))(q, given))
 
     def _of_torch(self, q, given):
-        commands = self.library.tensor(q, requires_grad=True)
+        commands = self.package.tensor(q, requires_grad=True)
         poses = self.module.forward(commands, **given)
         rates = np.zeros((len(q), 4, 4, q.shape[1]))
         for i, j in np.ndindex(3, 4):
-            (rate,) = self.library.autograd.grad(poses[:, i, j].sum(), commands, retain_graph=True)
+            (rate,) = self.package.autograd.grad(poses[:, i, j].sum(), commands, retain_graph=True)
             rates[:, i, j] = rate.numpy()
         return rates
 
     def _of_casadi(self, q, given):
-        symbol = self.library.MX.sym("q", q.shape[1])
+        symbol = self.package.MX.sym("q", q.shape[1])
         rates = []
         for k, commands in enumerate(q):
-            here = {name: self.library.DM(np.atleast_1d(value[k])) for name, value in given.items()}
-            pose = self.library.vec(self.module.forward(symbol, **here))
-            slope = self.library.Function("slope", [symbol], [self.library.jacobian(pose, symbol)])
+            here = {name: self.package.DM(np.atleast_1d(value[k])) for name, value in given.items()}
+            pose = self.package.vec(self.module.forward(symbol, **here))
+            slope = self.package.Function("slope", [symbol], [self.package.jacobian(pose, symbol)])
             rates.append(np.array(slope(commands)).reshape(4, 4, -1).swapaxes(0, 1))
         return np.array(rates)
 

@@ -113,8 +113,9 @@ def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Ite
     """How an item is sent: without the function, where the workers hold it."""
     if isinstance(executor, Processes):
         return executor.holding(partial(_answer, function))
-    if type(executor).__module__.partition(".")[0] == "distributed":
-        return _plainly(executor, cast(Any, executor)._client.scatter(function, broadcast=True, hash=False))
+    client = getattr(executor, "_client", None)  # of Dask
+    if hasattr(client, "scatter"):
+        return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
     return _plainly(executor, function)
 
 

@@ -109,7 +109,7 @@ def command(
     out: str | None,
     output: Output,
 ) -> None:
-    """Write a commented robot description to start from, for URDF or a MuJoCo file (MJCF).
+    """Write a commented robot description to start from, for a URDF or a MuJoCo file (MJCF).
 
     If --target is not given, the description has the longest chain of joints with motors, but no fingers of a gripper.
     A note says what is left out. Other options start from something else and write the URDF, too. --dh: a

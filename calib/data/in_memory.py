@@ -72,7 +72,7 @@ def as_measurements(
     """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
-        robot: Whose joints and instruments they are; likewise.
+        robot: Whose joints and instruments they are.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
             which are returned as they are; or a file or a data frame of them, or several (`read_measurements`).
         readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.

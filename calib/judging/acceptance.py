@@ -64,9 +64,9 @@ class Acceptance(Worded):
             its uncertainty.
         low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
         p_value: Chance of so large a ratio, if the robot is as calibrated.
-        p_drift: The same of the largest single change.
-        p_rest: The same of the rest, without the largest change.
-        freedom: Degrees of freedom (m of the module docstring).
+        p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
+        p_rest: Chance of so large residuals beside that change.
+        freedom: Degrees of freedom of the ratio.
         placed: How many degrees of freedom placing base and targets took.
         changes: Every candidate, the one with the largest z first.
         alike: Significant changes that explain the readings as well as the first one, itself included.
@@ -98,7 +98,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     """Judge a calibrated robot by new measurements.
 
     Args:
-        calibrated: The fit, or what `load_result` loads; or what a calibration promises.
+        calibrated: The fit, or what `load_result` loads; or the `promise` of a result.
         data: Measurements that the calibration has not used; or files or data frames of them.
         same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
 

@@ -54,7 +54,7 @@ class Code(StrEnum):
     """
 
     # the fit as a whole
-    BASE_ELSEWHERE = "base_elsewhere", "CHECK"
+    BASE_ELSEWHERE = "base_elsewhere", "CHECK", False, Answer.CORRECT
     LIKELY_MISTAKE = "likely_mistake", "FAIL", False, Answer.CORRECT
     NOT_CONVERGED = "not_converged", "FAIL", False, Answer.TRY_STARTS
     NOT_ASSEMBLED = "not_assembled", "FAIL"
@@ -84,9 +84,9 @@ class Code(StrEnum):
     OUTLIERS = "outliers", "CHECK", True, Answer.LEAVE_OUT
     MANY_EXCLUDED = "many_excluded", "CHECK", False, Answer.LEAVE_OUT
     USED_FOR_BOTH = "used_for_both", "CHECK"
-    DOUBTFUL_READINGS = "doubtful_readings", "CHECK", False, Answer.LEAVE_OUT
-    COPIED = "copied", "CHECK"
-    ZERO_READINGS = "zero_readings", "FAIL"
+    DOUBTFUL_READINGS = "doubtful_readings", "CHECK", False, Answer.CORRECT
+    COPIED = "copied", "CHECK", False, Answer.CORRECT
+    ZERO_READINGS = "zero_readings", "FAIL", False, Answer.CORRECT
     EQUAL_COLUMNS = "equal_columns", "FAIL", False, Answer.CORRECT
     REPEATABILITY = "repeatability", "CHECK", True
     ROUNDED = "rounded", "CHECK", True

@@ -117,9 +117,17 @@ def judge(fit: Fit) -> Verdict:
 
 
 def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
-    """What others take back: no gain, where there is harm; patterns in residuals that are as large as the robot."""
+    """What others take back, or say of its cause.
+
+    No gain, where there is harm; patterns in residuals that are as large as the robot; instruments that disagree, where
+    a column was copied over another.
+    """
     codes = {reason.code for reason in reasons}
-    pairs = ((Code.WORSE_ON_VALIDATION, Code.NO_GAIN), (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC))
+    pairs = (
+        (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
+        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+        (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
+    )
     return {less for more, less in pairs if more in codes}
 
 
@@ -134,7 +142,7 @@ def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
                 f"{whose}: {type(error).__name__}: {error}; mend or uninstall the package that has it"
             ) from None
         if not all(isinstance(reason, Reason) for reason in given):
-            raise InputError(f"{whose}: yields something else than calib.judging.reasons.Reason; mend its package")
+            raise InputError(f"{whose}: yields something other than calib.judging.reasons.Reason; mend its package")
         yield from given
 
 

@@ -76,8 +76,8 @@ class Assessment(ReadOnlyArrays):
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
         position_errors: The same at each of them, of the targets in `RobotData.located`, (n_task, n_located) [m].
-        beside_common: Root mean square of the predicted position error beside what moves all positions as one body,
-            such as where the base stands [m].
+        beside_common: Root mean square of the predicted position error [m], without the part that moves all positions
+            as one body, such as where the base stands.
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
         left_out: Targets that are left out of the accuracy (`RobotData.left_out`).
@@ -156,7 +156,7 @@ class Assessment(ReadOnlyArrays):
     def part_left(self) -> FloatArray:
         """Standard deviation over expected error of each free parameter, (n_free,).
 
-        NaN of a determined place without a prior, such as that of a tracker: nobody expects it anywhere.
+        NaN of a determined place without a prior, such as that of a tracker: it has no expected error.
         """
         parts = self.std / np.array([p.sigma_si for p in self.free_parameters])
         anywhere = np.array([p.placement and not p.prior for p in self.free_parameters], dtype=bool)

@@ -45,9 +45,9 @@ def sample(
 ) -> Poses:
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
-    If too few poses come to contact with the places in the description, no pose is at contact, or says what it touches
-    (`calib.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the others see nothing
-    (`seen_at` tells which).
+    If too few poses come to contact with the places in the description, poses are not at contact, and do not say what
+    they touch (`calib.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the others
+    see nothing (`seen_at` tells which).
 
     Args:
         robot: The robot at its present values.

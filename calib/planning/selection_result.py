@@ -34,7 +34,8 @@ class Selection(ReadOnlyArrays):
         index: What was optimised: O1 to O5 or `task`.
         chosen: Indices of the chosen candidates, (count,); of poses that left the grid, where they started.
         instruments: What reads at each, several joined by `+`, (count,); empty if all instruments read at all poses.
-        groups: Instruments to choose from; empty likewise. Exchanges number the poses with the first, then the next.
+        groups: Instruments to choose from; empty if all read at all poses. Exchanges number the poses with the first,
+            then those with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
         positions: Where they put the targets, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
@@ -45,7 +46,7 @@ class Selection(ReadOnlyArrays):
         measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
         efficiency: Index of the best choice from the candidates over a proven bound for all such choices; None where
             none is proven.
-        bound: That bound, as a value of the index; None likewise.
+        bound: That bound, as a value of the index; None if there is none.
         off_grid: Whether poses left the grid.
         distance: Distance that the targets of any two poses keep [m]; 0 where none was asked for.
         runs: The runs of the exchange.

@@ -74,7 +74,8 @@ class Fleet(ReadOnlyArrays):
         mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
         spread: Standard deviation from robot to robot, (n,) [SI].
         shown: How many robots determine each parameter, (n,).
-        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of one left out by its own fit.
+        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
+            own fit.
         notes: What to know before using it.
     """
 

@@ -43,7 +43,7 @@ def no_reasons(fit):
     [
         ("test_reasons:nothing_that_works", "KeyError: 'no such thing'; mend or uninstall the package"),
         ("test_reasons:not_there", "AttributeError"),
-        ("test_reasons:no_reasons", "yields something else than calib.judging.reasons.Reason"),
+        ("test_reasons:no_reasons", "yields something other than calib.judging.reasons.Reason"),
     ],
 )
 def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):

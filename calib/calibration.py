@@ -20,7 +20,6 @@ from calib.base.workers import Progress, Workers
 from calib.calibrating.calibrate import calibrate
 from calib.calibrating.file_robots import with_files
 from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
-from calib.exporting.formats import export
 from calib.fitting.error_sets import Folds, error_table
 from calib.fitting.fit import of_a_part
 from calib.fitting.settings import Settings
@@ -167,6 +166,8 @@ class Calibration(JudgedFit):
             format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
+        from calib.exporting.formats import export  # here: a fit that is not exported loads no writers of formats
+
         export(self.robot, path, format, force=force)
 
     @worded

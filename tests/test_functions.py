@@ -1,6 +1,5 @@
 """Robots as functions in numpy and C: the same poses as the engine's, the way back, NaN where loops do not close."""
 
-import re
 import shutil
 import subprocess
 import sys
@@ -216,14 +215,6 @@ def test_the_file_needs_nothing_but_its_library(tmp_path):
         [sys.executable, "-W", "error", "-c", check], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert done.stdout == "(4, 4)\n"
-
-
-def test_a_fit_does_not_load_the_writers():
-    check = (
-        "import sys, calib.commands.fit; print([name for name in sys.modules if name.startswith('calib.functions.')])"
-    )
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
-    assert set(re.findall(r"[\w.]+", done.stdout)) <= {"calib.functions.languages"}
 
 
 def test_the_same_robot_gives_the_same_file_and_says_where_it_comes_from(tmp_path, run_calib):

@@ -25,7 +25,6 @@ import numpy as np
 from calib.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Steps, Workers
-from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 from calib.data.measurements import Measurements
 from calib.fitting.fit import Nearby, fit_data, of_a_part
 from calib.fitting.fitted import Fit
@@ -96,7 +95,11 @@ def _calibrated(
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
         robot, choice = _with_terms(robot, data, settings, steps)
-        robot = without_contradicted_fleet(robot, data, settings)
+        if robot.description.fleet is not None:
+            # here: most robots have no fleet
+            from calib.calibrating.fleet_contradicted import without_contradicted_fleet
+
+            robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
         fit = fit_data(robot, settings, data, validation, workers, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)

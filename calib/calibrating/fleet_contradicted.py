@@ -36,17 +36,15 @@ _MOST = 0.25  # part of the parameters that may be unlike before the whole robot
 _EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what parameters of a kind share
 
 
-def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings) -> Robot:
-    """Return the robot without what its fleet says that the readings contradict; as it is without a fleet.
+def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
+    """Return the robot without what its fleet says that the readings contradict.
 
     Args:
         robot: The nominal robot.
         data: What it is fitted to.
         settings: How.
+        fleet: What it says, of the robot's description.
     """
-    fleet = robot.description.fleet
-    if fleet is None:
-        return robot
     alone = _with_little_of_it(robot, fleet, data, replace(settings, starts=1))
     if alone is None:
         return robot

@@ -1,6 +1,7 @@
 """Delta printers: read from their firmwares, calibrated from what they probe, and written back."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from calib.base.errors import CalibrationError
 from calib.cli import group
 from calib.data.printer_files import expected_geometry, read_printer
 from calib.exporting.printers import geometry_of
-from calib.robots.linear_delta import DeltaGeometry
 
 TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
 STEP = 32 / (200 * 16)
@@ -23,6 +23,31 @@ def carriages(p, xyz):
     towers = p[0] * np.column_stack([np.cos(np.radians(p[1:4])), np.sin(np.radians(p[1:4]))])
     across = np.sum((towers - xyz[:2]) ** 2, axis=1)
     return p[7:10] + np.sqrt(p[4:7] ** 2 - p[0] ** 2) - (xyz[2] + np.sqrt(p[4:7] ** 2 - across))
+
+
+def as_firmware(firmware, text):
+    """R, angles, arms and endstops as TRUE has them, by what each firmware's source does with its lines, [mm, deg].
+
+    Marlin homes to (0, 0, H - Z of M851) after it has come down from the switches by -M666. RepRapFirmware has its
+    switches at H + sqrt(L^2 - R^2) + M666.
+    """
+    number = r"(-?\d+\.?\d*)"
+    if firmware == "klipper":
+        keys = ("delta_radius", "angle", "arm_length", "position_endstop")
+        return np.array([float(value) for key in keys for value in re.findall(rf"{key}: {number}", text)])
+    lines = [line.split(";")[0].split() for line in text.splitlines()]
+    words = {line[0]: {word[0]: word[1:] for word in line[1:]} for line in lines if line}
+
+    def three(code, keys):
+        return np.array([float(words.get(code, {}).get(key, 0)) for key in keys])
+
+    rods = np.array([float(rod) for rod in words["M665"]["L"].split(":")]) * np.ones(3)
+    height, ends = float(words["M665"]["H"]), three("M666", "XYZ")
+    if firmware == "marlin":
+        rods, height, ends = rods + three("M665", "ABC"), height - three("M851", "Z")[0], -ends
+        assert min(ends) >= 0
+    angles = np.array([210, 330, 90]) + three("M665", "XYZ")
+    return np.concatenate([[float(words["M665"]["R"])], angles, rods, height + ends])
 
 
 def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
@@ -108,14 +133,11 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
     down = 1e-3 * np.array([carriages(TRUE, place) for place in places])
     result = geometry_of(calib.load("out")).nozzle(down)
     assert np.abs(1e3 * result - places)[:, 2].max() < 0.04
-    # the three files hold the same machine, as somebody else would read them: endstops apart, carriages alike
-    (folder / "klipper.cfg").write_text(
-        (folder / "klipper.txt").read_text().replace("[printer]", "[printer]\nkinematics: delta")
-        + "[stepper_a]\nrotation_distance: 32\nmicrosteps: 16\n"
-    )
-    for firmware, file in (("klipper", "klipper.cfg"), ("marlin", "marlin.txt"), ("duet", "duet.txt")):
-        geometry = read_printer(file, firmware).geometry
-        assert np.abs(geometry.nozzle(down) - result).max() < 1e-6
+    ours = geometry_of(calib.load("out"))
+    for firmware in ("klipper", "marlin", "duet"):
+        p = as_firmware(firmware, (folder / f"{firmware}.txt").read_text())
+        down = 1e-3 * np.array([carriages(p, place) for place in places])
+        assert np.abs(1e3 * ours.nozzle(down) - places).max() < 5e-4  # the lines have four decimals
 
 
 def test_what_probing_cannot_know_stays_as_designed(folder):
@@ -199,8 +221,17 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
         ("marlin", "M665 L208", "no M665 with R, the radius"),
         ("duet", "M665 L208 R103", "no M665 with H, the height"),
         ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
-        ("duet", "M665 L208 R1..5 H240", "line 1: 'M665 L208 R1..5 H240' has no numbers"),
+        ("duet", "M665 L208:208:208:208 R103 H240", "M665 L has 4 rods"),
+        ("duet", "M665 L208 R1..5 H240", "line 1: 'M665 L208 R1..5 H240' is not M665 with letters and numbers"),
+        ("duet", "M665 L208 R103 H240 X0,1", "line 1: 'M665 L208 R103 H240 X0,1' is not M665"),
+        ("duet", "M665 L208 R103:103 H240", "is not M665 with letters and numbers; correct it"),
+        ("duet", "G21\nM665 L{global.rod} R103 H240", "line 2: 'M665 L{GLOBAL.ROD}"),
+        ("duet", "M665 L208 R103 H240\nM666 X0.1 Y0 Z-0.1 A0.2 B0", "M666 A0.2 tilts the bed in the firmware"),
         ("marlin", "M665 L100 R103 H240", "reach nothing"),
+        ("marlin", "M665 L208:208:208 R103 H240", "M665 L has 3 rods; Marlin has one length"),
+        ("marlin", "M665 L208 R103 H240 S100 B80 X0 Y0 Z0", "M665 B80 would change a rod by 80 mm"),
+        ("marlin", "M665 L208 R103 H240\nM666 X0.3 Y0 Z-1", "M666 X0.3 is positive, which Marlin refuses"),
+        ("marlin", "  G20 ; (in)\n  M665 L8.2 R4.1 H9.4", "line 1: G20: lengths in inches"),
     ],
 )
 def test_what_is_wrong_in_settings_is_named(folder, firmware, text, said):
@@ -211,16 +242,32 @@ def test_what_is_wrong_in_settings_is_named(folder, firmware, text, said):
     assert not (folder / "p.yaml").exists()
 
 
-def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
-    (folder / "config.g").write_text("M665 L208:208.2:208 R103.2 H240 X0.1 Y-0.2 Z0 ; delta\nM666 X0.2 Y-0.5 Z0.3\n")
-    done = run("init", "--duet", "config.g", "--out", "p.yaml")
+@pytest.mark.parametrize(
+    ("firmware", "text"),
+    [
+        ("duet", "M665 L208:208.2:208 R103.2 B90 H240 X0.1 Y-0.2 Z0 ; delta\nM666 X0.2 Y-0.5 Z0.3 A0 B0\n"),
+        ("duet", "M665 R105.6 L215.0 B85 H235\nM666 X0 Y0 Z0\n"),
+        (
+            "marlin",
+            "echo:  G21 ; (mm)\n  M666 X-0.2 Y0 Z-0.75\n  M665 L208 R103 H240 S80 X0.1 Y-0.2 Z0 A0.1 B-0.2 C0\n",
+        ),
+        ("marlin", "M665 L208 R103 H240 X0 Y0 Z0\nM666 X-0.2 Y0 Z-1\nM851 X0 Y0 Z-15.9 ; probe\n"),
+    ],
+)
+def test_settings_are_the_machine_that_the_firmware_makes_of_them(folder, firmware, text):
+    (folder / "settings.txt").write_text(text)
+    plain = text.replace("echo:", "")
+    done = run("init", f"--{firmware}", "settings.txt", "--out", "p.yaml")
     assert done.exit_code == 0, done.output
-    robot = calib.load("p.yaml")
-    assert robot.joint_names == ("a", "b", "c")
-    level = DeltaGeometry(0.1032, geometry_of(robot).angles, (0.208, 0.2082, 0.208), (0.0, 0.0, 0.0))
-    even = np.array(geometry_of(robot).carriages) - 1e-3 * np.array([0.2, -0.5, 0.3])
-    assert np.ptp(even) < 1e-9  # carriages are alike where their switches are corrected
-    assert level.nozzle((np.array(level.carriages) - even)[None])[0, 2] == pytest.approx(0.24, abs=1e-9)
+    places = np.random.default_rng(7).uniform([-60, -60, 0], [60, 60, 60], (20, 3))
+    down = 1e-3 * np.array([carriages(as_firmware(firmware, plain), place) for place in places])
+    assert np.abs(1e3 * calib.load("p.yaml").positions(down)[:, 0] - places).max() < 1e-6
+
+
+def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
+    (folder / "config.g").write_text("M665 L208 R103.2 H240\n")
+    assert run("init", "--duet", "config.g", "--out", "p.yaml").exit_code == 0
+    assert calib.load("p.yaml").joint_names == ("a", "b", "c")
     assert run("init", "--template", "delta", "--out", "d.yaml").exit_code == 0
     done = run("export", "d.yaml", "--format", "klipper", "--out", "no.txt")
     assert done.exit_code == 2

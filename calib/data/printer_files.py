@@ -5,9 +5,9 @@ where the nozzle was at a known height (`height3`, `height3_pos`), and at both e
 measured (`distance3`, `distance3_pos1`, `distance3_pos2`). What its command SAVE_CONFIG wrote, behind `#*#`, counts
 before the rest.
 
-Marlin: after homing, the nozzle is at the height H over the centre, when each carriage has come down by its (negative)
-M666. Duet: with all carriages equally high the nozzle would be at H, and those at the switches are higher by M666,
-whose mean is zero.
+Endstop k is how high the nozzle is at the centre when the switch of tower k trips; Klipper writes it as
+`position_endstop`. In RepRapFirmware (Duet) it is H + e_k, with e_k of M666. Marlin comes down from its switches by
+e_k < 0, and has a probe's offset, Z of M851, in H: there it is H - Z - e_k.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,7 +32,9 @@ _SECTION = re.compile(r"\[([^\]]+)\]\s*$")
 _ENTRY = re.compile(r"([\w ]+?)\s*[:=]\s*(.*)$")
 _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
-_WORD = re.compile(r"([A-Z])\s*(-?[\d.:]+)")
+_NUMBER = r"[-+]?[\d.]+"
+_WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
+_TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
 _FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
 _FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
@@ -182,11 +184,9 @@ class _Klipper:
 
 def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
     """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
-    differences = []
-    for row in rows:
-        points = geometry.nozzle(np.array(row.places))
-        differences.append((points[0, 2] if len(points) == 1 else np.linalg.norm(points[0] - points[1])) - row.value)
-    return np.array(differences)
+    first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
+    said = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
+    return np.asarray(said - [row.value for row in rows])
 
 
 def _require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
@@ -245,51 +245,90 @@ def _require_plausible(printer: PrinterFile) -> None:
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
-    """Read the lines M665 and M666 of a file.
+    """Read the lines M665 and M666 of a file, and of Marlin M851.
 
     Args:
         path: The file.
         firmware: `marlin` or `duet`.
 
     Raises:
-        DataError: A line is missing, or says what the firmware does not know.
+        DataError: A line is missing, or says what the firmware or the model does not know.
     """
-    words: dict[str, dict[str, tuple[float, ...]]] = {}
+    words = _settings(path)
+    settings, ends = words["M665"], words["M666"]
+    for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
+        if key not in settings:
+            raise DataError(f"{path}: no M665 with {key}, {meaning}; save the settings (M503 prints them) into a file")
+
+    def three(source: Mapping[str, tuple[float, ...]], keys: str) -> tuple[float, float, float]:
+        values = [source.get(key, (0.0,))[0] for key in keys]
+        return values[0], values[1], values[2]
+
+    rods, trims, turned, corrections = settings["L"], three(settings, "ABC"), three(settings, "XYZ"), three(ends, "XYZ")
+    height = settings["H"][0]
+    if firmware == "marlin":
+        _require_marlin(path, rods, trims, corrections)
+        arms = (rods[0] + trims[0], rods[0] + trims[1], rods[0] + trims[2])
+        height -= words["M851"].get("Z", (0.0,))[0]
+        up = (-corrections[0], -corrections[1], -corrections[2])
+    else:
+        _require_duet(path, rods, ends)
+        arms, up = (rods[0], rods[-2 % len(rods)], rods[-1]), corrections
+    angles = tuple(angle + turn * _DEG for angle, turn in zip(ANGLES, turned, strict=True))
+    endstops = _times((height + up[0], height + up[1], height + up[2]), _MM)
+    radius = settings["R"][0] * _MM
+    return PrinterFile(str(path), DeltaGeometry(radius, (angles[0], angles[1], angles[2]), _times(arms, _MM), endstops))
+
+
+def _settings(path: Path | str) -> dict[str, dict[str, tuple[float, ...]]]:
+    """The numbers of M665, M666 and M851 by their letters, as they are in the last of several lines."""
+    words: dict[str, dict[str, tuple[float, ...]]] = {"M665": {}, "M666": {}, "M851": {}}
     for number, line in enumerate(read_text(path, "a file with M665 and M666", DataError).split("\n"), 1):
         code = line.split(";")[0].upper()
-        match = re.search(r"\b(M66[56])\b(.*)", code)
+        if re.search(r"\bG20\b", code):
+            raise DataError(f"{path}, line {number}: G20: lengths in inches; save the settings after G21")
+        match = re.search(r"\b(M66[56]|M851)\b(.*)", code)
         if match is None:
             continue
         try:
             numbers = {key: tuple(map(float, text.split(":"))) for key, text in _WORD.findall(match[2])}
         except ValueError:
-            raise DataError(f"{path}, line {number}: '{code.strip():.60}' has no numbers; correct it") from None
-        words.setdefault(match[1], {}).update(numbers)
-    settings, ends = words.get("M665", {}), words.get("M666", {})
-    for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
-        if key not in settings:
-            raise DataError(f"{path}: no M665 with {key}, {meaning}; save the settings (M503 prints them) into a file")
+            numbers = {}
+        if _WORD.sub("", match[2]).strip() or any(len(v) > 1 and key != "L" for key, v in numbers.items()):
+            numbers = {}
+        if not numbers:
+            raise DataError(
+                f"{path}, line {number}: '{code.strip():.60}' is not {match[1]} with letters and numbers; correct it"
+            )
+        words[match[1]].update(numbers)
+    return words
 
-    def of(source: Mapping[str, tuple[float, ...]], key: str) -> float:
-        return source.get(key, (0.0,))[0]
 
-    rods = settings["L"]
+def _require_marlin(path: Path | str, rods: tuple[float, ...], trims: Sequence[float], ends: Sequence[float]) -> None:
+    """Raise `DataError` where Marlin would not take these numbers [mm]."""
+    if len(rods) != 1:
+        raise DataError(f"{path}: M665 L has {len(rods)} rods; Marlin has one length, and A, B, C to add to it")
+    for key, trim in zip("ABC", trims, strict=True):
+        if abs(trim) > _TRIM:
+            raise DataError(
+                f"{path}: M665 {key}{trim:g} would change a rod by {trim:g} mm; correct it (if it is the radius of"
+                " calibration, as B was in Marlin 1.1, remove it)"
+            )
+    for key, end in zip("XYZ", ends, strict=True):
+        if end > 0:
+            raise DataError(f"{path}: M666 {key}{end:g} is positive, which Marlin refuses; correct it")
+
+
+def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, tuple[float, ...]]) -> None:
+    """Raise `DataError` where RepRapFirmware would not take these numbers, or the model has no place for them."""
     if len(rods) not in (1, 3):
         raise DataError(f"{path}: M665 L has {len(rods)} rods; give one length, or three with ':'")
-    trims = [of(settings, key) if firmware == "marlin" else 0.0 for key in "ABC"]
-    arms = [_MM * (rod + trim) for rod, trim in zip(rods if len(rods) == 3 else rods * 3, trims, strict=True)]
-    radius, height = of(settings, "R") * _MM, of(settings, "H") * _MM
-    angles = [angle + of(settings, key) * _DEG for angle, key in zip(ANGLES, "XYZ", strict=True)]
-    adjusted = [of(ends, key) * _MM for key in "XYZ"]
-    triple = (angles[0], angles[1], angles[2]), (arms[0], arms[1], arms[2])
-    if firmware == "marlin":
-        tops = [height - end for end in adjusted]
-    else:
-        level = DeltaGeometry(radius, *triple, (0.0, 0.0, 0.0))
-        start = np.array(level.carriages) - min(level.carriages)
-        lift = height - float(level.nozzle(start[None])[0, 2]) + min(level.carriages)
-        tops = [lift + up - carriage for up, carriage in zip(adjusted, level.carriages, strict=True)]
-    return PrinterFile(str(path), DeltaGeometry(radius, *triple, (tops[0], tops[1], tops[2])))
+    for key in "AB":
+        if ends.get(key, (0.0,))[0] != 0:
+            raise DataError(
+                f"{path}: M666 {key}{ends[key][0]:g} tilts the bed in the firmware; set A and B to 0, probe again with"
+                " that, and calib finds endstops that level it"
+            )
 
 
 def read_printer(path: Path | str, firmware: str) -> PrinterFile:

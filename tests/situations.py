@@ -411,7 +411,11 @@ def _(shop):
     errors = (2e-4 * rng.standard_normal((60, targets, 3)) for targets in (1, 2))
     fits = [calib.fit(arm, measurements(arm, q, arm.positions(q) + error)) for error in errors]
     return Situation(
-        *fits, r"targets other, ball are the same .* to 1 um, while readings are off by ([\d.]+) mm", (0.2,), 0.2
+        *fits,
+        r"targets other, ball are the same .* to 1 um, while readings are off by ([\d.]+) mm per axis: these"
+        r" targets were computed from one measured pose\.",
+        (0.2,),
+        0.2,
     )
 
 

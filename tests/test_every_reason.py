@@ -2,9 +2,12 @@
 
 import re
 
+import numpy as np
 import pytest
-from situations import SITUATIONS, Shop
+from situations import SIGMA, SITUATIONS, Shop, rms
+from six_axis_arm import joints, measurements, noisy
 
+import calib
 from calib.judging.next_step import next_step
 from calib.judging.reasons import Code
 
@@ -53,6 +56,8 @@ def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradi
         "copied",
         "zero_readings",
         "doubtful_readings",
+        "no_noise",
+        "noise_as_large_as_robot",
     ],
 )
 def test_after_a_mistake_the_next_step_is_to_correct_it(shop, code):
@@ -60,3 +65,65 @@ def test_after_a_mistake_the_next_step_is_to_correct_it(shop, code):
     said = next_step(shop.situation(Code(code)).there)
     assert said.aim == "correct the data or the description as the reasons say, and fit again"
     assert "--" not in said.command.removesuffix("--out DIR-2")
+
+
+def codes_of(fit):
+    return fit.verdict.to_dict()["codes"]
+
+
+def test_readings_from_elsewhere_are_no_outliers_and_no_errors_of_the_robot(shop):
+    moved = shop.situation(Code.FRAME_MOVED).there
+    assert codes_of(moved) == ["validation", "frame_moved"]
+    assert not re.search("robot has errors|describes its own", str(moved.verdict))
+    assert next_step(moved).command == "calib fit ROBOT DATA --validate 0.25 --out DIR-2"
+    by_noise = shop.situation(Code.VALIDATION).there
+    assert "There the robot has errors that the poses used do not show" in str(by_noise.verdict)
+
+
+def test_poses_that_lie_close_together_do_not_show_that_a_frame_moved(shop):
+    """What the robot does there, it does at all of them: here, two waves that the model does not have."""
+
+    def measured(q, seed):
+        off = q.copy()
+        off[:, 1:3] += 5e-4 * np.sin(q[:, 1:3] * [2, 3])
+        return measurements(shop.arm, q, noisy(shop.truth, off, SIGMA, seed).points(shop.arm))
+
+    corner = 0.1 * joints(30, 5) + 0.5
+    fit = calib.fit(shop.arm, measured(joints(80), 1), validation=measured(corner, 2))
+    points = fit.validation.data.points(shop.arm)
+    errors = (fit.robot.positions(corner) - points).reshape(-1, 3)
+    assert rms(errors - errors.mean(axis=0)) < 0.3 * rms(errors)
+    assert "frame_moved" not in codes_of(fit)
+
+
+def test_a_calibration_that_harms_elsewhere_leads_to_other_poses(shop):
+    said = next_step(shop.situation(Code.WORSE_ON_VALIDATION).there)
+    assert said.command == "calib check ROBOT DATA"
+
+
+def test_noise_below_its_statement_leads_to_a_smaller_statement_and_not_to_joint_terms(shop):
+    small, other = (noisy(shop.truth, q, size * SIGMA, 1) for q, size in ((joints(80), 0.3), (joints(30, 5), 2.0)))
+    fit = calib.fit(shop.arm, small, sigma=SIGMA, validation=other)
+    assert "noise found is only 0.27 times what was stated" in str(fit.verdict)
+    assert str(next_step(fit)).startswith("state a smaller noise, or leave out what was read twice, and fit again: ")
+    assert "noise" not in codes_of(calib.fit(shop.arm, small, validation=other))
+
+
+def test_noise_that_no_robot_leaves_is_not_taken_apart(shop):
+    """Joint 3 stands 30 mrad sin(3 q) off; half a milliradian of it is named (`SYSTEMATIC`)."""
+    off = joints(80).copy()
+    off[:, 2] += 0.03 * np.sin(3 * off[:, 2])
+    data = measurements(shop.arm, joints(80), noisy(shop.truth, off, SIGMA, 1).points(shop.arm))
+    fit = calib.fit(shop.arm, data, sigma=SIGMA)
+    assert any(pattern.significant for pattern in fit.patterns)
+    assert codes_of(fit) == ["noise"]
+    assert next_step(fit).command == "calib fit ROBOT DATA --out DIR-2"
+
+
+def test_where_one_reading_makes_such_noise_the_next_step_leaves_it_out(shop):
+    points = shop.used.points(shop.arm).copy()
+    points[17] *= 1.5
+    fit = calib.fit(shop.arm, measurements(shop.arm, joints(80), points), sigma=SIGMA)
+    assert fit.verdict.grade == "FAIL"
+    assert codes_of(fit)[0] == "noise"
+    assert next_step(fit).command == "calib fit ROBOT DATA --exclude-outliers --out DIR-2"

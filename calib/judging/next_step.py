@@ -12,13 +12,18 @@ from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
 from calib.robots.linear_delta import is_linear_delta
 
-_OPTIONS = {
+_OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
+    Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate 0.25"),
     Answer.ADD_TERMS: ("fit again with joint terms that explain the errors", "--terms auto"),
     Answer.TRY_STARTS: ("fit again from several starting points", "--starts 5"),
+    Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
 """Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
-do to a fit looks like noise, and like joint terms."""
+do to a fit looks like noise, and like joint terms; then the frame, since what was measured from elsewhere shows nothing
+that terms explain."""
+_FIRST = (Answer.LEAVE_OUT, Answer.HOLD_OUT)
+"""Those that come before other poses, whatever reason is the first."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 """What stands in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 
@@ -51,12 +56,10 @@ def next_step(fit: Fit) -> NextStep:
     verdict = judge(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     if Answer.CORRECT in answers:  # what else is seen comes from the mistake
-        aim = "correct the data or the description as the reasons say, and fit again"
-        return NextStep(aim, f"calib fit {ROBOT} {DATA} --out {AGAIN}")
+        return _again("correct the data or the description as the reasons say, and fit again")
     option = next((answer for answer in _OPTIONS if answer in answers), None)
-    if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
-        aim, words = _OPTIONS[option]
-        return NextStep(aim, f"calib fit {ROBOT} {DATA} {words} --out {AGAIN}")
+    if option in _FIRST or (option is not None and answers[0] is not Answer.OTHER_POSES):
+        return _again(*_OPTIONS[option])
     if Answer.OTHER_POSES in answers:
         return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
     if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
@@ -65,6 +68,10 @@ def next_step(fit: Fit) -> NextStep:
     if answers:
         return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
     return _use(fit)
+
+
+def _again(aim: str, *words: str) -> NextStep:
+    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *words, "--out", AGAIN)))
 
 
 def _use(fit: Fit) -> NextStep:

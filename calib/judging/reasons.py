@@ -24,6 +24,8 @@ class Answer(Enum):
     ADD_TERMS = "add joint terms"
     TRY_STARTS = "fit from several starting points"
     OTHER_POSES = "measure other poses"
+    HOLD_OUT = "hold out poses of one file"
+    STATE_NOISE = "state the noise"
     LOOK = "look at the errors"
 
 
@@ -50,7 +52,7 @@ class Reason:
 class Code(StrEnum):
     """Every reason: its code, its grade, whether it is counted, and its answer (see `Reason`).
 
-    Where grade or count depend on more, the rule says so.
+    Where they depend on more, the rule says so.
     """
 
     # the fit as a whole
@@ -58,11 +60,11 @@ class Code(StrEnum):
     LIKELY_MISTAKE = "likely_mistake", "FAIL", False, Answer.CORRECT
     NOT_CONVERGED = "not_converged", "FAIL", False, Answer.TRY_STARTS
     NOT_ASSEMBLED = "not_assembled", "FAIL"
-    WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.ADD_TERMS
+    WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.OTHER_POSES
     VALIDATION = "validation", "CHECK"
     RESIDUALS_GREW = "residuals_grew", "FAIL"
     INSTRUMENTS_DISAGREE = "instruments_disagree", "CHECK"
-    FRAME_MOVED = "frame_moved", "CHECK"
+    FRAME_MOVED = "frame_moved", "CHECK", False, Answer.HOLD_OUT
     NOTHING_TO_CORRECT = "nothing_to_correct", "PASS"
     NO_GAIN = "no_gain", "CHECK"
     FILE_WITHHELD = "file_withheld", "PASS"
@@ -70,8 +72,8 @@ class Code(StrEnum):
     SYSTEMATIC = "systematic", "CHECK", True, Answer.ADD_TERMS
     OTHER_MINIMUM = "other_minimum", "CHECK", False, Answer.TRY_STARTS
     # noise
-    NOISE_AS_LARGE_AS_ROBOT = "noise_as_large_as_robot", "FAIL", False, Answer.OTHER_POSES
-    NO_NOISE = "no_noise", "CHECK"
+    NOISE_AS_LARGE_AS_ROBOT = "noise_as_large_as_robot", "FAIL", False, Answer.CORRECT
+    NO_NOISE = "no_noise", "CHECK", False, Answer.CORRECT
     NOISE = "noise", "CHECK", True, Answer.ADD_TERMS
     MISREAD = "misread", "FAIL", False, Answer.CORRECT
     # measurements
@@ -119,17 +121,20 @@ class Code(StrEnum):
         row._value_, row.grade, row.counted, row.answer = code, grade, counted, answer
         return row
 
-    def says(self, text: str, *, grade: Grade | None = None, counted: bool | None = None) -> Reason:
+    def says(
+        self, text: str, *, grade: Grade | None = None, counted: bool | None = None, answer: Answer | None = None
+    ) -> Reason:
         """Return the reason in words.
 
         Args:
             text: What was found, and what to do.
             grade: Where it is not that of the table; a FAIL is never counted.
             counted: Where it is not that of the table.
+            answer: Likewise.
         """
         applied = grade or self.grade
         counts = self.counted if counted is None else counted
-        return Reason(applied, self.value, text, counts and applied != "FAIL", self.answer)
+        return Reason(applied, self.value, text, counts and applied != "FAIL", answer or self.answer)
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, outliers_in_words
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.judging import findings
-from calib.judging.reasons import Code, Reason
+from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.repeatability import beyond_repeatability
 from calib.judging.rounded_joint_values import rounding
+from calib.judging.rules_model import frame_moved
 from calib.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.numerics.losses import HIGH_LEVERAGE, studentised
 from calib.rows.rows import Rows
@@ -122,18 +123,19 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
 
 
 def outliers(fit: Fit) -> Iterator[Reason]:
-    """List outliers, and count the excluded ones."""
+    """List outliers, and count the excluded ones. Where a frame moved, all readings from there look like outliers."""
     for where, outlying in (
         ("", findings.outliers(fit)),
         (" among the poses that were not used", findings.validation_outliers(fit)),
     ):
-        if outlying:
+        if outlying and not (where and any(frame_moved(fit))):
             words = listed(outliers_in_words(outlying), "; ")
             yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
                 counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
+                answer=Answer.LOOK if where else None,
             )
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)

@@ -20,7 +20,7 @@ from calib.judging.claim import Claim, Gain
 from calib.judging.effects import IN_COURSE
 from calib.judging.reasons import Code, Reason
 from calib.judging.residual_patterns import describe
-from calib.judging.rules_noise import in_words
+from calib.judging.rules_noise import impossible, in_words
 from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.rigid import best_transform
 from calib.robots.held import Holds
@@ -33,6 +33,8 @@ BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 FEW_POSES = 6
 """Validation poses from which a rigid motion explains errors only if there is one."""
+CLOSE = 0.3
+"""Spread of validation points, over that of the points used, up to which errors of the robot move them as one."""
 EXPLAINED = 0.3
 """Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
 AT_END = 0.55
@@ -43,6 +45,11 @@ AFTER = 0.3
 """What surely changes in that course, over all that is left, up to which a claim holds afterwards, for half as long as
 the measurement took: what grows evenly has seven times its mean square there, so that all is 1.25 times as large at
 sqrt(0.09) of all."""
+_NOT_THE_ROBOT = (
+    ". The fit describes its own measurements, not the robot. Measure more poses, spread over the space where the robot"
+    " will work"
+)
+_FURTHER_ERRORS = ". There the robot has errors that the poses used do not show. Measure there too"
 _AT_LIMIT = 1e-6  # distance of a passive joint from its limit, where it stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # that the sentence names
 OTHER_MINIMUM = 10.0
@@ -90,8 +97,7 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
         if comparison.worse:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * UNLIKELY:g} %). The fit describes its own measurements, not the robot. Measure more poses,"
-                " spread over the space where the robot will work"
+                f" {100 * UNLIKELY:g} %){'' if any(frame_moved(fit)) else _NOT_THE_ROBOT}"
             )
 
 
@@ -129,27 +135,27 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             )
 
 
-def claim_broken(claim: Claim, *, needless: bool) -> Iterator[Reason]:
+def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
     """Compare errors on poses that were not used with what is claimed.
 
     Args:
-        claim: The claim.
+        fit: The fit.
+        claim: Its claim.
         needless: Whether the robot needs no correction.
     """
+    worse, further = ("", "") if any(frame_moved(fit)) else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     for accuracy in claim.broken:
         times, claimed = accuracy.rms / claim.told.rms, claim.told
         if accuracy.rms > accuracy.before and claim.gain is not Gain.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
                 f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({claimed.shown(claimed.rms)}). The fit describes its own measurements, not the robot. Measure more"
-                " poses, spread over the space where the robot will work"
+                f" ({claimed.shown(claimed.rms)}){worse}"
             )
         else:
             yield Code.VALIDATION.says(
                 f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS;"
-                f" claimed: {claimed.shown(claimed.rms)}). There the robot has errors that the poses used do not show."
-                " Measure there too"
+                f" claimed: {claimed.shown(claimed.rms)}){further}"
             )
 
 
@@ -182,6 +188,9 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     measured, errors = _points(fit.validation)
     if len(measured) < FEW_POSES:
         return
+    spread, used = (np.std(points - np.mean(points, axis=0)) for points in (measured, _points(fit.identification)[0]))
+    if spread < CLOSE * used:
+        return
     predicted = measured + errors
     rotation, translation = best_transform(measured, predicted)
     left = _rms(predicted - measured @ rotation.T - translation)
@@ -192,7 +201,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         yield Code.FRAME_MOVED.says(
             "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
             f" {shift:.3g} mm and {angle:.2g} deg: such a motion explains all but {millimetres(left):.3g} mm RMS;"
-            " measure both from one place, or hold out poses of one file (--validate 0.2)"
+            " measure both from one place, or hold out poses of one file (--validate 0.25)"
         )
 
 
@@ -269,6 +278,8 @@ def why_no_origins(fit: Fit) -> str:
 
 def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals: those that stay, and those that change in the course of the measurement."""
+    if impossible(fit):  # parts of what does not fit at all
+        return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     changing = [pattern for pattern in patterns if pattern.kind in IN_COURSE]
     left = fit.identification.rms("after")

@@ -11,8 +11,9 @@ from calib.base.errors import CalibrationError
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit, NoiseEstimate
+from calib.judging import findings
 from calib.judging.better_or_worse import comparisons
-from calib.judging.reasons import Code, Reason
+from calib.judging.reasons import Answer, Code, Reason
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.statistics import chi_square
 from calib.robots.robot import Robot
@@ -41,12 +42,14 @@ def noise(fit: Fit) -> Iterator[Reason]:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
             f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
             f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joints"
-            " and positions belong together"
+            " and positions belong together",
+            answer=_first_answer(fit),
         )
     elif fit.computed:
         yield Code.NO_NOISE.says(
             f"noise found: {in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
-            " not measured, and the intervals say nothing about a real robot"
+            " not measured, and the intervals say nothing about a real robot. Give measured readings, or simulated ones"
+            " that have noise"
         )
     else:
         for estimate in fit.noise:
@@ -156,6 +159,18 @@ def _beyond_statement(estimate: NoiseEstimate) -> bool:
     return ratio > NOISE_RATIO and chi_square(ratio, estimate.freedom).p_larger < UNLIKELY
 
 
+def impossible(fit: Fit) -> bool:
+    """Whether some noise is more than was stated, and more than the model of a healthy robot leaves."""
+    return not fit.computed and any(
+        _beyond_statement(estimate) and not _may_be_left_out(fit, estimate) for estimate in fit.noise
+    )
+
+
+def _first_answer(fit: Fit) -> Answer:
+    """What answers noise that no healthy robot leaves: a few readings can make all of it."""
+    return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
+
+
 def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
     """Whether a noise may be what the model leaves out of a healthy robot."""
     return estimate.group.part.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)
@@ -177,7 +192,7 @@ def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
         advice = "state a smaller noise; or the same reading was used more than once"
-        yield Code.NOISE.says(f"{text}: {advice}")
+        yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
 
 
 def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
@@ -193,7 +208,7 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
             f" ({millimetres(_spread(fit)):.4g} mm): check units, joint order and signs, and outliers; if all of it is"
             " noise, state that noise (--sigma-mm)"
         )
-        return Code.NOISE.says(text, grade="FAIL")
+        return Code.NOISE.says(text, grade="FAIL", answer=_first_answer(fit))
     if better or no_worse:
         outcome = "get better beyond chance" if better else "get neither better nor worse"
         text += (

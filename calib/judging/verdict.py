@@ -96,7 +96,7 @@ def judge(fit: Fit) -> Verdict:
     codes, claim = {reason.code for reason in reasons}, claim_of(fit)
     needless = Code.NOTHING_TO_CORRECT in codes
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
-        reasons = [*rules_model.claim_broken(claim, needless=needless), *reasons]
+        reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
     reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
     elsewhere = rules_model.base_elsewhere(fit) if codes & (_NOTHING_FITS | _MOVED) else ""
     if elsewhere:

@@ -1,6 +1,7 @@
 """What robots of one model say of the next: the statistics against dense formulas, then results, files and fits."""
 
 import json
+from dataclasses import replace
 
 import fleet_figures
 import numpy as np
@@ -181,6 +182,23 @@ def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(
     text = {reason.code: reason.text for reason in fit.verdict.reasons}["unlike_fleet"]
     assert text.startswith("this robot is unlike the 3 robots of its fleet in joint_3.rz")
     assert abs(dict_of(fit.robot)["joint_3.rz"] - dict_of(repaired)["joint_3.rz"]) < 0.002
+
+
+def test_the_answer_fits_on_a_screen_and_the_rest_comes_with_verbose(results):
+    robot, _, folders, _ = results
+    shown, everything = run(*folders).output, run(*folders, "--verbose").output
+    names = [p.name for p in robot.parameters if not p.placement]
+    assert all(f"\n{name} " in everything for name in names)
+    fleet = calib.fleet(*folders)
+    away = np.abs(fleet.mean - fleet.nominal) / fleet.mean_std
+    surest = {p.name for p in np.array(fleet.parameters, dtype=object)[np.argsort(-away)[:12]]}
+    assert {name for name in names if f"\n{name} " in shown} == surest
+    assert f"{len(names) - 12} more parameters are less surely off nominal: --verbose prints them" in shown
+    many = replace(fleet, members=fleet.members[1:] * 8 + fleet.members[:1])  # the one that is unlike comes last
+    assert len(many.report().splitlines()) <= 40
+    assert f"{fleet.members[0].name} " in many.report()
+    assert "13 more robots are more like the others" in many.report()
+    assert len(many.report(verbose=True).splitlines()) > 60
 
 
 def dict_of(robot):

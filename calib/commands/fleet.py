@@ -20,8 +20,14 @@ from calib.reporting.fleet import fleet, urdf_beside
 @click.option(
     "--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and which robots are unlike."
 )
+@click.option(
+    "-v",
+    "--verbose",
+    is_flag=True,
+    help="Print all robots and parameters, not only those that differ most from the others and from nominal.",
+)
 @shared_options(json_output=True)
-def command(results: tuple[str, ...], out: str | None, html: str | None, output: Output) -> None:
+def command(results: tuple[str, ...], out: str | None, html: str | None, verbose: bool, output: Output) -> None:
     """Make the prior of the next robot of a model, from results of others.
 
     Each DIR is the result of `calib fit` for another robot, with the same URDF and parameters. Poses, instruments and
@@ -32,7 +38,7 @@ def command(results: tuple[str, ...], out: str | None, html: str | None, output:
     with output.working(f"learning from {len(results)} results"):
         learned = fleet(*results)
     output.check(out, beside, html)
-    output.say(learned.report().rstrip())
+    output.say(learned.report(verbose=verbose).rstrip())
     output.json(learned.to_dict())
     if out is not None:
         learned.save(out, force=output.force)

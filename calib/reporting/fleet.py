@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, nearest
@@ -26,6 +28,7 @@ _WIDTH = 118
 _CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
 _NAMED = 3  # parameters of a robot that are named as unlike
+_SCREEN = 12  # robots, and parameters, whose tables leave a screen of 40 lines
 
 
 @dataclass(frozen=True)
@@ -99,20 +102,30 @@ class Fleet(ReadOnlyArrays):
     def __str__(self) -> str:
         return self.report()
 
-    def report(self) -> str:
-        """Return the fleet as text: the robots, then the parameters."""
+    def report(self, *, verbose: bool = False) -> str:
+        """Return the fleet as text: the robots, then the parameters.
+
+        Args:
+            verbose: All of them; otherwise, of more than fit on a screen, the robots that are least like the others,
+                and the parameters whose mean is most surely off nominal.
+        """
         robots = text_table(("robot", "verdict", "poses", "off", "p", "said"), ("robot", "verdict", "said"), plain=True)
-        for member in self.members:
+        chances = [2.0 if np.isnan(member.p_value) else member.p_value for member in self.members]
+        some = range(len(self.members)) if verbose else _first(chances, [member.odd for member in self.members])
+        for member in (self.members[k] for k in some):
             off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
+        lines: list[Any] = [robots, *_hidden(len(self.members) - len(some), "robot", "are more like the others"), ""]
         heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "shown by")
-        table = text_table(heads, ("parameter", "unit"), plain=True)
-        for k, parameter in enumerate(self.parameters):
-            numbers = (self.mean[k] - self.nominal[k], self.mean_std[k], self.spread[k])
+        table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
+        shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
+        for k in shown:
+            parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
             table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
-        return plain_text([robots, "", table, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True)
+        lines += [table, *_hidden(len(away) - len(shown), "parameter", "are less surely off nominal")]
+        return plain_text([*lines, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
@@ -165,6 +178,16 @@ class Fleet(ReadOnlyArrays):
         text = description_yaml(self.robot.description.model_copy(update={"urdf": urdf.name}))
         inputs = (self.robot.path, self.robot.urdf.path)
         write_files({urdf: self.robot.urdf.source, path: text.encode()}, inputs=inputs, force=force)
+
+
+def _first(order: ArrayLike, always: ArrayLike = False) -> list[int]:
+    """Which to show on a screen: the smallest of `order` and those that are shown always, in their own order."""
+    rank = np.argsort(np.argsort(order, kind="stable"))
+    return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
+
+
+def _hidden(count: int, noun: str, why: str) -> list[str]:
+    return [f"{counted(count, f'more {noun}')} {why}: --verbose prints them"] if count else []
 
 
 def urdf_beside(path: Path | str) -> Path:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.files import write_files
 from calib.base.parameter import Parameter
@@ -110,13 +109,15 @@ class Fleet(ReadOnlyArrays):
                 and the parameters whose mean is most surely off nominal.
         """
         robots = text_table(("robot", "verdict", "poses", "off", "p", "said"), ("robot", "verdict", "said"), plain=True)
-        chances = [2.0 if np.isnan(member.p_value) else member.p_value for member in self.members]
-        some = range(len(self.members)) if verbose else _first(chances, [member.odd for member in self.members])
+        chances = np.nan_to_num([member.p_value for member in self.members], nan=2.0)
+        some = (
+            range(len(self.members)) if verbose else _first(chances, np.array([member.odd for member in self.members]))
+        )
         for member in (self.members[k] for k in some):
             off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
-        lines: list[Any] = [robots, *_hidden(len(self.members) - len(some), "robot", "are more like the others"), ""]
+        others = _hidden(len(self.members) - len(some), "robot", "are more like the others")
         heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "shown by")
         table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
         shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
@@ -124,8 +125,9 @@ class Fleet(ReadOnlyArrays):
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
             table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
-        lines += [table, *_hidden(len(away) - len(shown), "parameter", "are less surely off nominal")]
-        return plain_text([*lines, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True)
+        less = _hidden(len(away) - len(shown), "parameter", "are less surely off nominal")
+        parts = [robots, *others, "", table, *less, "\n" + self.conclusion(), *self.notes]
+        return plain_text(parts, _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""
@@ -180,7 +182,7 @@ class Fleet(ReadOnlyArrays):
         write_files({urdf: self.robot.urdf.source, path: text.encode()}, inputs=inputs, force=force)
 
 
-def _first(order: ArrayLike, always: ArrayLike = False) -> list[int]:
+def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> list[int]:
     """Which to show on a screen: the smallest of `order` and those that are shown always, in their own order."""
     rank = np.argsort(np.argsort(order, kind="stable"))
     return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]

@@ -109,10 +109,9 @@ class Fleet(ReadOnlyArrays):
                 and the parameters whose mean is most surely off nominal.
         """
         robots = text_table(("robot", "verdict", "poses", "off", "p", "said"), ("robot", "verdict", "said"), plain=True)
-        chances = np.nan_to_num([member.p_value for member in self.members], nan=2.0)
-        some = (
-            range(len(self.members)) if verbose else _first(chances, np.array([member.odd for member in self.members]))
-        )
+        some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
+        if not verbose:
+            some = _first(np.nan_to_num([member.p_value for member in self.members], nan=2.0), odd)
         for member in (self.members[k] for k in some):
             off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
@@ -126,8 +125,8 @@ class Fleet(ReadOnlyArrays):
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
             table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
         less = _hidden(len(away) - len(shown), "parameter", "are less surely off nominal")
-        parts = [robots, *others, "", table, *less, "\n" + self.conclusion(), *self.notes]
-        return plain_text(parts, _WIDTH, wrap=True)
+        said = ("\n" + self.conclusion(), *self.notes)
+        return plain_text([robots, *others, "", table, *less, *said], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
         """Return in a sentence what was learned."""

@@ -6,12 +6,13 @@ import re
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from code_comparison.codes.delta_printer import nozzle
+from code_comparison.codes.delta_printer import calibrated, nozzle
 
 import calib
 from calib.base.errors import CalibrationError
 from calib.cli import group
-from calib.data.printer_files import expected_geometry, read_printer
+from calib.data.printer_files import read_printer
+from calib.data.printer_rows import expected_geometry
 from calib.exporting.printers import geometry_of
 
 TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
@@ -166,6 +167,24 @@ def test_the_design_is_expected_and_not_what_a_firmware_made_of_the_same_rows(fo
     assert np.allclose(np.degrees(expected.angles), [210, 330, 90])
     assert np.allclose(1e3 * np.array(expected.endstops), 241)
     assert np.allclose(expected_geometry(read_printer("printer.cfg", "klipper"), 0.2085).arms, 0.2085)
+
+
+@pytest.mark.parametrize(("k", "off"), [(0, 0.0), (1, -1.0), (4, 0.7), (9, -0.7)])
+def test_a_mistyped_distance_is_named_though_a_firmware_made_its_settings_of_it(folder, k, off):
+    """Klipper's fit takes in most of it: it is 0.5 mm off or less in the saved settings, and 0.7 or 1 mm to others."""
+    text = re.sub(rf"distance{k}: (.*)", lambda m: f"distance{k}: {float(m[1]) + off:.3f}", printer_cfg())
+    found = re.findall(r"^((?:height|distance)\d+): (.*)\n\w+: (.*)(?:\ndistance\d+_pos2: (.*))?", text, re.MULTILINE)
+    rows = [(float(value), [STEP * np.array(e.split(","), float) for e in ends if e]) for _, value, *ends in found]
+    p, misses = calibrated(TRUE, rows)
+    assert off == 0 or abs(misses[[name for name, *_ in found].index(f"distance{k}")]) < 0.75 * abs(off)
+    saved = [f"#*# [printer]\n#*# delta_radius = {p[0]:.6f}"]
+    for i, tower in enumerate("abc"):
+        numbers = zip(("angle", "arm_length", "position_endstop"), p[[1 + i, 4 + i, 7 + i]], strict=True)
+        saved += [f"#*# [stepper_{tower}]", *(f"#*# {key} = {value:.6f}" for key, value in numbers)]
+    (folder / "saved.cfg").write_text("\n".join([text, *saved]))
+    done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
+    assert done.exit_code == (2 if off else 0), done.output
+    assert not off or f": distance{k} " in done.output
 
 
 GOOD = printer_cfg()

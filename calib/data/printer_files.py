@@ -12,11 +12,9 @@ e_k < 0, and has a probe's offset, Z of M851, in H: there it is H - Z - e_k.
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +22,7 @@ import numpy as np
 from calib.base.errors import DataError, InputError
 from calib.base.files import read_text
 from calib.base.units import PER_SI, millimetres
+from calib.data.printer_rows import PrinterFile, Row, require_plausible, require_steps
 from calib.data.tables import format_table
 from calib.robots.linear_delta import ANGLES, TOWERS, DeltaGeometry, height_name
 
@@ -35,41 +34,6 @@ _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
 _TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
-_FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
-_FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
-_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
-
-
-@dataclass(frozen=True)
-class Row:
-    """A measured number: the height of a place, or the distance of two.
-
-    Attributes:
-        name: As the file calls it.
-        line: Where it stands.
-        value: What was measured [m].
-        places: How far the carriages had come down there, (3,) [m] each: one place, or two.
-    """
-
-    name: str
-    line: int
-    value: float
-    places: tuple[tuple[float, float, float], ...]
-
-
-@dataclass(frozen=True)
-class PrinterFile:
-    """A printer as its firmware has it.
-
-    Attributes:
-        path: The file.
-        geometry: Its numbers.
-        rows: What was measured, heights first.
-    """
-
-    path: str
-    geometry: DeltaGeometry
-    rows: tuple[Row, ...] = ()
 
 
 def read_klipper(path: Path | str) -> PrinterFile:
@@ -106,8 +70,8 @@ def read_klipper(path: Path | str) -> PrinterFile:
     rows = cfg.rows((step[0], step[1], step[2]))
     printer = PrinterFile(str(path), geometry, rows)
     if rows:
-        _require_steps(printer, micro)
-        _require_plausible(printer)
+        require_steps(printer, micro)
+        require_plausible(printer)
     return printer
 
 
@@ -180,68 +144,6 @@ class _Klipper:
                 f"{self.path}: [{calibration}] has distances and no heights; probe the bed (DELTA_CALIBRATE)"
             )
         return (*heights, *spans)
-
-
-def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
-    """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
-    first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
-    said = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
-    return np.asarray(said - [row.value for row in rows])
-
-
-def _require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
-    """Raise `DataError` where other microsteps than those of the file make its positions fit."""
-
-    def off(factors: tuple[float, ...]) -> float:
-        a, b, c = factors
-        scaled = tuple(
-            replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
-        )
-        values = np.abs(misses(printer.geometry, scaled))
-        return float(np.median(np.where(np.isnan(values), np.inf, values)))
-
-    as_said = off((1.0, 1.0, 1.0))
-    if as_said <= _FITS:
-        return
-    best = min(itertools.product(_FACTORS, repeat=3), key=off)
-    if off(best) <= _FITS:
-        wrong = ", ".join(
-            f"[stepper_{tower}] microsteps: {m / f:g} in place of {m:g}"
-            for tower, m, f in zip(TOWERS, micro, best, strict=True)
-            if f != 1
-        )
-        raise DataError(
-            f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
-            " write these into a copy of the file, or probe again"
-        )
-    shown = "reach nothing" if not np.isfinite(as_said) else f"are {millimetres(as_said):.1f} mm from what was measured"
-    raise DataError(
-        f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
-        " rotation_distance, microsteps or arms were changed: probe again"
-    )
-
-
-def _require_plausible(printer: PrinterFile) -> None:
-    """Raise `DataError` for a row that is far off from what all others say."""
-    probed = [row for row in printer.rows if row.name.startswith("height")]
-    values = [row.value for row in probed]
-    for row in probed:
-        others = {value for value in values if value != row.value}
-        if len(probed) > 3 and values.count(row.value) == 1 and len(others) == 1:
-            raise DataError(
-                f"{printer.path}, line {row.line}: {row.name} is {millimetres(row.value):g} mm, and all others are"
-                f" {millimetres(others.pop()):g} mm, the offset of the probe; correct it"
-            )
-    off = np.abs(misses(printer.geometry, printer.rows))
-    off = np.where(np.isnan(off), np.inf, off)
-    k = int(np.argmax(off))
-    if off[k] > max(_FAR, _TIMES * float(np.median(np.delete(off, k)))) and len(off) > 3:
-        row = printer.rows[k]
-        raise DataError(
-            f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
-            f" {millimetres(float(off[k])):.2f} mm off what the other rows and the saved settings say; correct it or"
-            " its position, or remove both"
-        )
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
@@ -347,31 +249,6 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
     except InputError as error:
         named = str(error).startswith(str(path))
         raise type(error)(str(error) if named else f"{path}: {error}") from None
-
-
-def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
-    """Return what is expected of a printer before its rows are looked at.
-
-    A firmware's numbers come from these rows. Expected are angles as designed, a radius to the millimetre, endstops
-    that are alike; and where distances were measured, arms of the mean of the three to the millimetre. Without rows,
-    and of arms that no distance has changed, the file's numbers count.
-
-    Args:
-        printer: The printer.
-        arm: Length of the arms as designed or measured [m], if stated.
-    """
-    file = printer.geometry
-
-    def rounded(values: tuple[float, ...]) -> float:
-        return round(millimetres(sum(values) / len(values))) * _MM
-
-    if arm is None and any(len(row.places) == 2 for row in printer.rows):
-        arm = rounded(file.arms)
-    arms = file.arms if arm is None else (arm, arm, arm)
-    if not printer.rows:
-        return replace(file, arms=arms)
-    end = rounded(file.endstops)
-    return DeltaGeometry(rounded((file.radius,)), ANGLES, arms, (end, end, end))
 
 
 def printer_table(printer: PrinterFile) -> str:

@@ -46,6 +46,8 @@ ARM, ANGLE = 0.3e-3, math.radians(0.3)
 """How far an arm [m] and a tower's angle [rad] may be off."""
 RADIUS, ENDSTOP = 2e-3, 10e-3
 """The same of the radius and of endstops [m]."""
+HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
+"""Noise of a probed height and of a distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,8 @@ def linear_delta_description(plan: Plan, title: str, urdf: str, heights: Sequenc
         f"      {height_name(height)}: {{frame: {BASE}, xyz: [0, 0, {millimetres(height):.9g} mm]}}\n"
         for height in heights or (0.0,)
     )
-    calipers = "  caliper: {kind: distance, target: nozzle, end: {frame: platform_2}, sigma: 0.1 mm}\n" if twice else ""
+    sigma = f"{millimetres(DISTANCE):g} mm"
+    caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"
     pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
     return f"""\
 # Robot description of a linear delta: {title}.
@@ -248,9 +251,9 @@ instruments:
     kind: touch
     target: nozzle
     surface: plane
-    sigma: 0.05 mm
+    sigma: {millimetres(HEIGHT):g} mm
     places:
-{planes}{calipers}
+{planes}{caliper if twice else ""}
 # delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
 # are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
 parametrisation: {NAME}

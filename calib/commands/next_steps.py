@@ -51,7 +51,7 @@ def after_check(assessment: Assessment, robot: str, poses: object, data: Sequenc
         words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
         return f"Next: write poses to choose from: {shlex.join(words)}"
     if assessment.determination.missing:
-        hold = f"hold parameters that are named above (`held` in {robot}), or add poses, and check again"
+        hold = "hold parameters that are named above (`held` in the description), or add poses, and check again"
         return f"Next: {hold}: {shlex.join(('calib', 'check', robot, *data))}"
     if isinstance(poses, Measurements):
         words = ("calib", "fit", robot, *data, "--validate", "0.25", "--out", "out/robot")

@@ -65,7 +65,7 @@ def command(
     if again:
         output.note(
             f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used;"
-            " their readings prove nothing: measure at other joint values"
+            " if these are the readings that it used, they prove nothing; measure at other joint values"
         )
     with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)
@@ -88,11 +88,13 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
     if change:
         needed = poses_needed(promise, poses, name, size, same_setup=same_setup)
         content |= {"change": name, "poses_needed": needed}
-        lines.append(
-            f"All {len(poses)} poses are too few to show {change} with a chance of {POWER:.0%}; add poses"
-            if needed is None
-            else f"The first {counted(needed, 'pose')} show {change} with a chance of {POWER:.0%}"
-        )
+        if needed is not None:
+            lines.append(f"The first {counted(needed, 'pose')} show {change} with a chance of {POWER:.0%}")
+        elif any(known.name == name for known in changes):
+            lines.append(f"All {len(poses)} poses are too few to show {change} with a chance of {POWER:.0%}; add poses")
+        else:
+            anew = "" if same_setup else ", or only as on where base and targets are, which is found anew"
+            lines.append(f"No number of such poses shows a change of {name}: readings do not depend on it{anew}")
     output.json(content)
     output.say("\n".join(lines))
 

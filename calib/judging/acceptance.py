@@ -71,7 +71,7 @@ class Acceptance(Worded):
         changes: Every candidate, the one with the largest z first.
         alike: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
-        errors: Prediction minus read, after placing base and targets where they are unknown.
+        errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
     """
@@ -111,6 +111,9 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     data = as_measurements(promise.robot, data)
     system = System.of(promise, data, same_setup)
     system, left_out = without_outliers(system)
+    outliers = tuple(data.labels[system.visit[k]] for k in left_out)
+    if left_out:  # base and targets are placed without them too
+        system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
     independent = system.freedom / promise.shared**2
     p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
     changes = system.changes()
@@ -138,7 +141,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         system.placed,
         changes,
         alike,
-        tuple(data.labels[system.visit[k]] for k in left_out),
+        outliers,
         system.errors,
         system.promised,
         system.left_open,
@@ -168,7 +171,7 @@ def visible_changes(
 def poses_needed(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:
-    """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all are too few.
+    """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all do not.
 
     Args:
         calibrated: What the calibration promises, or the fit itself.

@@ -5,7 +5,7 @@ Symbols are those of that module: r residuals, J L what is known only so well, P
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -19,12 +19,14 @@ from calib.base.units import Dimension
 from calib.data.measurements import Measurements
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
+from calib.fitting.outliers import numbers_by_instrument
 from calib.fitting.problem import Problem
 from calib.fitting.solving import place
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.identifiability import RANK_TOLERANCE, unit_columns
 from calib.robots.robot import Robot
 from calib.rows.observed import Observed, observe
+from calib.rows.rows import Layout
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
@@ -155,8 +157,7 @@ class System:
         columns: Of the known unknowns J L and of the places P, whitened, (n_rows, k) and (n_rows, p).
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         residuals: r, (n_rows,).
-        reading: Reading of each row, (n_rows,).
-        visit: Visit of each reading, (n_readings,).
+        layout: Which row is what.
         counts: Which rows were read, (n_rows,).
         errors: As of `Acceptance`.
         promised, left_open: As of `Acceptance`.
@@ -166,8 +167,7 @@ class System:
     columns: tuple[FloatArray, FloatArray]
     candidate_columns: FloatArray
     residuals: FloatArray
-    reading: IntArray
-    visit: IntArray
+    layout: Layout
     counts: BoolArray
     errors: ErrorSet = field(repr=False)
     promised: float
@@ -203,12 +203,25 @@ class System:
             (known, rows.jacobian[:, ~kept]),
             candidate_columns,
             rows.residuals,
-            layout.reading,
-            layout.visit,
+            layout,
             layout.group >= 0,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
             *_promised(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
         ).checked(data)
+
+    @property
+    def reading(self) -> IntArray:
+        """Reading of each row, (n_rows,)."""
+        return self.layout.reading
+
+    @property
+    def visit(self) -> IntArray:
+        """Visit of each reading, (n_readings,)."""
+        return self.layout.visit
+
+    def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
+        """Return which readings of each instrument are not among some, (n_own,)."""
+        return numbers_by_instrument(np.setdiff1d(np.arange(self.layout.n_readings), readings), self.layout)
 
     def checked(self, data: Measurements) -> System:
         """Return it; with nothing left to judge by, raise `DataError`."""
@@ -232,8 +245,7 @@ class System:
             (self.columns[0] * kept[:, None], self.columns[1] * kept[:, None]),
             self.candidate_columns * kept[:, None],
             self.residuals * kept,
-            self.reading,
-            self.visit,
+            self.layout,
             self.counts & kept,
             self.errors,
             self.promised,

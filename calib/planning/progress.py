@@ -62,7 +62,7 @@ class Progress(ReadOnlyArrays):
         robot: The nominal robot.
         goal: Root mean square position error to reach [m].
         n_poses: Poses measured.
-        n_candidates: Poses that the goal is about, and to choose from.
+        n_candidates: Poses that the goal is about, and to choose from, as far as the robot can be assembled there.
         fit: The calibration of all of them; None where they do not suffice yet.
         obstacle: Why there is no fit yet.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
@@ -174,8 +174,9 @@ class Progress(ReadOnlyArrays):
             return "STOP: it is met, with 95 % confidence"
         if self.out_of_reach:
             return (
-                "not reached, and more poses will not help: unseen errors are beyond what noise explains; look for"
-                " what the model leaves out (calib fit --terms auto), or for noise above the goal"
+                "not reached, and more poses will not help: the predicted error meets the goal, unseen errors do not;"
+                " look for what the model leaves out (calib fit --terms auto), or for noise of the readings above the"
+                " goal"
             )
         return "not yet"
 
@@ -189,7 +190,7 @@ class Progress(ReadOnlyArrays):
     def _next(self) -> list[str]:
         following = self.next_pose
         if self.stop or following is None:
-            return [] if self.stop else ["every candidate that can be reached is measured"]
+            return [] if self.stop else ["every candidate that can be reached is measured; give others"]
         joints = ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in self._joints(following))
         help_ = "determines more of what is unknown"
         if following.checks:

@@ -89,6 +89,7 @@ class Watch:
         self._data: Measurements | None = None
         self._fit: Fit | None = None
         self._passive: FloatArray | None = None  # of the candidates at the fit before: near those of the next
+        self._n_reached = len(self.candidates)  # by the present fit
         self._squares: list[float] = []
         self._met = False  # whether the predicted error of the fit meets the goal
         self._settled = 0  # how many of the last squares are by fits of which that is so
@@ -118,7 +119,7 @@ class Watch:
             robot=self.robot,
             goal=self.goal,
             n_poses=0 if data is None else data.n_poses,
-            n_candidates=len(self.candidates),
+            n_candidates=self._n_reached,
             fit=self._fit,
             obstacle=obstacle,
             predicted=predicted,
@@ -158,6 +159,7 @@ class Watch:
         closed = fit.robot.close(self.candidates.joints, self._passive, columns)
         self._passive = closed.passive
         reached = np.flatnonzero(closed.ok)
+        self._n_reached = len(reached)
         if not len(reached):
             return UNKNOWN
         linear = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))

@@ -133,12 +133,10 @@ def _errors(acceptance: Acceptance) -> list[str]:
             f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm)"
         )
-        if (acceptance.ratio > 1.0) != (rms > promised) and acceptance.verdict != "agrees":
+        if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
             lines.append(
                 "Judge by the ratio: the few directions that the calibration leaves uncertain dominate the millimetres,"
                 " and hide errors in all others"
-                if acceptance.ratio > 1.0
-                else "Judge by the ratio: the few largest errors dominate the millimetres"
             )
     return lines
 

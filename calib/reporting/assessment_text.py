@@ -19,6 +19,7 @@ from calib.rows.candidates import WHITENED
 _SHOWN = 12  # names in a list
 _FEW = 4  # the same in the short answer
 _LINES = 3  # lines of groups in the short answer
+_MANY_POSITIONS = 6  # of fewer, errors of a robot move most as one body, whatever they are
 _MOSTLY_COMMON = 0.5  # part of the position error below which what is beside a common motion is told too
 
 
@@ -118,8 +119,8 @@ def _in_words(groups: Sequence[Group], parameters: Sequence[Parameter], most: in
 def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
     """What moves together unseen: all of it, or so many lines at most."""
     if not a.groups:
-        return ["Every combination of the parameters moves a measured position."]
-    lines = ["Changes that move no measured position:"]
+        return ["Every combination of the parameters shows in the readings."]
+    lines = ["Changes that no reading shows:"]
     lines += _in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
@@ -174,11 +175,16 @@ def _counts(a: Assessment) -> Table:
 
 def _accuracy(a: Assessment) -> list[str]:
     rms, largest = _pair(a.accuracy)
-    lines = [
-        f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise alone."
-        " It does not include what the model leaves out (backlash, bending), which more poses do not reduce."
-    ]
-    if a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
+    if math.isfinite(a.accuracy.rms):
+        priors = " and the expected errors of the parameters" if any(p.prior for p in a.free_parameters) else ""
+        lines = [
+            f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise{priors}"
+            " alone. It does not include what the model leaves out (backlash, bending), which more poses do not reduce."
+        ]
+    else:
+        lines = [f"With all {a.n_poses}: position error unbounded, because what is not determined moves positions."]
+    many = a.position_errors.size >= _MANY_POSITIONS
+    if many and a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
             "Most of it moves all positions as one body, as an unknown place of the base does. Without that part,"
             f" positions are known to {millimetres(a.beside_common):.4f} mm RMS."

@@ -13,8 +13,8 @@ and not S_a + S_b, with which parameters that lean on the prior would never diff
 standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then keeps
 the chance that any one difference is called real without being so below 5 %, over all pairs of results, however the
 parameters are correlated. All together are tested by Hotelling's T^2, which sees differences that correlated parameters
-hide from each other. Places (of base, targets, instruments) count there with whatever they are: a tracker that stood up
-elsewhere is not a change of the robot.
+hide from each other, again with Holm's step-down over all pairs. Places (of base, targets, instruments) count there
+with whatever they are: a tracker that stood up elsewhere is not a change of the robot.
 
 When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
 (verdict CHECK) the covariances are too small, and too much is called real. A parameter held in one of the fits moves
@@ -117,6 +117,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.robot.parameters)))
     raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
+    together = holm(np.array([of_all for _, of_all in tested]))
     places = {p.name for result in loaded for p in result.robot.parameters if p.placement}
     real = [{name for name, p in zip(names, p_values, strict=True) if p < REAL_BELOW} for p_values in corrected]
     rows = [{row["name"]: row for row in result.content["parameters"]} for result in loaded]
@@ -141,9 +142,10 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
                 (first.name, other.name),
                 tuple(name for name in names if name in differing - places),
                 tuple(name for name in names if name in differing & places),
-                together,
+                float(all_together),
+                tested=bool(np.any(np.isfinite(list(by_name.values())))),
             )
-            for (first, other), differing, (_, together) in zip(pairs, real, tested, strict=True)
+            for (first, other), differing, (by_name, _), all_together in zip(pairs, real, tested, together, strict=True)
         ),
         tuple(notes),
     )

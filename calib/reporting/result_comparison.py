@@ -50,18 +50,24 @@ class Pair:
         names: Of the two.
         real: Parameters of the robot that differ.
         moved: The same of places: where base, targets or instruments stand.
-        together: p-value of all parameters of the robot together, places left out; NaN where there is no test.
+        together: p-value of all parameters of the robot together, places left out, corrected for the number of pairs;
+            NaN where there is no test.
+        tested: Whether any parameter was tested.
     """
 
     names: tuple[str, str]
     real: tuple[str, ...]
     moved: tuple[str, ...]
     together: float
+    tested: bool = True
 
     def sentence(self) -> str:
         """Say what differs."""
-        if np.isnan(self.together):
+        if not self.tested:
             return f"{' and '.join(self.names)}: not tested."
+        if np.isnan(self.together):  # places alone were sought
+            moved = f"put elsewhere: {listed(self.moved)}" if self.moved else "nothing was put elsewhere"
+            return f"{' and '.join(self.names)}: {moved}."
         if self.real:
             outcome = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
             outcome += f", {listed(self.real)}"
@@ -137,13 +143,9 @@ class ResultComparison(Worded):
             unit = next(str(row["unit"]) for row in difference.rows if row is not None)
             table.add_row(difference.name, unit, *cells, ", ".join(p_text(p) for p in difference.p_values))
         more = len(self.differences) - len(shown)
-        kinds = (
-            "with less certain differences, or without a test"
-            if real
-            else "with smaller differences, or without a test"
-        )
+        tested = [pair.sentence() for pair in self.pairs if pair.tested]
+        kinds = "with less certain differences, or without a test" if tested else "without a test"
         lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
-        tested = [pair.sentence() for pair in self.pairs if not np.isnan(pair.together)]
         answer = [*tested, *self.notes]  # a note says why a pair was not tested
         key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)

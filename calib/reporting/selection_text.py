@@ -153,13 +153,13 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
         lines.append(
             f"Efficiency {100 * s.efficiency:.3f} %, certified: no choice of {len(s)} candidates {word} {limit}"
         )
-    if s.index not in CERTIFIED and len(s.runs) == 1:
+    if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
         lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
     if s.off_grid:
         off = _off_grid(s)
         assert off is not None
         lines.append(f"Moved off the grid: {off['better_percent']:.2f} % better than the choice from the candidates")
-        if off["above_bound_percent"] is not None:
+        if off["above_bound_percent"] is not None and off["above_bound_percent"] > 0:
             lines[-1] += f", {off['above_bound_percent']:.2f} % better than any choice from them can be"
     return lines
 
@@ -193,14 +193,15 @@ def _remarks(s: Selection) -> list[str]:
     lines += [
         f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
     ]
+    poses_meant = "candidates" if s.measured_only is None else "candidates and measured poses"
     if s.rank.rank < s.rank.n_columns:
         lines.append(
-            f"Warning: all candidates together determine {s.rank.rank} of {s.rank.n_columns} free parameters;"
+            f"Warning: all {poses_meant} together determine {s.rank.rank} of {s.rank.n_columns} free parameters;"
             " the indices are about those. `calib check` says which combinations are not determined."
         )
     elif s.rank_of_poses.rank < s.rank.rank:
         lines.append(
-            f"All candidates together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
+            f"All {poses_meant} together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
             " parameters; the indices are about those, and priors hold the rest"
         )
     if s.sigma_assumed:

@@ -166,6 +166,10 @@ def test_the_design_is_expected_and_not_what_a_firmware_made_of_the_same_rows(fo
     assert np.allclose(1e3 * np.array(expected.arms), 208)
     assert np.allclose(np.degrees(expected.angles), [210, 330, 90])
     assert np.allclose(1e3 * np.array(expected.endstops), 241)
+    turned = GOOD.replace("angle: 90.0", "angle: 270").replace("angle: 210.12", "angle: 30.12")
+    (folder / "turned.cfg").write_text(turned.replace("angle: 329.85", "angle: 149.85"))
+    expected = expected_geometry(read_printer("turned.cfg", "klipper"))
+    assert np.allclose(np.degrees(expected.angles), [30, 150, 270])  # tower c says how the printer's axes lie
     assert np.allclose(expected_geometry(read_printer("printer.cfg", "klipper"), 0.2085).arms, 0.2085)
 
 
@@ -196,7 +200,14 @@ BAD_KLIPPER = [
     ("delta_radius: 103.3", "delta_radius: 303.3", "reach nothing; correct delta_radius or arm_length"),
     ("delta_radius: 103.3", "delta_radius: -3", "reach nothing"),
     ("delta_radius: 103.3", "delta_radius: nan", "delta_radius 'nan' is not a number"),
+    ("angle: 210.12", "angle: 30", "tower a is at 30 deg, and tower c at 90 deg; towers are 120 deg apart"),
+    (
+        "position_endstop: 240.9",
+        "position_endstop: -240.9",
+        "switch of tower a would trip with the nozzle at -240.9 mm",
+    ),
     ("arm_length: 208.25", "", "[stepper_a] has no 'arm_length'"),
+    ("[stepper_b]", "[stepper_x]", "no [stepper_b]; a delta has stepper_a, stepper_b and stepper_c"),
     ("position_endstop: 240.9", "", "[stepper_a] has no 'position_endstop'"),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
@@ -247,6 +258,8 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
         ("duet", "G21\nM665 L{global.rod} R103 H240", "line 2: 'M665 L{GLOBAL.ROD}"),
         ("duet", "M665 L208 R103 H240\nM666 X0.1 Y0 Z-0.1 A0.2 B0", "M666 A0.2 tilts the bed in the firmware"),
         ("marlin", "M665 L100 R103 H240", "reach nothing"),
+        ("marlin", "M665 L208 R103 H-240", "would trip with the nozzle at -240 mm, below the bed"),
+        ("marlin", "M665 L208 R103 H240 X120", "tower a is at 330 deg, and tower c at 90 deg"),
         ("marlin", "M665 L208:208:208 R103 H240", "M665 L has 3 rods; Marlin has one length"),
         ("marlin", "M665 L208 R103 H240 S100 B80 X0 Y0 Z0", "M665 B80 would change a rod by 80 mm"),
         ("marlin", "M665 L208 R103 H240\nM666 X0.3 Y0 Z-1", "M666 X0.3 is positive, which Marlin refuses"),
@@ -291,6 +304,6 @@ def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
     done = run("export", "d.yaml", "--format", "klipper", "--out", "no.txt")
     assert done.exit_code == 2
     assert "is not a delta printer" in done.output
-    for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--template", "delta"]):
+    for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--length", "arm=288"], ["--template", "delta"]):
         assert run("init", "--duet", "config.g", "--out", "n.yaml", *refused).exit_code == 2
     assert json.dumps(sorted(path.name for path in folder.iterdir())).count("n.yaml") == 0

@@ -316,7 +316,12 @@ def _write_printer(printer: PrinterFile, target: str | None, given: Sequence[str
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals or key != "arm" or arm is not None:
             raise InputError(f"--length {text}: a printer has one length; write it once, such as arm=288mm")
-        arm = quantity(value, "length", "--length arm")
+        arm, said = quantity(value, "length", "--length arm"), max(printer.geometry.arms)
+        if not said / 2 < arm < said * 2:
+            raise InputError(
+                f"--length {text}: is {millimetres(arm):g} mm, and {printer.path} has arms of {millimetres(said):g} mm;"
+                " correct it, with its unit, such as arm=288mm"
+            )
     geometry = expected_geometry(printer, arm)
     heights = sorted({row.value for row in printer.rows if len(row.places) == 1})
     plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)

@@ -24,7 +24,7 @@ from calib.base.files import read_text
 from calib.base.units import PER_SI, millimetres
 from calib.data.printer_rows import PrinterFile, Row, require_plausible, require_steps
 from calib.data.tables import format_table
-from calib.robots.linear_delta import ANGLES, TOWERS, DeltaGeometry, height_name
+from calib.robots.linear_delta import ANGLES, TOWERS, DeltaGeometry, around, height_name
 
 _MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
 _SECTION = re.compile(r"\[([^\]]+)\]\s*$")
@@ -33,6 +33,7 @@ _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
+_AROUND = 15 * _DEG  # how far a tower may be from where the third of a circle would have it
 _TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
 
 
@@ -47,6 +48,9 @@ def read_klipper(path: Path | str) -> PrinterFile:
     if cfg.text("printer", "kinematics") != "delta":
         raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
     steppers = [f"stepper_{tower}" for tower in TOWERS]
+    for stepper in steppers:
+        if all(section != stepper for section, _ in cfg.entries):
+            raise DataError(f"{path}: no [{stepper}]{cfg.hint or '; a delta has stepper_a, stepper_b and stepper_c'}")
 
     def three(key: str, default: tuple[float, ...] | None = None) -> tuple[float, float, float]:
         first = None if default is not None else cfg.number(steppers[0], key)
@@ -62,6 +66,7 @@ def read_klipper(path: Path | str) -> PrinterFile:
         _times(three("arm_length"), _MM),
         _times(three("position_endstop"), _MM),
     )
+    _require_printer(path, geometry)
     turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
     gears = [cfg.ratio(stepper) for stepper in steppers]
     if min(*turns, *micro, *full, *gears) <= 0:
@@ -179,7 +184,25 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
     angles = tuple(angle + turn * _DEG for angle, turn in zip(ANGLES, turned, strict=True))
     endstops = _times((height + up[0], height + up[1], height + up[2]), _MM)
     radius = settings["R"][0] * _MM
-    return PrinterFile(str(path), DeltaGeometry(radius, (angles[0], angles[1], angles[2]), _times(arms, _MM), endstops))
+    geometry = DeltaGeometry(radius, (angles[0], angles[1], angles[2]), _times(arms, _MM), endstops)
+    _require_printer(path, geometry)
+    return PrinterFile(str(path), geometry)
+
+
+def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
+    """Raise `DataError` where towers are not around the centre, or switches trip below the bed."""
+    for tower, angle, expected in zip(TOWERS, geometry.angles, around(geometry.angles[2]), strict=True):
+        if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
+            raise DataError(
+                f"{path}: tower {tower} is at {angle / _DEG:g} deg, and tower c at {geometry.angles[2] / _DEG:g} deg;"
+                " towers are 120 deg apart: correct it"
+            )
+    for tower, end in zip(TOWERS, geometry.endstops, strict=True):
+        if end <= 0:
+            raise DataError(
+                f"{path}: the switch of tower {tower} would trip with the nozzle at {millimetres(end):g} mm, below the"
+                " bed; correct it"
+            )
 
 
 def _settings(path: Path | str) -> dict[str, dict[str, tuple[float, ...]]]:

@@ -18,7 +18,6 @@ from calib.base.units import PER_SI, millimetres
 from calib.numerics.chances import FALSE_ALARM, FEWEST
 from calib.robots.linear_delta import (
     ANGLE,
-    ANGLES,
     ARM,
     DISTANCE,
     ENDSTOP,
@@ -26,6 +25,7 @@ from calib.robots.linear_delta import (
     RADIUS,
     TOWERS,
     DeltaGeometry,
+    around,
 )
 
 _MM = 1 / PER_SI["length"]["mm"]
@@ -89,7 +89,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     if not printer.rows:
         return replace(file, arms=arms)
     end = rounded(file.endstops)
-    return DeltaGeometry(rounded((file.radius,)), ANGLES, arms, (end, end, end))
+    return DeltaGeometry(rounded((file.radius,)), around(file.angles[2]), arms, (end, end, end))
 
 
 def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:

@@ -108,6 +108,12 @@ class DeltaGeometry:
         return np.asarray(first + x[:, None] * ex + y[:, None] * ey + z[:, None] * normal)
 
 
+def around(angle_c: float) -> tuple[float, float, float]:
+    """Return where towers are [rad] that are a third of a circle apart, if the third is at this angle [rad]."""
+    a, b, _ = ((angle + (angle_c - ANGLES[2])) % math.tau for angle in ANGLES)
+    return a, b, angle_c
+
+
 class LinearDelta:
     """The parametrisation; see the module docstring."""
 

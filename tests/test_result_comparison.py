@@ -80,20 +80,6 @@ def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measu
     assert np.all(np.isnan(unseen_by_all.p_values))
 
 
-def test_a_tracker_that_was_put_elsewhere_is_no_change_of_the_robot(tmp_path):
-    free = "  - {origin: slide, components: [ry], sigma: 5 mrad}\n  - {origin: wrist, components: [x], sigma: 2 mm}\n"
-    yaml = ARM_YAML.split("  - {origin")[0].replace("frame: ground", "frame: ground, pose: unknown") + free
-    robot = calib.load(write_arm(tmp_path, yaml))
-    q = np.random.default_rng(0).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (60, 3))
-    moved = robot.with_parameters({"base.x": 0.05, "base.rz": 0.2})
-    fits = [calib.fit(robot, calib.simulate(item, q, SIGMA, seed)) for seed, item in enumerate((robot, moved))]
-    pair = calib.compare(*fits).pairs[0]
-    assert pair.real == ()
-    assert pair.together > 0.01
-    assert "base.rz" in pair.moved
-    assert "no parameter of the robot differs" in pair.sentence()
-
-
 def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
     same = calib.compare(fits / "before", fits / "again")
     result = json.loads((fits / "before" / "result.json").read_text())

@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,20 +129,6 @@ def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
     assert 0 < len(significant) < len(loud.changes)
     assert all(abs(change.value) > 3 * change.std for change in significant)  # 2.8 of normal noise are 1 in 200
     assert f"{len(significant)} are significant" in text_report(loud, (), ())
-
-
-def test_errors_in_millimetres_and_the_ratio_tell_one_story(arm):
-    """The promise is noise, less what placing takes up, and what is left open; where the two part, the ratio leads."""
-    _, truth, fit = arm
-    rng = np.random.default_rng(42)
-    acceptance = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (30, 6)), rng))
-    noise = fit.sigma * np.sqrt(3 * (90 - acceptance.placed) / 90)
-    assert np.hypot(noise, acceptance.left_open) == pytest.approx(acceptance.promised, rel=1e-6)
-    assert "Judge by the ratio" not in text_report(acceptance, (), ())
-    apart = replace(acceptance, verdict="calibrate again", ratio=1.457, promised=1.187e-3, left_open=1.1e-3)
-    text = text_report(apart, (), ())
-    assert text.index("1.457 times as large as expected") < text.index("Judge by the ratio") < text.index("Changes")
-    assert "uncertainty of the calibration 1.1000 mm" in text
 
 
 def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):

@@ -189,8 +189,10 @@ class Progress(ReadOnlyArrays):
 
     def _next(self) -> list[str]:
         following = self.next_pose
-        if self.stop or following is None:
-            return [] if self.stop else ["every candidate that can be reached is measured; give others"]
+        if self.stop or self.out_of_reach:
+            return []
+        if following is None:
+            return ["every candidate that can be reached is measured; give others"]
         joints = ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in self._joints(following))
         help_ = "determines more of what is unknown"
         if following.checks:

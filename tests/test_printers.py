@@ -130,6 +130,10 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
     for firmware in ("klipper", "marlin", "duet"):
         done = run("export", "out", "--format", firmware, "--out", f"{firmware}.txt")
         assert done.exit_code == 0, done.output
+    (folder / "part.gcode").write_text("G1 X0 Y0 Z5\n")  # for a firmware whose numbers the description does not have
+    done = run("compensate", "out", "part.gcode", "--out", "c.gcode")
+    assert done.exit_code == 2
+    assert "holds the result itself: calib export --format klipper" in done.output
     places = np.random.default_rng(5).uniform([-60, -60, 1], [60, 60, 40], (50, 3))
     down = 1e-3 * np.array([carriages(TRUE, place) for place in places])
     result = geometry_of(calib.load("out")).nozzle(down)

@@ -21,6 +21,7 @@ from calib.robots.robot import Robot
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.compensation import Compensation, compensate
 from calib.using.goals import Goals
+from calib.using.programs.straight_moves import require_nominal_controller
 
 _MOST = 100_000  # nodes
 _ALIKE = 1e-6  # of orientations that are one [rad]
@@ -68,11 +69,12 @@ def correction_grid(
         counts: Nodes along x, y and z; 1 where the program does not extend.
 
     Raises:
-        InputError: Numbers of nodes that make no grid.
+        InputError: Numbers of nodes that make no grid, or the robot is a delta printer.
         DataError: Several orientations, or none where the correction depends on it.
         UnreachablePoseError: A node, a middle of a cell or a row is out of reach.
     """
     known = known_robot(calibrated)
+    require_nominal_controller(known.robot)
     orientation = _one_orientation(known.robot, program)
     axes = _axes(program.positions, counts)
     nodes = _mesh(axes)

@@ -33,6 +33,7 @@ from calib.base.units import millimetres
 from calib.base.words import counted, listed
 from calib.joint_terms.term import Condition
 from calib.robots.joint_errors import commands_for
+from calib.robots.linear_delta import is_linear_delta
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -102,6 +103,15 @@ class _Way:
     expected: float
 
 
+def require_nominal_controller(robot: Robot) -> None:
+    """Raise `InputError` for a delta printer: its firmware has numbers of its own, not those of the description."""
+    if is_linear_delta(robot.description):
+        raise InputError(
+            f"{robot.name}: the firmware of a delta printer holds the result itself: calib export --format klipper,"
+            " marlin or duet; after that its programs need no change"
+        )
+
+
 def compensate_moves(
     calibrated: Robot | Calibrated | KnownRobot, moves: StraightMoves, tolerance: float
 ) -> CompensatedMoves:
@@ -114,12 +124,13 @@ def compensate_moves(
 
     Raises:
         DataError: The robot has not three motors.
-        InputError: The tolerance is not positive.
+        InputError: The tolerance is not positive, or the robot is a delta printer.
         UnreachablePoseError: Points out of reach.
         ComputationError: No pieces are short enough for the tolerance.
     """
     known = known_robot(calibrated)
     robot = known.robot
+    require_nominal_controller(robot)
     if len(robot.joint_names) != 3:
         raise DataError(
             f"{robot.name}: has {counted(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a machine of"

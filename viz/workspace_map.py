@@ -3,7 +3,7 @@
 Poses are drawn at random with the calibrated robot (`Robot.sample`): half of them within the joint limits, half within
 the ranges that the joints had in the measured poses, which are often a small part of them. At each stand two numbers:
 how far the nominal robot would be from there, which is the error that calibration takes away, and the standard
-deviation of the predicted position, from noise alone. Beyond what was measured that is extrapolation, and what the
+deviation of the predicted position, from noise and priors. Beyond what was measured that is extrapolation, and what the
 model leaves out can be larger there than the standard deviation says; so each point knows whether it lies within: every
 joint within the range that it had in the measured poses, and the position within the convex hull of the measured ones
 (of a robot that moves in a plane: within their outline).

@@ -67,7 +67,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
             output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}); from measurement noise alone{remark}"
+            f" (pose {summary['worst_pose']}), without what the model leaves out{remark}"
         )
     output.json(content)
 

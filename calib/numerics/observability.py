@@ -108,7 +108,7 @@ def observability_of(
 
 @dataclass(frozen=True)
 class TaskIndex:
-    """Predicted position error over a set of poses, from measurement noise alone.
+    """Predicted position error over a set of poses, from measurement noise and priors.
 
     Attributes:
         rms: Root mean square over poses and targets of the predicted distance [m]; infinite where a position depends on

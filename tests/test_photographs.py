@@ -127,15 +127,19 @@ def test_the_drawing_is_opencvs_own():
 @pytest.mark.parametrize(
     ("told", "shown", "words"),
     [
-        ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "columns and rows are exchanged; the board is 6 x 8"),
+        ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "its 24 markers lie as on a board of 6 columns"),
+        ("charuco:7x8:30mm:21mm:DICT_5X5_100", "", "its 24 markers lie as on a board of 6 columns"),
         ("charuco:6x8:30mm:21mm:DICT_6X6_250", "", "but some of DICT_5X5_50; correct 'dictionary'"),
         (CHARUCO, "mirrored", "the image is mirrored"),
-        (CHARUCO, "empty", "no board found: no marker of DICT_5X5_100"),
+        (CHARUCO, "empty", "no marker of DICT_5X5_100; the image has no contrast (grey values from 127 to 127 of 255)"),
         ("chessboard:8x5:24mm", "chessboard", "but one of 9 x 6 squares"),
+        ("chessboard:9x8:24mm", "chessboard", "but one of 9 x 6 squares"),
+        ("circles:4x9:20mm", "circles", "but one of 4 x 11 dots"),
+        ("aruco:3x4:40mm:10mm:DICT_4X4_50", "aruco", "its 12 markers lie as on a board of 4 columns"),
     ],
 )
 def test_why_no_board_is_found_is_said(told, shown, words):
-    board = given_board(BOARDS["chessboard"] if shown == "chessboard" else CHARUCO)
+    board = given_board(BOARDS.get(shown, CHARUCO))
     image = seen(board)[0]
     if shown == "mirrored":
         image = np.ascontiguousarray(image[:, ::-1])
@@ -303,7 +307,10 @@ def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
     cv2.imwrite(str(tmp_path / "shot_2.png"), seen(board)[0])
     (tmp_path / "shot_10.png").write_bytes(b"no image")
     (tmp_path / "shot_1.png").write_bytes(b"")
-    assert [shot.name for shot in shots([str(tmp_path)])] == ["shot_1", "shot_2", "shot_10"]
+    (tmp_path / "shot_11.png").write_bytes((tmp_path / "shot_2.png").read_bytes()[:-500])
+    cv2.imwrite(str(tmp_path / "shot_12.png"), seen(board)[0][:-9])
+    cv2.imwrite(str(tmp_path / "shot_13.png"), seen(board)[0])
+    assert [shot.name for shot in shots([str(tmp_path)])] == [f"shot_{k}" for k in (1, 2, 10, 11, 12, 13)]
     done = CliRunner().invoke(
         group,
         [
@@ -319,9 +326,11 @@ def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert "left out: shot_10: is not an image that can be read" in done.output
-    assert "35 points in 1 of 3 images" in done.output
+    assert "left out: shot_11: is cut off" in done.output
+    assert "left out: shot_12: is 900 x 751 px, and most images are 900 x 760" in done.output
+    assert "70 points in 2 of 6 images" in done.output
     assert "shot_2,c0," in (tmp_path / "out.csv").read_text()
-    assert json.loads((tmp_path / "d.json").read_text())["n_points"] == 35
+    assert json.loads((tmp_path / "d.json").read_text())["n_points"] == 70
     with pytest.raises(DataError, match="no such file"):
         read_image(tmp_path / "none.png")
     for given in (["none/*.png"], [str(tmp_path / "none.png")]):

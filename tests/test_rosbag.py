@@ -210,3 +210,57 @@ def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatc
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
     (tmp_path / "a.mcap").write_bytes(b"")
     refused(tmp_path, tmp_path / "a.mcap", "is not installed: pip install rosbags")
+
+
+def photographs(q, shown, rng, *, joints=True, names=JOINTS):
+    """A robot that stands at each of q (n, 6) and moves on, photographed twice at each stop and once on the way."""
+    messages, t = [], START
+    for k, at in enumerate(q):
+        for step in range(40):
+            now = at + 5e-5 * rng.uniform(-1, 1, 6) if step < 20 else at + 0.02 * (step - 19)
+            if joints:
+                messages.append(("/joint_states", "sensor_msgs/msg/JointState", t, joint_state(t, now, names)))
+            if step in (8, 12, 30):
+                make, pixels = TYPES.types["sensor_msgs/msg/Image"], shown[k]
+                image = make(header(t), *pixels.shape, "mono8", 0, pixels.shape[1], pixels.ravel())
+                messages.append(("/image", "sensor_msgs/msg/Image", t, image))
+            t += 0.05
+    return messages
+
+
+def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_moment(tmp_path, run_calib):
+    pytest.importorskip("cv2")
+    from calib.commands.boards import given_board
+    from calib.photographs.opencv import read_image
+    from calib.photographs.rendering import example
+
+    board, q = "charuco:5x7:30mm:22mm:DICT_5X5_100", np.random.default_rng(3).uniform(-1, 1, (3, 6))
+    for name, content in example(given_board(board), 3, np.random.default_rng(0)).items():
+        (tmp_path / name).write_bytes(content)
+    shown = [read_image(tmp_path / f"shot_0{k}.png") for k in (1, 2, 3)]
+    generator = np.random.default_rng(1)
+    write_bag(tmp_path / "bag", photographs(q, shown, generator))
+    write_bag(tmp_path / "none", photographs(q, shown, generator, joints=False))
+    write_bag(tmp_path / "other", photographs(q, shown, generator, names=tuple("abcdef")))
+
+    def detect(*sources):
+        return run_calib("detect", *sources, "--board", board, "--out", "pixels.csv", "--force", cwd=tmp_path)
+
+    done = detect("bag", "shot_01.png")
+    assert done.code == 0
+    assert (
+        "bag: 6 of 9 images left out: the robot moved, or had no joint states, at 3 (3, 6, 9); 3 show the" in done.err
+    )
+    assert "left out: shot_01: has no joint values, unlike images of bag" in done.err
+    lines = (tmp_path / "pixels.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines if not line.startswith("#")]
+    assert rows[0][4:] == list(JOINTS)
+    by_pose = {row[0]: np.array(row[4:], dtype=float) for row in rows[1:]}
+    assert list(by_pose) == ["bag_2", "bag_5", "bag_8"]
+    assert np.abs(np.array(list(by_pose.values())) - q).max() < 5e-5
+    done = detect("none")
+    assert "none: has no joint states (sensor_msgs/JointState), so its images have no joint values" in done.err
+    assert "joint_1" not in (tmp_path / "pixels.csv").read_text()
+    done = detect("bag", "other")
+    assert done.code == 2
+    assert "other: has the joints a, b, c, d, e, and 1 more, and bag has joint_1" in done.err

@@ -17,7 +17,7 @@ from calib.data.tables import format_table
 from calib.instruments.board import Board
 from calib.instruments.camera import LITTLE_COVERAGE, image_coverage
 from calib.photographs.detection import DetectedImage, Detection, detect
-from calib.photographs.images import Shot, joint_columns, shots
+from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, page, small_copy
 
@@ -43,10 +43,10 @@ def command(
 ) -> None:
     """Find a printed board in IMAGES: files, a folder, a pattern such as 'shots/*.png', or a ROS 2 bag.
 
-    Each image is a pose, named after its file. From a bag, the joint values of that moment are written too, if the
-    robot stood still. Images without a board are named and left out.
+    Each image is a pose, named after its file. Of a bag, one image of each stop of the robot is used, and the joint
+    values of that moment are written too. Images without a board are named and left out.
     """
-    described, photographs = given_board(board), shots(images, topic)
+    described, photographs = given_board(board), with_joints(shots(images, topic))
     output.check(out, page_file)
     detection, small = detected(described, photographs, output, pictures=page_file is not None)
     if not detection.usable:
@@ -125,9 +125,6 @@ def summary(detection: Detection) -> list[str]:
     ]
     if detection.board.kind == "charuco" and detection.board.legacy:
         lines.append("The board has the layout of OpenCV before 4.6 (legacy: true)")
-    sizes = {image.size for image in usable}
-    if len(sizes) > 1:
-        lines.append(f"Images have {len(sizes)} sizes: one camera with one lens has one; sort them")
     covered = coverage(usable)
     lines.append(f"The board was seen in {100 * covered:.0f} % of the image")
     if covered < LITTLE_COVERAGE:

@@ -18,7 +18,6 @@ from calib.base.words import counted
 from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, loaded, shared_options
 from calib.commands.detect import detected, summary
-from calib.data.rosbag import is_bag
 from calib.data.tables import read_table
 from calib.instruments.board import Board
 from calib.photographs.camera_files import read_camera
@@ -26,13 +25,17 @@ from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.hand_eye_calibration import calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
-from calib.photographs.images import joint_columns, shots
+from calib.photographs.images import joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.pages import Picture, exaggeration, page
 from calib.photographs.scene import Mount, Scene
 from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
 from calib.robots.robot import Robot
 
+_NO_POSES = (
+    "give the pose of the tool at each image with --poses FILE; or photographs in a bag with joint states, and"
+    " --robot ROBOT"
+)
 _SIZE = re.compile(r"image: (\d+) x (\d+) px")
 FILES = (
     "hand_eye.json",
@@ -99,6 +102,10 @@ def command(
         detected_images = _detected_before(images[0], described)
     else:
         photographs = shots(images, topic)
+        if poses is None:
+            photographs = with_joints(photographs)
+            if model is None or not any(shot.joints for shot in photographs):
+                raise InputError(_NO_POSES)
         output.check(folders=(out,), names=FILES)
         detection, copies = detected(described, photographs, output, pictures=True)
         small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
@@ -107,7 +114,7 @@ def command(
             output.say(line)
         if not detected_images:
             raise DataError(f"no board in any of {counted(len(photographs), 'image')}: {detection.images[0].remark}")
-        if any(is_bag(source) for source in images) and poses is None:
+        if poses is None:
             by_name = {shot.name: shot for shot in photographs}
             bag_joints = joint_columns([by_name[image.name] for image in detected_images])
     rows, tool = _tools(detected_images, poses, model, angles, bag_joints, output)
@@ -139,15 +146,7 @@ def command(
 
 
 def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
-    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from.
-
-    Raises:
-        DataError: Images of several sizes.
-    """
-    sizes = {image.size for image in detected_images}
-    if len(sizes) > 1:
-        words = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
-        raise DataError(f"the images have several sizes ({words} px); give images of one camera, all of one size")
+    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from."""
     points = board.points()
     counts = [len(image.points) for image in detected_images]
     return Scene(
@@ -181,9 +180,7 @@ def _tools(
     """Row of each image that has a pose of the tool, and these poses, (n, 4, 4)."""
     if poses is None:
         if bag is None or model is None:
-            raise InputError(
-                "give the pose of the tool at each image with --poses FILE; from a bag, joint values need --robot"
-            )
+            raise InputError(_NO_POSES)
         names, values = bag
         missing = next((name for name in model.joint_names if name not in names), None)
         if missing is not None:

@@ -101,13 +101,13 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
             f"{path}: at none of {counted(len(times), 'measurement')} the robot stood still: joint states within"
             f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
         )
-    stops = _stops(q[still])
-    means = np.array([q[still][stops == stop].mean(axis=0) for stop in range(stops[-1] + 1)])
+    of_stop = stops(q[still])
+    means = np.array([q[still][of_stop == stop].mean(axis=0) for stop in range(of_stop[-1] + 1)])
     first = min(min(series.stamps if stamped else series.recorded) for series in all_series)
     columns: list[tuple[str, list[object]]] = [
-        ("pose", [f"stop {number + 1}" for number in stops]),
+        ("pose", [f"stop {number + 1}" for number in of_stop]),
         ("time [s]", list(times[still] - first)),
-        *((name, list(means[stops, k])) for k, name in enumerate(joints)),
+        *((name, list(means[of_stop, k])) for k, name in enumerate(joints)),
     ]
     for topic, (at, values) in measured.items():
         columns += _place_columns(topic, times[still], at, values)
@@ -209,8 +209,8 @@ def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -
     return q, spread
 
 
-def _stops(q: FloatArray) -> IntArray:
-    """The number of the stop of each row (n, n_joints), (n,): a new one where a joint has left the last."""
+def stops(q: FloatArray) -> IntArray:
+    """Return the number of the stop of each row (n, n_joints), (n,): a new one where a joint has left the last."""
     numbers, begin = np.zeros(len(q), dtype=np.intp), q[0]
     for k, row in enumerate(q):
         left = bool(np.any(np.abs(row - begin) > 2 * _STILL))

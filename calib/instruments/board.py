@@ -92,7 +92,8 @@ class Board(Section):
             )
         if self.kind == "circles" and self.rows % 2 == 0:
             raise ValueError(
-                f"circles in {self.rows} rows look the same turned by half a turn; use an odd number of rows"
+                f"circles in {self.rows} rows look the same turned by half a turn; use an odd number of rows (4x11:"
+                " rows of 4 dots, 11 of them)"
             )
         return self
 

@@ -8,7 +8,8 @@
     apriltag      the same
 
 Where nothing is found in an image, the likely mistakes are tried, and named if one of them explains it: the image is
-mirrored, columns and rows are exchanged, the markers are of another dictionary, the image is blurred.
+mirrored, columns and rows are exchanged or miscounted, the markers are of another dictionary, the image is blurred or
+has no contrast. Images of another size than most are left out: they are of another camera.
 
 Sharpness is told by the width of edges: contrast over the steepest slopes, within what the board covers. A corner is
 found well up to some 5 px; beyond that it wanders.
@@ -16,12 +17,14 @@ found well up to some 5 px; beyond that it wanders.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import count, islice
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DescriptionError
 from calib.base.words import counted
 from calib.instruments.board import Board
@@ -32,7 +35,10 @@ FEWEST = 4
 _BLURRED = 6.0  # px, width of edges
 _OFF = 0.05  # of what the board covers: how far a lens may bend it
 _LEAST_OFF = 5.0  # px
-_TRIES = 2  # images of a set in which other dictionaries are looked for
+_TRIES = 3  # images of a set in which other dictionaries and other boards are looked for
+_MOST_COLUMNS = 30  # of markers, that a miscounted board is looked for with
+_FITTING = 0.9  # part of the corners of markers that lie as on the board that they belong to
+_FLAT = 30  # grey values between dark and bright
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +114,24 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
         else:
             shown = [detector.find(name, image) for detector in detectors]
             if not any(detected.usable for detected in shown):
-                mirrored = np.ascontiguousarray(image[:, ::-1])
-                ahead = max(detectors, key=lambda detector: len(detector.points(mirrored)))
+                ahead = detectors[0] if len(detectors) == 1 else max(detectors, key=lambda one: one.mirrored(image))
                 shown = [ahead.explained(shown[0], image)] * len(layouts)
         for of_layout, detected in zip(each, shown, strict=True):
             of_layout.append(detected)
         yield max(shown, key=lambda detected: len(detected.points))
     best = max(range(len(layouts)), key=lambda k: sum(len(detected.points) for detected in each[k]))
-    yield Detection(detectors[best].board, tuple(each[best]))
+    yield Detection(detectors[best].board, tuple(_of_one_size(each[best])))
+
+
+def _of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedImage]:
+    """The images; those that have another size than most with a board have no points."""
+    sizes = Counter(image.size for image in images if image.usable)
+    for image in images:
+        if image.usable and image.size != (most := sizes.most_common(1)[0][0]):
+            words = "is {} x {} px, and most images are {} x {}; give images of one camera".format(*image.size, *most)
+            yield replace(image, points=(), pixels=np.zeros((0, 2)), remark=words)
+        else:
+            yield image
 
 
 class _Detector:
@@ -126,16 +142,18 @@ class _Detector:
         self._n_points = len(board.points())
         self._tries = _TRIES
         self._dictionary = ""
+        self._suspect: tuple[Board, str] | None = None
+        self._columns = range(2, _MOST_COLUMNS + 1)
         self._board = opencv_board(board, bool(board.legacy)) if board.dictionary else None
 
     def find(self, name: str, image: GreyImage) -> DetectedImage:
         """Return what is in an image."""
         points = self.points(image)
-        if 0 < len(points) < self._n_points / 2 and len(self.points(np.ascontiguousarray(image[:, ::-1]))) > 2 * len(
-            points
-        ):
+        if 0 < len(points) < self._n_points / 2 and self.mirrored(image) > 2 * len(points):
             points = {}  # chance finds in a mirrored image
         kept = on_one_plane(self.board, points)
+        if 4 * (len(points) - len(kept)) > len(points) and self._other_columns(image):
+            kept = {}
         pixels = np.array(list(kept.values())).reshape(-1, 2)
         edge = edge_width(image, pixels) if len(kept) >= FEWEST else float("nan")
         remark = "" if len(kept) >= FEWEST else "no board found"
@@ -158,6 +176,10 @@ class _Detector:
             return _charuco(self._board, image)
         return _markers(self.board, image, self.board.dictionary or "")
 
+    def mirrored(self, image: GreyImage) -> int:
+        """Return how many points are in the mirror image; none of a board without markers, which looks alike there."""
+        return len(self.points(np.ascontiguousarray(image[:, ::-1]))) if self.board.dictionary else 0
+
     def explained(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
         """Return what was found with a remark that says why it is too little."""
         return DetectedImage(
@@ -166,33 +188,62 @@ class _Detector:
 
     def _why(self, image: GreyImage, n: int) -> str:
         few = f"only {counted(n, 'point')} found" if n else "no board found"
-        if len(self.points(np.ascontiguousarray(image[:, ::-1]))) >= max(FEWEST, 2 * n):
-            return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         board = self.board
         if board.dictionary is None:
-            for other, noun in _other_counts(board):
-                if len(_Detector(other).points(image)) >= FEWEST:
-                    return f"{few}, but one of {other.columns} x {other.rows} {noun}: correct the board"
-            return few + _blur_remark(image)
-        markers = _marker_numbers(image, board.dictionary)
+            return few + (
+                self._miscounted(image)
+                or _light_remark(image)
+                or "; without markers it is found only if all of it is in the image"
+            )
+        markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
+        if columns:
+            return f"{few}: its {counted(len(set(markers)), 'marker')} lie as on {columns}; correct columns and rows"
+        if self.mirrored(image) >= max(FEWEST, 2 * n):
+            return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         if len(markers) == 0:
             if self._tries > 0 and not self._dictionary:
                 self._tries -= 1
                 self._dictionary = _dictionary_in(image)
             if self._dictionary:
                 return f"{few}: no marker of {board.dictionary}, but some of {self._dictionary}; correct 'dictionary'"
-            return f"{few}: no marker of {board.dictionary}{_blur_remark(image)}"
+            return f"{few}: no marker of {board.dictionary}{_light_remark(image)}"
         strangers = self._strangers(markers)
         if strangers:
             return f"{few}: {strangers}"
-        if board.kind == "charuco":
-            turned = board.model_copy(update={"columns": board.rows, "rows": board.columns})
-            if len(_Detector(turned).points(image)) > n:
-                return (
-                    f"{few}, but {counted(len(set(markers)), 'marker')}: columns and rows are exchanged; the board is"
-                    f" {turned.columns} x {turned.rows} squares"
-                )
         return f"{few} ({counted(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
+
+    def _miscounted(self, image: GreyImage) -> str:
+        """Which board without markers is there instead; empty if none is known."""
+        others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
+        self._tries -= 1
+        for other, noun in others:
+            found = _chessboard(other, image, quick=True) if other.kind == "chessboard" else _circles(other, image)
+            if len(found) >= FEWEST:
+                self._suspect = other, noun
+                return f", but one of {other.columns} x {other.rows} {noun}: correct the board"
+        return ""
+
+    def _other_columns(self, image: GreyImage) -> str:
+        """On a board of how many columns the markers in an image lie, if not on one as described; else empty."""
+        board = self.board
+        if board.dictionary is None:
+            return ""
+        corners, numbers = _detected_markers(image, board.dictionary)
+        some = [k for k, number in enumerate(numbers) if number >= board.first_marker and numbers.count(number) == 1]
+        if len(some) < FEWEST:
+            return ""
+        pixels = np.concatenate([corners[k] for k in some])
+
+        def fitting(columns: int) -> int:
+            places = [_marker_corners(board, columns, numbers[k] - board.first_marker) for k in some]
+            return int(np.sum(_on_plane(np.concatenate(places), pixels, robust=False)))
+
+        found = {columns: fitting(columns) for columns in self._columns}
+        best = max(found, key=lambda columns: found[columns])
+        if found[best] < _FITTING * len(pixels) or found[best] < fitting(board.columns) + FEWEST:
+            return ""
+        self._columns = range(best, best + 1)
+        return f"a board of {best} columns"
 
     def _strangers(self, markers: list[int]) -> str:
         """What markers in an image that the board does not have say; empty without any."""
@@ -245,6 +296,19 @@ def marker_numbers(board: Board) -> range:
     return range(board.first_marker, board.first_marker + (count // 2 if board.kind == "charuco" else count))
 
 
+def _marker_corners(board: Board, columns: int, number: int) -> FloatArray:
+    """Corners of a marker on a board with other columns, (4, 2) [m]; markers are counted from 0."""
+    side = board.marker or 0.0
+    square = np.array([(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)])
+    if board.kind != "charuco":
+        pitch = side + (board.gap or 0.0)
+        return square + pitch * np.array([number % columns, number // columns])
+    first = 0 if board.legacy and board.rows % 2 == 0 else 1
+    cells = ((i, j) for j in count() for i in range(columns) if (i + j) % 2 == first)
+    pitch = board.square or 0.0
+    return square + (pitch - side) / 2 + pitch * np.array(next(islice(cells, number, None)))
+
+
 def _charuco(board: object, image: GreyImage) -> dict[str, FloatArray]:
     corners, numbers, _, _ = opencv().aruco.CharucoDetector(board).detectBoard(image)
     if numbers is None:
@@ -295,12 +359,13 @@ def _dictionary_in(image: GreyImage) -> str:
     return best
 
 
-def _chessboard(board: Board, image: GreyImage) -> dict[str, FloatArray]:
+def _chessboard(board: Board, image: GreyImage, *, quick: bool = False) -> dict[str, FloatArray]:
     cv2 = opencv()
     counts = board.columns - 1, board.rows - 1
     if min(counts) < 2:
         return {}
-    done, corners = cv2.findChessboardCornersSB(image, counts, flags=cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE)
+    flags = 0 if quick else cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
+    done, corners = cv2.findChessboardCornersSB(image, counts, flags=flags)
     if not done:
         return {}
     grid = np.asarray(corners, dtype=float).reshape(board.rows - 1, board.columns - 1, 2)
@@ -344,19 +409,24 @@ def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
     return {f"c{k}": place for k, place in enumerate(np.asarray(centres, dtype=float).reshape(-1, 2))}
 
 
-def _other_counts(board: Board) -> Iterable[tuple[Board, str]]:
-    """Boards that a miscount or an exchange makes of one without markers."""
-    noun = "squares" if board.kind == "chessboard" else "dots"
-    pairs = [(board.rows, board.columns)]
+def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:
+    """Boards that a miscount or an exchange makes of one without markers, likely ones first."""
+    c, r = board.columns, board.rows
+    pairs = [(r, c), (c - 1, r), (c + 1, r), (c, r - 2), (c, r + 2)]  # of dots, rows stay odd
     if board.kind == "chessboard":  # inner corners were counted, or corners and squares mixed
-        pairs += [(board.columns + 1, board.rows + 1), (board.rows + 1, board.columns + 1)]
-    for columns, rows in pairs:
+        pairs = [(r, c), (c + 1, r + 1), (r + 1, c + 1), *((c + i, r + j) for i in (-1, 1) for j in (-1, 1))]
+        pairs += [(c - 2, r), (c + 2, r), (c, r - 2), (c, r + 2)]
+    for columns, rows in dict.fromkeys(pairs):
         even = (columns + rows) % 2 == 0 if board.kind == "chessboard" else rows % 2 == 0
-        if not even:
+        if not even and min(columns, rows) >= 3 and (columns, rows) != (c, r):
+            noun = "squares" if board.kind == "chessboard" else "dots"
             yield board.model_copy(update={"columns": columns, "rows": rows}), noun
 
 
-def _blur_remark(image: GreyImage) -> str:
+def _light_remark(image: GreyImage) -> str:
+    dark, bright = np.percentile(image, [1, 99])
+    if bright - dark < _FLAT:
+        return f"; the image has no contrast (grey values from {dark:.0f} to {bright:.0f} of 255)"
     height, width = image.shape
     edge = edge_width(image, np.array([[0.0, 0.0], [width - 1.0, height - 1.0]]))
     return f"; the image is blurred (edges are {edge:.0f} px wide)" if edge > _BLURRED else ""
@@ -366,14 +436,25 @@ def on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, Float
     """Return the points (2,) [px] by name that are where most others put the board, as one homography has it."""
     if len(points) <= FEWEST:
         return points
-    cv2, places = opencv(), board.points()
-    on_board = np.array([places[name][:2] for name in points])
-    pixels = np.array(list(points.values()))
+    places = board.points()
+    inside = _on_plane(np.array([places[name][:2] for name in points]), np.array(list(points.values())))
+    return {name: place for (name, place), keep in zip(points.items(), inside, strict=True) if keep}
+
+
+def _on_plane(on_board: FloatArray, pixels: FloatArray, *, robust: bool = True) -> BoolArray:
+    """Which points (n, 2) [m] lie at their pixels (n, 2), as one homography has them; none without one.
+
+    It is that of most of them; if not robust, which is faster, of all.
+    """
+    cv2 = opencv()
     allowed = max(_LEAST_OFF, _OFF * float(np.max(np.ptp(pixels, axis=0))))
-    _, inside = cv2.findHomography(on_board, pixels, cv2.RANSAC, allowed)
-    if inside is None:
-        return {}
-    return {name: place for (name, place), keep in zip(points.items(), np.ravel(inside), strict=True) if keep}
+    H, inside = cv2.findHomography(on_board, pixels, cv2.RANSAC if robust else 0, allowed)
+    if H is None:
+        return np.zeros(len(pixels), dtype=bool)
+    if robust:
+        return np.ravel(inside).astype(bool)
+    away = cv2.perspectiveTransform(on_board[None], H)[0] - pixels
+    return np.linalg.norm(away, axis=1) < allowed
 
 
 def edge_width(image: GreyImage, pixels: FloatArray) -> float:

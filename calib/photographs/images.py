@@ -1,25 +1,29 @@
 """Where images come from: files, folders, patterns such as `shots/*.png`, and ROS 2 bags with the joints of the moment.
 
-An image that cannot be read is no error here: it comes as a few words, and the rest goes on.
+An image that cannot be read is no error here: it comes as a few words, and the rest goes on. A bag has many images of
+one stop of the robot. They share its error, so that the one in the middle of each stop stands for all of them.
 """
 
 from __future__ import annotations
 
 import glob
+import logging
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DataError, InputError
-from calib.data.rosbag import is_bag, joints_of_bag, messages_of_bag
+from calib.base.words import counted, listed
+from calib.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
 from calib.photographs.opencv import GreyImage, decoded, opencv, read_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
+_LOG = logging.getLogger("calib")
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono16": 1, "16UC1": 1}
@@ -102,25 +106,49 @@ def _natural(path: str) -> list[object]:
 
 
 def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
-    """Images of a bag at which the robot stood still."""
+    """Images of a bag: one of each stop of the robot; all of them where there are no joint states."""
     kinds = (_RAW, _COMPRESSED)
-    images = [(name, stamp, kind, message) for name, kind, stamp, message in messages_of_bag(source, kinds)]
-    topics = sorted({name for name, *_ in images})
+    recorded = [(name, stamp) for name, _, stamp, _ in messages_of_bag(source, kinds)]
+    topics = sorted({name for name, _ in recorded})
     if not topics:
         raise DataError(f"{source}: has no images ({_RAW} or CompressedImage); record their topic too")
     if topic is None and len(topics) > 1:
         raise InputError(f"{source}: has images of several topics ({', '.join(topics)}); choose one with --topic")
-    chosen = topics[0] if topic is None else topic
-    if chosen not in topics:
-        raise InputError(f"{source}: has no images of the topic {chosen}; it has {', '.join(topics)}")
-    images = [recorded for recorded in images if recorded[0] == chosen]
-    names, values, still = joints_of_bag(source, np.array([stamp for _, stamp, *_ in images]))
-    for k, (_, _, kind, message) in enumerate(images):
-        joints = dict(zip(names, map(float, values[k]), strict=True)) if still[k] else None
-        image: GreyImage | str = "the robot moved, or no joint states were recorded around it"
-        if still[k] or not names:
+    of_camera = topics[0] if topic is None else topic
+    if of_camera not in topics:
+        raise InputError(f"{source}: has no images of the topic {of_camera}; it has {', '.join(topics)}")
+    stamps = np.array([stamp for name, stamp in recorded if name == of_camera])
+    names, values, still = joints_of_bag(source, stamps)
+    chosen = set(_one_of_each_stop(source, values, still) if names else range(len(stamps)))
+    if not names:
+        _LOG.warning("%s: has no joint states (sensor_msgs/JointState), so its images have no joint values", source)
+    images = (recording for recording in messages_of_bag(source, kinds) if recording[0] == of_camera)
+    for k, (_, kind, _, message) in enumerate(images):
+        if k in chosen:
+            joints = dict(zip(names, map(float, values[k]), strict=True)) if names else None
             image = _image_of(kind, message, f"{source}, image {k + 1}")
-        yield Shot(f"{Path(source).stem}_{k + 1}", source, image, joints)
+            yield Shot(f"{Path(source).stem}_{k + 1}", source, image, joints)
+
+
+def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list[int]:
+    """Numbers of the images to use; the others are told in one line."""
+    if not np.any(still):
+        raise DataError(
+            f"{source}: at none of {counted(len(still), 'image')} the robot stood still, with joint states before and"
+            " after it"
+        )
+    moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
+    stop = stops(values[standing])
+    chosen = [int(of_stop[len(of_stop) // 2]) for of_stop in np.split(standing, np.flatnonzero(np.diff(stop)) + 1)]
+    left = []
+    if len(moved):
+        numbers = listed([str(k + 1) for k in moved])
+        left.append(f"the robot moved, or had no joint states, at {len(moved)} ({numbers})")
+    if len(chosen) < len(standing):
+        left.append(f"{len(standing) - len(chosen)} show the same stop as another")
+    if left:
+        _LOG.warning("%s: %d of %d images left out: %s", source, len(still) - len(chosen), len(still), "; ".join(left))
+    return chosen
 
 
 def _image_of(kind: str, message: Any, where: str) -> GreyImage | str:
@@ -151,10 +179,26 @@ def _raw_image(message: Any) -> GreyImage:
     return np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(order), cv2.COLOR_BGR2GRAY))
 
 
+def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
+    """Return images of which all have joint values or none: those without come as words where others have some.
+
+    Raises:
+        DataError: Bags of different robots.
+    """
+    first = next((shot for shot in photographs if shot.joints), None)
+    if first is None:
+        return list(photographs)
+    for shot in photographs:
+        if shot.joints and set(shot.joints) != set(first.joints or ()):
+            raise DataError(
+                f"{shot.path}: has the joints {listed(list(shot.joints))}, and {first.path} has"
+                f" {listed(list(first.joints or ()))}; give bags of one robot"
+            )
+    words = f"has no joint values, unlike images of {first.path}; give it without that bag"
+    return [shot if shot.joints else replace(shot, image=words) for shot in photographs]
+
+
 def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
-    """Return the joints of images of a bag: names, and values (n_images, n_joints); none where an image has none."""
-    known = [shot.joints for shot in shots_used]
-    if not known or any(joints is None for joints in known):
-        return [], np.zeros((len(shots_used), 0))
-    names = list(known[0] or {})
-    return names, np.array([[(joints or {})[name] for name in names] for joints in known])
+    """Return the joints of images: names, and values (n_images, n_joints); no names where `with_joints` finds none."""
+    names = list(shots_used[0].joints or ()) if shots_used else []
+    return names, np.array([[(shot.joints or {})[name] for name in names] for shot in shots_used])

@@ -89,6 +89,8 @@ def decoded(content: bytes, where: str) -> GreyImage:
     Raises:
         DataError: It is not an image that can be read.
     """
+    if content.startswith(b"\x89PNG") and b"IEND" not in content:
+        raise DataError(f"{where}: is cut off: its end is missing; copy it again")
     cv2 = opencv()
     level = cv2.utils.logging.setLogLevel(0) if hasattr(cv2.utils, "logging") else None
     try:

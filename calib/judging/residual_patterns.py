@@ -7,14 +7,15 @@ it would add to the measured rows) the linear model r = J du + Z c is compared w
     gain = r^T Z (Z^T M Z)^-1 Z^T r                    by how much |r|^2 would fall
     F = (gain / k) / ((|r|^2 - gain) / (nu - k))       against F(k, nu - k), k columns left after M
 
-The effects are those of `calib.judging.effects`. One that the fit absorbs (a constant shift, where the base is
-free) cannot be seen and is not tested: `visible` says how large it would have to be. Effects come in families of kinds,
-which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of
-its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough
-data make any trifle significant. Where poses scatter by more than independent readings would
-(`calib.numerics.clusters`), F is divided by how much more the score of the effect scatters, summed pose by pose, and
-nu is that of this scatter. Of waves and of slips, which are tried by the dozen for each joint or target, the best
-is kept.
+The effects are those of `calib.judging.effects`. One that the fit absorbs (a constant shift, where the base is free)
+cannot be seen and is not tested: `visible` says how large it would have to be. Effects come in families of kinds, which
+share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of its
+tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough data
+make any trifle significant. Where poses scatter by more than independent readings would (`calib.numerics.clusters`), F
+is divided by how much more the score of the effect scatters, summed pose by pose, and nu is that of this scatter. A fit
+follows each pose a little, so that its residuals scatter too little: a finding counts only if it is one with the
+residuals of each pose by the fit, and the effect, of all other poses. Of waves and of slips, which are tried by the
+dozen for each joint or target, the best is kept.
 
 The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
 file, which must be the order of measurement.
@@ -27,7 +28,7 @@ has columns of its own.
 When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
 named. F supposes normal noise.
 
-Reference: cook1982, chapter 2.4 (added variables).
+Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the pose that is judged).
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 from calib.judging.effects import FAMILIES, KINDS, ORDERS, Effect, EffectSetting, Kind, Waves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
+from calib.numerics.clusters import foretold
 from calib.rows.rows import Rows
 
 SMALLEST_EFFECT = 0.1
@@ -184,7 +186,7 @@ def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind
         test, times = kept[effect.kind, effect.name, effect.detail]
         columns = residuals.after_fit(effect.columns)
         explained = columns @ test.coefficients
-        p = min(1.0, _chance(residuals, test, columns, explained) * times)
+        p = min(1.0, _chance(residuals, test, columns, explained, FALSE_ALARM / times) * times)
         size = setting.size(explained)
         significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
         amount = float(np.linalg.norm(test.coefficients)) if effect.kind in _BEST_ONLY else _only(test.coefficients)
@@ -290,7 +292,7 @@ def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
     return _Tested(effect, p_value, ratio, freedom, gain, vectors @ (score / values) / size)
 
 
-def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray) -> float:
+def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:
     """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
 
     Args:
@@ -298,17 +300,26 @@ def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explaine
         tested: The effect.
         columns: M Z, (n_rows, k).
         explained: M Z c, (n_rows,).
+        limit: Chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
     basis = scipy.linalg.orth(columns, rcond=np.sqrt(_ABSORBED))
-    left = residuals.rows.residuals - explained
     pose = np.unique(residuals.rows.layout.pose_of_row, return_inverse=True)[1]
-    scores = [np.bincount(pose, direction * left) for direction in basis.T]
-    inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
-    return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
+
+    def chance(left: FloatArray) -> float:
+        scores = [np.bincount(pose, direction * left) for direction in basis.T]
+        inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
+        return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
+
+    left = residuals.rows.residuals - explained
+    result = chance(left)
+    if result >= limit:
+        return result
+    span = np.hstack([residuals.pulled, basis])
+    return chance(foretold(span, np.eye(span.shape[1]), left, pose))
 
 
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:

@@ -275,6 +275,8 @@ FIRST = "G1 X0 Y0 Z0\n"
         (FIRST + "G1 X1..2\n", (), "line 2: '.2' is not read"),
         (FIRST + "G1 X1 X2\n", (), "line 2: has a letter twice"),
         (FIRST + "G0 G1 X1\n", (), "line 2: has two motions"),
+        ("G20 G21\n" + FIRST, (), "line 1: has G20 and G21"),
+        (FIRST + "G91 G90 X1\n", (), "line 2: has G90 and G91"),
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
         (FIRST + "/G1 X1\n", (), "line 2: whether lines with / are run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),

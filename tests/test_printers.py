@@ -51,16 +51,16 @@ def as_firmware(firmware, text):
     return np.concatenate([[float(words["M665"]["R"])], angles, rods, height + ends])
 
 
-def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
+def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE):
     """A printer.cfg as Klipper writes it, of a simulated printer; `behind`: saved by SAVE_CONFIG."""
     rng = np.random.default_rng(seed)
-    lines = ["[printer]", "kinematics: delta", f"delta_radius: {TRUE[0]}", ""]
+    lines = ["[printer]", "kinematics: delta", f"delta_radius: {true[0]}", ""]
     for k, tower in enumerate("abc"):
         lines += [
             f"[stepper_{tower}]  # tower",
-            f"position_endstop: {TRUE[7 + k]}",
-            f"arm_length: {TRUE[4 + k]}",
-            f"angle: {TRUE[1 + k]}",
+            f"position_endstop: {true[7 + k]}",
+            f"arm_length: {true[4 + k]}",
+            f"angle: {true[1 + k]}",
             "rotation_distance: 32",
             "microsteps: 16",
             "",
@@ -68,7 +68,7 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
     body = ["[delta_calibrate]", "radius: 80"]
 
     def steps(xyz):
-        return ",".join(f"{item:.3f}" for item in carriages(TRUE, xyz) / STEP)
+        return ",".join(f"{item:.3f}" for item in carriages(true, xyz) / STEP)
 
     for k in range(13):
         angle, radius = np.radians(90 + 60 * k), 0 if k == 0 else (75 if k < 7 else 45)
@@ -193,6 +193,15 @@ def test_a_mistyped_distance_is_named_though_a_firmware_made_its_settings_of_it(
     done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
     assert done.exit_code == (2 if off else 0), done.output
     assert not off or f": distance{k} " in done.output
+
+
+def test_arms_that_no_printer_has_do_not_come_out(folder):
+    """A firmware that fitted arms to heights alone may have saved such; its file agrees with itself."""
+    (folder / "saved.cfg").write_text(printer_cfg(spans=False, true=np.array([*TRUE[:4], 225, 391, 214, *TRUE[7:]])))
+    done = run("init", "--klipper", "saved.cfg", "--out", "s.yaml")
+    assert done.exit_code == 2
+    assert "arms of 225, 391, 214 mm are no printer's" in done.output
+    assert not (folder / "s.yaml").exists()
 
 
 GOOD = printer_cfg()

@@ -15,6 +15,7 @@ import scipy
 
 from calib.base.errors import DataError
 from calib.base.units import PER_SI, millimetres
+from calib.base.words import listed
 from calib.numerics.chances import FALSE_ALARM, FEWEST
 from calib.robots.linear_delta import (
     ANGLE,
@@ -32,6 +33,7 @@ _MM = 1 / PER_SI["length"]["mm"]
 _FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
 _FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
+_ALIKE = 0.02  # how much longer the longest arm may be
 _STEP = 1e-6  # of central differences [m or rad]
 
 
@@ -67,6 +69,10 @@ class PrinterFile:
     rows: tuple[Row, ...] = ()
 
 
+def _alike(arms: tuple[float, ...]) -> bool:
+    return max(arms) - min(arms) <= _ALIKE * min(arms)
+
+
 def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
     """Return what is expected of a printer before its rows are looked at.
 
@@ -77,8 +83,17 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     Args:
         printer: The printer.
         arm: Length of the arms as designed or measured [m], if stated.
+
+    Raises:
+        DataError: The file's arms are not alike, and none is stated.
     """
     file = printer.geometry
+    if arm is None and not _alike(file.arms):
+        shown = listed([f"{millimetres(value):.4g}" for value in file.arms])
+        raise DataError(
+            f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
+            " measure one and state it, such as --length arm=288mm"
+        )
 
     def rounded(values: tuple[float, ...]) -> float:
         return round(millimetres(sum(values) / len(values))) * _MM
@@ -162,7 +177,7 @@ def require_plausible(printer: PrinterFile) -> None:
 
 
 def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return how far each row is off what the others say, and the chance of that; None if they are too few to say.
+    """Return how far each row is off what the others say, and the chance of that; None where that cannot be said.
 
     Saved settings cannot judge: a firmware made them from all rows, a mistyped one among them. So each row is left out,
     and nine numbers are found from the others and the priors of `calib.robots.linear_delta`, by one step from the saved
@@ -173,11 +188,13 @@ def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
         printer: All of its rows are reachable.
 
     Returns:
-        (n_rows,) [m], and (n_rows,) chances.
+        (n_rows,) [m], and (n_rows,) chances. None if rows are too few, or arms are not alike.
 
     Reference: cook1982.
     """
     geometry, rows, n = printer.geometry, printer.rows, 9
+    if not _alike(geometry.arms):
+        return None
     start, sigma = _vector(geometry), np.array([RADIUS, ANGLE, ANGLE, *[ARM] * 3, *[ENDSTOP] * 3])
     noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])
     ends = [

@@ -316,6 +316,14 @@ def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
     assert not file.remarks()
 
 
+def test_a_line_that_cannot_be_read_is_an_error_where_nobody_waits(run_calib, tmp_path):
+    path = tmp_path / "few.csv"
+    path.write_text("".join([*LINES[: HEADER + 3], "what\n", *LINES[HEADER + 3 : HEADER + 30]]))
+    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm", "--once")
+    assert (run.code, run.out) == (2, "")
+    assert run.err.startswith(f"calib: {path}, line {HEADER + 4}: 1 cells for")
+
+
 def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
     five_bar = calib.load(EXAMPLES / "five_bar.yaml")
     lines = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines(keepends=True)

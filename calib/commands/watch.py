@@ -65,8 +65,8 @@ def command(
     """Follow FILE (CSV) while ROBOT is measured: how accurate it is, which pose to measure next, and when to stop.
 
     Each new line is predicted first, then fitted. A line that cannot be read is named, and skipped until it is
-    corrected. The command ends when the goal is reached with 95 % confidence, or with Ctrl-C. With --json FILE, the
-    file always holds the present state; with --json -, every state is one line.
+    corrected; with --once it is an error. The command ends when the goal is reached with 95 % confidence, or with
+    Ctrl-C. With --json FILE, the file always holds the present state; with --json -, every state is one line.
     """
     if once and view:
         raise InputError("--once prints one answer and ends, so --view has nothing to follow; leave one of them out")

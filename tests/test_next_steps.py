@@ -5,6 +5,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
@@ -61,6 +62,12 @@ def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, cod
     assert grade in meaning
     assert following.startswith("Next: ")
     assert following.partition(": calib ")[2].startswith(expected.removeprefix("calib "))
+
+
+def test_joint_terms_are_not_offered_where_poses_are_too_few_to_choose_them(robot, data, say):
+    fit = calib.fit(robot, data[np.arange(15)])
+    say("FAIL", "systematic")
+    assert after_fit(fit, "a.yaml", ("d.csv",), "out").endswith(": calib check a.yaml d.csv")
 
 
 def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(robot, data):

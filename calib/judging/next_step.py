@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.fitting.fitted import Fit
+from calib.fitting.terms.term_choice import LEAST_POSES
+from calib.fitting.validation import stretches
 from calib.judging.reasons import Answer
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
@@ -57,6 +59,9 @@ def next_step(fit: Fit) -> NextStep:
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
     if Answer.CORRECT in answers:  # what else is seen comes from the mistake
         return _again("correct the data or the description as the reasons say, and fit again")
+    data = fit.identification.data
+    if Answer.ADD_TERMS in answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+        answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in answers]
     option = next((answer for answer in _OPTIONS if answer in answers), None)
     if option in _FIRST or (option is not None and answers[0] is not Answer.OTHER_POSES):
         return _again(*_OPTIONS[option])

@@ -131,6 +131,28 @@ def test_commands_for_a_pose_lead_back_to_it(cases, name, language):
     assert np.abs(there - goals[result]).max() < 2e-10
 
 
+@pytest.mark.parametrize(("name", "language"), [("example arm", "numpy"), ("MedRUE with a rail's terms", "c")])
+def test_what_is_found_from_home_is_found_from_every_start_and_nothing_else_is_told(cases, name, language):
+    case, n = cases(name), 24
+    lower, upper = case.robot.urdf.limits(case.robot.joint_names)
+    some = np.flatnonzero(distance(case) >= 0.1)[:n]
+    goals, context = case.truth[0][some].copy(), case.context.at(some)
+    goals[0, 2, 3] += 10.0  # m: out of reach
+    inverse, home = case.of(language).inverse, np.tile(case.robot.home, (n, 1))
+    known = np.isfinite(inverse(goals, home, context)[:, 0])
+    assert not known[0]
+    assert known.mean() > 0.5  # the arm's joints turn less than once round
+    starts = (case.robot.sample(n, 7), home + 10.0 * (upper - lower), np.full_like(home, np.nan))
+    for start in starts:
+        q = inverse(goals, start, context)
+        told = np.isfinite(q).all(axis=1)
+        assert told[known].all()
+        assert not told[0]
+        assert ((q[told] >= lower) & (q[told] <= upper)).all()
+        there = poses_of_engine(case.robot, q[told], context.at(np.flatnonzero(told)))
+        assert np.abs(there - goals[told]).max() < 2e-10
+
+
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_only_what_is_asked_for_must_be_met(cases, language):
     """A five-bar reaches places in its plane, with the orientation that it happens to have there."""

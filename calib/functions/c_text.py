@@ -22,8 +22,8 @@ int @_jacobian(const double q[@_N], const @_conditions *given, int tool, double 
 int @_inverse(const double pose[16], const double start[@_N], const @_conditions *given, int tool,
               const int use[6], double q[@_N]);
     Commands within the joint limits that bring a tool to a pose, met to 1e-10 (m and rad), by damped Newton steps from
-    a start. The search is local. `use` says which of x, y, z, rx, ry, rz shall be met; NULL: all. Returns 1, or 0
-    where nothing was found from that start; q then is NaN.
+    a start, and where that fails again from home, whose solution may be in another posture. `use` says which of x, y,
+    z, rx, ry, rz shall be met; NULL: all. Returns 1, or 0 where nothing was found; q then is NaN.
 
 Nothing is allocated, and nothing is kept between calls. Include the file where it is needed; link with -lm."""
 
@@ -86,6 +86,7 @@ def _tables(facts: RobotFacts) -> str:
     text = [
         _array("double @_lower[]", facts.lower),
         _array("double @_upper[]", facts.upper),
+        _array("double @_home[]", facts.home),
         _array("double @_joint_scale[]", scale),
         f"static const @_conditions @_neutral = {{{neutral}}};\n",
     ]

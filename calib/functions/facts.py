@@ -127,6 +127,7 @@ class RobotFacts(ReadOnlyArrays):
         gravity: For torques; None where nothing depends on them.
         conditions: Names of the conditions that the joint errors depend on.
         lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
+        home: Commands of the home configuration, within these, (n_actuated,) [m or rad].
         length: Characteristic length [m].
         base: Pose of the measurement frame in the root link, (4, 4) [m]; None where joints move it.
     """
@@ -142,6 +143,7 @@ class RobotFacts(ReadOnlyArrays):
     conditions: tuple[str, ...]
     lower: FloatArray
     upper: FloatArray
+    home: FloatArray
     length: float
     base: FloatArray | None
 
@@ -172,6 +174,7 @@ def facts_of(robot: Robot) -> RobotFacts:
         conditions=tuple(name for source, name in CONDITIONS.items() if source in sources),
         lower=lower,
         upper=upper,
+        home=np.clip(robot.home, lower, upper),
         length=mechanism.length,
         base=_base(robot),
     )

@@ -69,6 +69,7 @@ def _numbers(facts: RobotFacts) -> str:
         "CONDITIONS": {name: NEUTRAL[name] for name in facts.conditions},
         "LOWER": facts.lower,
         "UPPER": facts.upper,
+        "HOME": facts.home,
         "BASE": facts.base,
         "_LENGTH": facts.length,
         "_TURN": 2.0 * np.pi,

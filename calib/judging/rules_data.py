@@ -246,8 +246,8 @@ def repeats(fit: Fit) -> Iterator[Reason]:
     ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
     if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
         yield Code.REPEATABILITY.says(
-            f"residuals are {ratio:.1f} times the scatter of repeats: the model leaves something out, or the"
-            " repeats were read without moving the robot"
+            f"means of repeats are off by {ratio:.1f} times what their scatter explains: the model leaves something"
+            " out, or the repeats were read without moving the robot"
         )
 
 

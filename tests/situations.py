@@ -501,7 +501,7 @@ def _(shop):
         poses = calib.Poses(q, tuple(f"row {k}" for k in range(180)), labels, "test", ())
         fits.append(calib.fit(shop.arm, calib.as_measurements(shop.arm, poses, shop.arm.positions(q) + away)))
     # means of three: 50^2 + 10^2 / 3 against 10^2 / 3
-    return Situation(*fits, r"residuals are ([\d.]+) times the scatter", (np.sqrt(1 + 3 * 25),), 0.15)
+    return Situation(*fits, r"means of repeats are off by ([\d.]+) times", (np.sqrt(1 + 3 * 25),), 0.15)
 
 
 @situation(Code.ROUNDED)

@@ -128,7 +128,7 @@ class Temperature(OneCoefficient):
 
 
 class Compliance(OneCoefficient):
-    """dq = c times the torque of gravity that the joint holds."""
+    """dq = c times the torque of gravity that the joint holds; c < 0 where it gives way."""
 
     word = "compliance"
     cause = "load (compliance)"

@@ -14,11 +14,11 @@ import numpy as np
 import yaml
 
 from calib.commands.boards import given_board
-from calib.commands.hand_eye import scene_of
 from calib.photographs.detection import detect
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.images import shots
 from calib.photographs.left_out import rms
+from calib.photographs.scene import scene_of
 from calib.photographs.tool_poses import read_tool_poses
 
 BOARD = "charuco:5x7:36.195mm:18.256mm:DICT_6X6_250"

@@ -1,7 +1,11 @@
+import ast
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, pose, scene
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -231,20 +235,47 @@ def test_too_few_images_are_an_error():
         calibrate(scene(2, "tool"), INTRINSICS)
 
 
-def test_exported_files_hold_the_same_transform():
-    result = calibrate(scene(7, "base", noise=0.2), INTRINSICS)
-    made = files(result, Frames("world", "flange", "cam"))
-    want = result.fitted.placed.camera
-    assert np.allclose(np.loadtxt(made["camera_matrix.txt"].decode().splitlines()), want, atol=1e-11)
-    words = made["static_transform.sh"].decode().split()
-    numbers = [float(words[words.index(f"--{key}") + 1]) for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    assert np.allclose(numbers[:3], want[:3, 3], atol=1e-8)
-    assert np.allclose(Rotation.from_quat(numbers[3:]).as_matrix(), want[:3, :3], atol=1e-7)
-    assert words[words.index("--frame-id") + 1] == "world"
-    assert "eye_on_hand: false" in made["easy_handeye.yaml"].decode()
-    assert "calibration_type: eye_on_base" in made["easy_handeye2.calib"].decode()
+@pytest.mark.parametrize("mount", ["tool", "base"])
+def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format(mount):
+    result = calibrate(scene(7, mount, noise=0.2), INTRINSICS)
+    made = {name: text.decode() for name, text in files(result, Frames("world", "flange", "cam", "chart")).items()}
+    want, parent = result.fitted.placed.camera, {"tool": "flange", "base": "world"}[mount]
+    at = made["static_transform.sh"].split("static_transform_publisher ")[1].split()
+    publisher = dict(zip(at[::2], at[1::2], strict=True))
+    launched = ast.literal_eval(re.search(r"arguments=(\[.*\])", made["camera_pose.launch.py"])[1])
     compile(made["camera_pose.launch.py"], "camera_pose.launch.py", "exec")
-    assert content(result, Frames())["camera_on"] == "base"
+    assert dict(zip(launched[::2], launched[1::2], strict=True)) == publisher
+    assert (publisher["--frame-id"], publisher["--child-frame-id"]) == (parent, "cam")  # tf2: the child in the parent
+    first, second = (yaml.safe_load(made[name]) for name in ("easy_handeye.yaml", "easy_handeye2.calib"))
+    json_camera = json.loads(made["hand_eye.json"])["camera"]
+    assert (json_camera["parent"], json_camera["child"]) == (parent, "cam")
+    keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    moved, turned = (second["transform"][part] for part in ("translation", "rotation"))
+    forms = [
+        [float(publisher[f"--{key}"]) for key in keys],
+        [first["transformation"][key] for key in keys],
+        [*(moved[key] for key in "xyz"), *(turned[key] for key in "xyzw")],
+        [json_camera[key] for key in keys],
+    ]
+    for numbers in forms:
+        assert np.allclose(numbers[:3], want[:3, 3], rtol=0, atol=1e-11)
+        assert np.allclose(Rotation.from_quat(numbers[3:]).as_matrix(), want[:3, :3], rtol=0, atol=1e-11)
+    assert np.allclose(np.loadtxt(made["camera_matrix.txt"].splitlines()), want, rtol=0, atol=1e-14)
+    assert np.allclose(json_camera["matrix"], want, rtol=0, atol=0)
+    hand = mount == "tool"
+    # easy_handeye passes the keys to a constructor, which needs the first and knows these alone
+    assert first["parameters"] == {
+        "namespace": f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/",
+        "move_group_namespace": "/",
+        "move_group": "manipulator",
+        "eye_on_hand": hand,
+        "robot_base_frame": "world",
+        "robot_effector_frame": "flange",
+        "tracking_base_frame": "cam",
+        "tracking_marker_frame": "chart",
+    }
+    assert second["parameters"]["calibration_type"] == ("eye_in_hand" if hand else "eye_on_base")
+    assert content(result, Frames())["camera_on"] == mount
 
 
 def test_corners_that_are_off_go_by_themselves_and_are_no_doubt():

@@ -395,7 +395,7 @@ def test_points_may_come_from_a_file(tmp_path):
 def test_points_may_be_those_of_a_printed_board(tmp_path):
     board = "kind: chessboard\ncolumns: 4\nrows: 3\nsquare: 20 mm\n"
     (tmp_path / "board.yaml").write_text(board)
-    for given in ("board.yaml", "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}"):
+    for given in ("board.yaml", "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}", '"chessboard:4x3:20mm"'):
         robot = calib.load(write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", f"board: {given}")))
         points = robot.instrument("eye").points_of_body
         assert list(points) == ["c0", "c1", "c2", "c3", "c4", "c5"]

@@ -11,13 +11,15 @@ from calib.cli import group
 from calib.commands.boards import given_board
 from calib.instruments.board import checked_board
 from calib.photographs.camera_files import read_camera
+from calib.photographs.estimation import turning
 from calib.photographs.tool_poses import read_tool_poses
 
 cv2 = pytest.importorskip("cv2")
 from calib.photographs.detection import detect  # noqa: E402
 from calib.photographs.images import shots  # noqa: E402
-from calib.photographs.opencv import read_image  # noqa: E402
+from calib.photographs.opencv import decoded, read_image  # noqa: E402
 from calib.photographs.printing import Paper, page  # noqa: E402
+from calib.photographs.rendering import example  # noqa: E402
 
 CHARUCO = "charuco:6x8:30mm:21mm:DICT_5X5_100"
 BOARDS = {
@@ -182,6 +184,25 @@ def test_bad_boards_are_one_line(content, words):
     assert str(error.value).startswith("board.yaml: ")
 
 
+def test_too_little_turned_and_points_that_no_image_shows_are_said(tmp_path):
+    board = given_board("charuco:5x6:30mm:22mm:DICT_5X5_100")
+    for k in range(4):
+        flat = seen(board, np.array([[1.0, 0.0, 100.0 + 9 * k], [0.0, 1.0, 60.0], [2e-5, 0.0, 1.0]]))[0]
+        cv2.imwrite(str(tmp_path / f"{k}.png"), flat)
+    larger = ["--board", "charuco:5x7:30mm:22mm:DICT_5X5_100", "--out", str(tmp_path / "p.csv")]
+    said = CliRunner().invoke(group, ["detect", str(tmp_path), *larger]).stdout
+    assert "deg about a second\nThat is too little to find where the camera is: tilt the tool by 20 to 40 deg" in said
+    assert "In no image: 4 points of the board (c20, c21, c22, c23); check columns and rows" in said
+
+
+def test_simulated_photographs_show_all_of_a_board_without_markers():
+    for text in (BOARDS["chessboard"], BOARDS["circles"]):
+        board = given_board(text)
+        shown = example(board, 6, np.random.default_rng(0))
+        images = [decoded(content, name) for name, content in shown.items() if name.endswith(".png")]
+        assert all(len(image.points) == len(board.points()) for image in last(board, *images).images)
+
+
 def test_bad_short_forms_are_one_line():
     for text, words in (
         ("chesboard:9x6:20mm", "did you mean 'chessboard'"),
@@ -195,7 +216,7 @@ def test_bad_short_forms_are_one_line():
 def test_pages_to_print_have_the_true_size():
     board = given_board(CHARUCO)
     svg = page(board, "svg", "a3").decode()
-    assert 'width="841.889' in svg  # 297 mm in points
+    assert 'width="297mm" height="420mm"' in svg
     assert page(board, "pdf", None).startswith(b"%PDF")
     with pytest.raises(InputError, match="take larger paper"):
         page(given_board("chessboard:9x6:50mm"), "pdf", "a4")
@@ -346,11 +367,17 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     runner, board = CliRunner(), str(tmp_path / "board.yaml")
     printed = ["board", "--board", board, "--out", str(tmp_path / "b.pdf"), "--photographs", str(tmp_path / "shots")]
     assert runner.invoke(group, printed).exit_code == 0
+    found = ["detect", str(tmp_path / "shots"), "--board", board, "--out", str(tmp_path / "p.csv"), "--json", "-"]
+    _, poses = read_tool_poses(tmp_path / "shots" / "poses.csv")
+    turned = json.loads(runner.invoke(group, found).stdout)["turned_rad"]
+    assert np.allclose(turned, turning(poses), atol=0.02)  # the lens is not known there: a degree
     told = ["hand-eye", str(tmp_path / "shots"), "--board", board, "--poses", str(tmp_path / "shots" / "poses.csv")]
     done = runner.invoke(group, [*told, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "camera on the tool" in done.output
     result = json.loads((tmp_path / "out" / "hand_eye.json").read_text())
+    assert result["verdict"] == "PASS"
+    assert result["next"][0].startswith("no more photographs are needed for poses like these")
     truth = json.loads((tmp_path / "shots" / "truth.json").read_text())
     away = np.array(result["camera"]["matrix"])[:3, 3] - np.array(truth["camera_in_tool"])[:3, 3]
     assert np.linalg.norm(away) < 1.5e-3

@@ -7,21 +7,13 @@ from pathlib import Path
 import click
 import numpy as np
 
-from calib.base.errors import InputError, nearest
+from calib.base.errors import InputError
 from calib.base.files import write_files, write_folder
-from calib.base.sections import read_yaml
 from calib.commands.common import Output, shared_options
-from calib.instruments.board import BOARD_KINDS, Board, checked_board
+from calib.instruments.board import Board, read_board
 from calib.photographs.printing import FORMATS, PAPERS, page
 from calib.photographs.rendering import example
 
-_SHORT = {
-    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
-    "chessboard": ("columns", "rows", "square"),
-    "circles": ("columns", "rows", "spacing"),
-    "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
-    "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
-}
 _PHOTOGRAPHS = 12
 _HELP = (
     "The board: a YAML file (kind, columns, rows, square, marker, dictionary), or in short"
@@ -34,31 +26,8 @@ board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=
 
 
 def given_board(text: str) -> Board:
-    """Return the board of a file, or of its short form.
-
-    Raises:
-        InputError: It is neither.
-        DescriptionError: A key is missing or wrong.
-    """
-    kind, colon, rest = text.partition(":")
-    if Path(text).suffix.lower() in (".yaml", ".yml") or Path(text).is_file():
-        content = read_yaml(text)
-        inner = content.get("board") if isinstance(content, dict) else None
-        return checked_board(inner if isinstance(inner, dict) else content, text)
-    if not colon and kind not in BOARD_KINDS:
-        raise InputError(f"--board {text}: is neither a YAML file nor a kind{nearest(kind, BOARD_KINDS)}")
-    if kind not in _SHORT:
-        raise InputError(f"--board {text}: unknown kind '{kind}'{nearest(kind, BOARD_KINDS)}")
-    keys = _SHORT[kind]
-    counts, *values = rest.split(":")
-    columns, times, rows = counts.partition("x")
-    optional = kind == "apriltag" and len(values) == len(keys) - 3
-    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
-        raise InputError(f"--board {text}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
-    return checked_board(
-        {"kind": kind, "columns": int(columns), "rows": int(rows)} | dict(zip(keys[2:], values, strict=False)),
-        f"--board {text}",
-    )
+    """Return the board of a file, or of its short form; see `calib.instruments.board.read_board`."""
+    return read_board(text, f"--board {text}")
 
 
 @click.command("board")

@@ -8,18 +8,22 @@ from pathlib import Path
 import click
 import numpy as np
 
+from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, InputError
 from calib.base.files import write_files
-from calib.base.words import counted
+from calib.base.words import counted, listed
 from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, shared_options
 from calib.data.tables import format_table
 from calib.instruments.board import Board
 from calib.instruments.camera import LITTLE_COVERAGE, image_coverage
 from calib.photographs.detection import DetectedImage, Detection, detect
+from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, page, small_copy
+from calib.photographs.scene import scene_of
+from calib.photographs.starts import LEAST_IMAGES, views
 
 
 @click.command("detect")
@@ -116,6 +120,10 @@ def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str)
     return format_table(table, (f"image: {width} x {height} px", f"board: {detection.board}"))
 
 
+def _number(point: str) -> list[int]:
+    return [int(part) for part in point[1:].split(".")]
+
+
 def summary(detection: Detection) -> list[str]:
     """Return in words what was found, and what is too little."""
     usable, whole = detection.usable, len(detection.board.points())
@@ -131,7 +139,32 @@ def summary(detection: Detection) -> list[str]:
         lines.append(
             "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
         )
+    spreads = turned(detection)
+    if np.all(np.isfinite(spreads)):
+        first, second, _ = np.rad2deg(spreads)
+        lines.append(
+            f"The robot turned the view of the board by about {first:.0f} deg about one axis, and by {second:.0f} deg"
+            " about a second"
+        )
+        if spreads[1] < LITTLE_TURN:
+            lines.append(
+                "That is too little to find where the camera is: tilt the tool by 20 to 40 deg about two axes or more"
+            )
+    missing = sorted(set(detection.board.points()) - {name for image in usable for name in image.points}, key=_number)
+    if missing and len(usable) >= LEAST_IMAGES:
+        lines.append(
+            f"In no image: {counted(len(missing), 'point')} of the board ({listed(missing)}); check columns and rows,"
+            " and that nothing covers them"
+        )
     return lines
+
+
+def turned(detection: Detection) -> FloatArray:
+    """Return how far the camera turned against the board, largest first, (3,) [rad]; NaN of fewer than three images."""
+    if len(detection.usable) < LEAST_IMAGES:
+        return np.full(3, np.nan)
+    nothing = np.tile(np.eye(4), (len(detection.usable), 1, 1))
+    return turning(views(scene_of(detection.usable, detection.board, nothing)))
 
 
 def coverage(usable: Sequence[DetectedImage]) -> float:
@@ -145,6 +178,7 @@ def content(detection: Detection) -> dict[str, object]:
         "board": detection.board.model_dump(exclude_none=True),
         "n_points": detection.n_points,
         "coverage": coverage(detection.usable),
+        "turned_rad": turned(detection).tolist(),
         "images": [
             {
                 "name": image.name,

@@ -28,7 +28,7 @@ from calib.photographs.hand_eye_result import Frames, content, files, judge, rep
 from calib.photographs.images import joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.pages import Picture, exaggeration, page
-from calib.photographs.scene import Mount, Scene
+from calib.photographs.scene import Mount, scene_of
 from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
 from calib.robots.robot import Robot
 
@@ -143,21 +143,6 @@ def command(
     output.json(content(result, named))
     if judgement.grade == "FAIL" and not output.force:
         raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
-
-
-def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
-    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from."""
-    points = board.points()
-    counts = [len(image.points) for image in detected_images]
-    return Scene(
-        tuple(image.name for image in detected_images),
-        tool,
-        np.repeat(np.arange(len(detected_images)), counts),
-        np.array([points[name] for image in detected_images for name in image.points]),
-        np.concatenate([image.pixels for image in detected_images]),
-        "tool",
-        detected_images[0].size,
-    )
 
 
 def _frames(text: str | None) -> Frames:

@@ -15,12 +15,13 @@ need an odd and an even number of squares, and circles an odd number of rows.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
 from calib.base.errors import DescriptionError, nearest
-from calib.base.sections import PositiveLength, Section
+from calib.base.sections import PositiveLength, Section, read_yaml
 
 BoardKind = Literal["charuco", "chessboard", "circles", "aruco", "apriltag"]
 BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "aruco", "apriltag")
@@ -31,6 +32,13 @@ _NEEDS: dict[BoardKind, tuple[str, ...]] = {
     "circles": ("spacing",),
     "aruco": ("marker", "gap", "dictionary"),
     "apriltag": ("marker", "gap", "dictionary"),
+}
+_SHORT: dict[str, tuple[str, ...]] = {
+    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
+    "chessboard": ("columns", "rows", "square"),
+    "circles": ("columns", "rows", "spacing"),
+    "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
+    "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
 }
 _MOST = 100
 
@@ -172,3 +180,34 @@ def checked_board(content: object, where: str) -> Board:
             raise DescriptionError(f"{where}: key '{key}' is missing") from None
         text = first["msg"].removeprefix("Value error, ")
         raise DescriptionError(f"{where}: {key + ': ' if key else ''}{text}") from None
+
+
+def read_board(text: str, where: str, folder: Path | None = None) -> Board:
+    """Return the board of a YAML file, or of its short form, such as chessboard:9x6:25mm.
+
+    Args:
+        text: Name of the file, or the short form.
+        where: For messages on the short form.
+        folder: That of the file, if it is not the current one.
+
+    Raises:
+        DescriptionError: It is neither; no such file; a key is missing or wrong.
+    """
+    kind, colon, rest = text.partition(":")
+    path = (folder or Path()) / text
+    if path.suffix.lower() in (".yaml", ".yml") or path.is_file():
+        content = read_yaml(path)
+        inner = content.get("board") if isinstance(content, dict) else None
+        return checked_board(inner if isinstance(inner, dict) else content, str(path))
+    if not colon and kind not in BOARD_KINDS:
+        raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
+    if kind not in _SHORT:
+        raise DescriptionError(f"{where}: unknown kind of board '{kind}'{nearest(kind, BOARD_KINDS)}")
+    keys = _SHORT[kind]
+    counts, *values = rest.split(":")
+    columns, times, rows = counts.partition("x")
+    optional = kind == "apriltag" and len(values) == len(keys) - 3
+    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
+        raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
+    sizes = dict(zip(keys[2:], values, strict=False))
+    return checked_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)

@@ -14,9 +14,9 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import read_text
-from calib.base.sections import Length, PosedSection, PositiveLength, Section, read_yaml
+from calib.base.sections import Length, PosedSection, PositiveLength, Section
 from calib.base.units import per_si, split_column
-from calib.instruments.board import Board, checked_board
+from calib.instruments.board import Board, checked_board, read_board
 from calib.instruments.kind import InstrumentSection
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -121,12 +121,10 @@ class PixelSection(InstrumentSection):
 
 
 def _board(given: Any, folder: Path) -> Board:
-    """The board of a mapping, or of a file."""
+    """The board of a mapping, of a file, or of its short form."""
     if not isinstance(given, str):
         return checked_board(given, "board")
-    content = read_yaml(folder / given)
-    inner = content.get("board") if isinstance(content, dict) else None
-    return checked_board(inner if isinstance(inner, dict) else content, str(folder / given))
+    return read_board(given, f"board: {given}", folder)
 
 
 def read_points(path: Path) -> dict[str, tuple[float, float, float]]:

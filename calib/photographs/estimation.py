@@ -29,6 +29,8 @@ from calib.photographs.intervals import intervals
 from calib.photographs.scene import Placed, Scene, linearised
 from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
 
+LITTLE_TURN = np.deg2rad(15)
+"""Spread about the second axis below which photographs tell little of where the camera is."""
 _STEPS = 40
 _ENDS = 1e-13  # relative fall of the step below which rounding decides
 _NOISE_ROUNDS = 12
@@ -208,7 +210,7 @@ def require_determined(a: FloatArray, scene: Scene) -> None:
     values = np.linalg.eigvalsh(scale[:, None] * a * scale)
     if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):
         return
-    axes = turning(scene)
+    axes = turning(scene.tool)
     raise NotIdentifiableError(
         f"these {len(scene)} images do not determine where camera and board are: the tool turned by"
         f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another"
@@ -217,11 +219,14 @@ def require_determined(a: FloatArray, scene: Scene) -> None:
     )
 
 
-def turning(scene: Scene) -> FloatArray:
-    """Return how far the tool turned: spreads about three axes at right angles, largest first, (3,) [rad]."""
-    rotations = scene.tool[:, :3, :3]
+def turning(poses: FloatArray) -> FloatArray:
+    """Return how far poses (n, 4, 4) turned: spreads about three axes at right angles, largest first, (3,) [rad].
+
+    Poses of the tool, and of the camera against the board, turn alike: what is fixed at both ends changes only axes.
+    """
+    rotations = poses[:, :3, :3]
     middle = scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix()
     turns = scipy.spatial.transform.Rotation.from_matrix(middle.T @ rotations).as_rotvec()
     return (
-        np.linalg.svd(turns, compute_uv=False)[:3] * 2 / np.sqrt(max(len(scene), 1)) if len(scene) > 2 else np.zeros(3)
+        np.linalg.svd(turns, compute_uv=False)[:3] * 2 / np.sqrt(max(len(poses), 1)) if len(poses) > 2 else np.zeros(3)
     )

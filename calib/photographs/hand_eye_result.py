@@ -11,14 +11,13 @@ import scipy
 from calib.base.arrays import FloatArray
 from calib.base.words import as_data, counted, listed
 from calib.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
-from calib.photographs.estimation import turning
+from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.left_out import rms
 from calib.photographs.scene import SIDES
 
 _FEW = 10  # images below which a result is one to look at
 _MANY = 0.1  # part of the points left out, above which something is wrong with the photographs
-_LITTLE_TURN = np.deg2rad(15)
 _ROBOT_SHARE = 0.5
 _MM = 1e3
 _CLAIM_ABOVE = 0.5  # images left out over those used: where they differ more, the images are too few
@@ -63,11 +62,11 @@ def judge(result: HandEye) -> Judgement:
             f"{gone} of {points} points do not fit the others of their image: so many cannot be chance; look at the"
             " photographs (blur, reflections, a board that is not flat)"
         )
-    axes = turning(scene)
+    axes = turning(scene.tool)
     if len(scene) < _FEW:
         reasons.append(f"{counted(len(scene), 'image')} are few to judge by")
         advice.append(f"take {_FEW} to 20 images")
-    if axes[1] < _LITTLE_TURN:
+    if axes[1] < LITTLE_TURN:
         reasons.append(
             f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f}"
             f" deg about others: lengths along the first are poorly known"
@@ -85,6 +84,8 @@ def judge(result: HandEye) -> Judgement:
         )
         advice.append("take more images")
     grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
+    if grade == "PASS" and not advice:
+        advice.append("no more photographs are needed for poses like these; for work elsewhere, take some there")
     return Judgement(grade, tuple(failed + reasons), tuple(advice))
 
 
@@ -229,11 +230,12 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
     pose, above = transform(result.fitted.placed.camera), parents(result, frames)[0]
-    numbers = {key: f"{value:.9f}" for key, value in pose.items()}
+    numbers = {key: f"{value:.12f}" for key, value in pose.items()}
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
     arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
     hand = result.scene.mount == "tool"
-    matrix = "\n".join(" ".join(f"{value:.12g}" for value in row) for row in result.fitted.placed.camera)
+    matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in result.fitted.placed.camera)
+    namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
         f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
     )
@@ -249,9 +251,10 @@ def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
         ).encode(),
         "camera_pose.launch.py": _launch(arguments, hand).encode(),
         "easy_handeye.yaml": (
-            f"parameters:\n  eye_on_hand: {str(hand).lower()}\n"
+            f"parameters:\n  namespace: {namespace}\n  move_group_namespace: /\n  move_group: manipulator\n"
+            f"  eye_on_hand: {str(hand).lower()}\n"
             + "".join(f"  {line}\n" for line in frame_lines.splitlines())
-            + f"transformation:\n{inside}"
+            + f"  tracking_marker_frame: {frames.board}\ntransformation:\n{inside}"
         ).encode(),
         "easy_handeye2.calib": (
             f"parameters:\n  name: camera\n  calibration_type: {'eye_in_hand' if hand else 'eye_on_base'}\n"

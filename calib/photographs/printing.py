@@ -11,6 +11,7 @@ percent, and every length of a calibration shrinks with them.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -159,7 +160,13 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     stream = io.BytesIO()
     about = {"Date": None} if form == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=form, metadata=about)
-    return stream.getvalue()
+    return stream.getvalue() if form == "pdf" else _in_millimetres(stream.getvalue(), sheet)
+
+
+def _in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
+    """The page with its size in mm, which every program knows, and not in points."""
+    size = 'width="{:g}mm" height="{:g}mm"'.format(*(_MM * sheet))
+    return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
 
 
 def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:

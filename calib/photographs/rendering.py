@@ -124,7 +124,8 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         _pose((0.55, -0.1, 0.02), (180.0, 2.0, 30.0)),
     )
     middle = np.array([*np.array(board.size) / 2, 0.0])
-    distance = 1.5 * intrinsics[0] / size[1] * float(np.hypot(*board.size)) / np.sqrt(2)
+    away = 1.5 if board.dictionary else 2.3  # without markers, all of the board must be in the image
+    distance = away * intrinsics[0] / size[1] * float(np.hypot(*board.size)) / np.sqrt(2)
     files: dict[str, bytes] = {}
     lines = ["image,x [mm],y [mm],z [mm],qx,qy,qz,qw"]
     for k in range(count):

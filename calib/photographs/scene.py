@@ -24,8 +24,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.instruments.board import Board
 from calib.instruments.camera import project, rays
 from calib.numerics.rigid import cross_matrices
+from calib.photographs.detection import DetectedImage
 
 Mount = Literal["tool", "base"]
 SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
@@ -89,6 +91,21 @@ class Scene(ReadOnlyArrays):
     def counts(self) -> IntArray:
         """Points in each image, (n,)."""
         return np.bincount(self.image, minlength=len(self))
+
+
+def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> Scene:
+    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from."""
+    points = board.points()
+    counts = [len(image.points) for image in detected_images]
+    return Scene(
+        tuple(image.name for image in detected_images),
+        tool,
+        np.repeat(np.arange(len(detected_images)), counts),
+        np.array([points[name] for image in detected_images for name in image.points]),
+        np.concatenate([image.pixels for image in detected_images]),
+        "tool",
+        detected_images[0].size,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,6 +110,20 @@ def intrinsics_at_first(scene: Scene) -> FloatArray:
     return np.array([focal, focal, (scene.size[0] - 1) / 2, (scene.size[1] - 1) / 2, 0, 0, 0, 0, 0])
 
 
+def views(scene: Scene) -> FloatArray:
+    """Return the board in the camera at each image that shows where it is, (k, 4, 4) [m], about; `tool` does not count.
+
+    The focal length is that of the homographies, or as wide as the image where they tell none.
+    """
+    try:
+        intrinsics = intrinsics_at_first(scene)
+    except NotIdentifiableError:
+        width, height = scene.size
+        intrinsics = np.array([width, width, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    poses, errors = single_views(scene, intrinsics)
+    return poses[np.isfinite(errors)]
+
+
 def single_views(scene: Scene, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the board in the camera at each image (n, 4, 4) [m], and its error, (n,) [rad]; inf where not solved."""
     chosen = np.concatenate(

@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import hashlib
 import json
 import re
 
@@ -93,6 +94,14 @@ def test_the_page_asks_nobody(scene):
     assert "default-src 'none'" in html
     outside_scripts = re.sub(r"<script.*?</script>", "", html, flags=re.S)
     assert not re.search(r"""(?:src|href|url)\s*[=(]\s*(?!["']?data:)""", outside_scripts)
+
+
+def test_only_the_scripts_of_the_page_may_run(scene):
+    html = scene_page(scene).html
+    (allowed,) = re.findall(r"script-src ([^;]*);", html)
+    scripts = re.findall(r"<script>(.*?)</script>", html, re.S)
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    assert allowed.split() == [f"'sha256-{digest}'" for digest in digests]
 
 
 def test_the_same_scene_gives_the_same_bytes(scene):

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from calib.base.units import millimetres
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.term_choice import LEAST_POSES
 from calib.fitting.validation import stretches
@@ -16,16 +17,12 @@ from calib.robots.linear_delta import is_linear_delta
 
 _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
-    Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate 0.25"),
-    Answer.ADD_TERMS: ("fit again with joint terms that explain the errors", "--terms auto"),
-    Answer.TRY_STARTS: ("fit again from several starting points", "--starts 5"),
+    Answer.ADD_TERMS: ("fit again with joint terms that explain the errors", "--terms", "auto"),
+    Answer.TRY_STARTS: ("fit again from several starting points", "--starts", "5"),
+    Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
     Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
 }
-"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
-do to a fit looks like noise, and like joint terms; then the frame, since what was measured from elsewhere shows nothing
-that terms explain."""
-_FIRST = (Answer.LEAVE_OUT, Answer.HOLD_OUT)
-"""Those that come before other poses, whatever reason is the first."""
+"""Answers that are another `calib fit`: what for, and with which option."""
 ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
 """What stands in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
 
@@ -55,28 +52,44 @@ class NextStep:
 
 def next_step(fit: Fit) -> NextStep:
     """Return what answers the first reason of the verdict, or how the result is tested or used."""
-    verdict = judge(fit)
+    verdict, done = judge(fit), _done(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
-    if Answer.CORRECT in answers:  # what else is seen comes from the mistake
-        return _again("correct the data or the description as the reasons say, and fit again")
+    found = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
+    if Answer.CORRECT in found:  # what else is seen comes from the mistake
+        return _again(fit, "correct the data or the description as the reasons say, and fit again")
     data = fit.identification.data
-    if Answer.ADD_TERMS in answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
-        answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in answers]
-    option = next((answer for answer in _OPTIONS if answer in answers), None)
-    if option in _FIRST or (option is not None and answers[0] is not Answer.OTHER_POSES):
-        return _again(*_OPTIONS[option])
-    if Answer.OTHER_POSES in answers:
+    if Answer.ADD_TERMS in found and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+        found = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in found]
+    first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in found else next(iter(found), None)
+    if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
+        return _again(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
+    if first is Answer.OTHER_POSES:
         return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
     if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
         aim = "test the result on poses that the fit does not use"
-        return NextStep(aim, f"calib fit {ROBOT} {DATA} --validate 0.25 --out {FOLDER}")
+        return _again(fit, aim, "--validate", "0.25", folder=FOLDER)
     if answers:
         return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
     return _use(fit)
 
 
-def _again(aim: str, *words: str) -> NextStep:
-    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *words, "--out", AGAIN)))
+def _done(fit: Fit) -> set[Answer]:
+    """What this fit has tried already, so that it would lead nowhere."""
+    by_auto = fit.terms is not None and fit.terms.asked == "auto"
+    tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
+    return {answer for answer, was in tried.items() if was}
+
+
+def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
+    """Return a fit with the options of this one, as far as it knows them, and another."""
+    options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
+    options |= {} if fit.loss == "none" else {"--loss": fit.loss}
+    options |= {} if fit.terms is None else {"--terms": fit.terms.asked}
+    options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
+    options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
+    options |= {words[0]: " ".join(words[1:])} if words else {}
+    said = (word for option in options.items() for word in option if word)
+    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)))
 
 
 def _use(fit: Fit) -> NextStep:

@@ -62,15 +62,15 @@ class Code(StrEnum):
     NOT_ASSEMBLED = "not_assembled", "FAIL"
     WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.OTHER_POSES
     VALIDATION = "validation", "CHECK"
-    RESIDUALS_GREW = "residuals_grew", "FAIL"
-    INSTRUMENTS_DISAGREE = "instruments_disagree", "CHECK"
+    RESIDUALS_GREW = "residuals_grew", "FAIL", False, Answer.CORRECT
+    INSTRUMENTS_DISAGREE = "instruments_disagree", "CHECK", False, Answer.CORRECT
     FRAME_MOVED = "frame_moved", "CHECK", False, Answer.HOLD_OUT
     NOTHING_TO_CORRECT = "nothing_to_correct", "PASS"
-    NO_GAIN = "no_gain", "CHECK"
+    NO_GAIN = "no_gain", "CHECK", False, Answer.OTHER_POSES
     FILE_WITHHELD = "file_withheld", "PASS"
     FILE_HOLDS_LESS = "file_holds_less", "PASS"
     SYSTEMATIC = "systematic", "CHECK", True, Answer.ADD_TERMS
-    OTHER_MINIMUM = "other_minimum", "CHECK", False, Answer.TRY_STARTS
+    OTHER_MINIMUM = "other_minimum", "CHECK", False, Answer.OTHER_POSES
     # noise
     NOISE_AS_LARGE_AS_ROBOT = "noise_as_large_as_robot", "FAIL", False, Answer.CORRECT
     NO_NOISE = "no_noise", "CHECK", False, Answer.CORRECT
@@ -84,13 +84,13 @@ class Code(StrEnum):
     TOO_FEW_POSES = "too_few_poses", "CHECK", False, Answer.OTHER_POSES
     MOVES_AS_ONE = "moves_as_one", "PASS"
     OUTLIERS = "outliers", "CHECK", True, Answer.LEAVE_OUT
-    MANY_EXCLUDED = "many_excluded", "CHECK", False, Answer.LEAVE_OUT
-    USED_FOR_BOTH = "used_for_both", "CHECK"
+    MANY_EXCLUDED = "many_excluded", "CHECK", False, Answer.CORRECT
+    USED_FOR_BOTH = "used_for_both", "CHECK", False, Answer.HOLD_OUT
     DOUBTFUL_READINGS = "doubtful_readings", "CHECK", False, Answer.CORRECT
     COPIED = "copied", "CHECK", False, Answer.CORRECT
     ZERO_READINGS = "zero_readings", "FAIL", False, Answer.CORRECT
     EQUAL_COLUMNS = "equal_columns", "FAIL", False, Answer.CORRECT
-    REPEATABILITY = "repeatability", "CHECK", True
+    REPEATABILITY = "repeatability", "CHECK", True, Answer.ADD_TERMS
     ROUNDED = "rounded", "CHECK", True
     LEVERAGE = "leverage", "CHECK", True, Answer.LEAVE_OUT
     # parameters
@@ -99,14 +99,14 @@ class Code(StrEnum):
     LENGTHS_SCALED = "lengths_scaled", "FAIL", False, Answer.CORRECT
     LARGE_TERMS = "large_terms", "CHECK", True
     UNLIKE_FLEET = "unlike_fleet", "CHECK"
-    RANK_UNCLEAR = "rank_unclear", "CHECK"
-    NOT_LINEAR = "not_linear", "CHECK", False, Answer.TRY_STARTS
+    RANK_UNCLEAR = "rank_unclear", "CHECK", False, Answer.OTHER_POSES
+    NOT_LINEAR = "not_linear", "CHECK", False, Answer.OTHER_POSES
     # where the calibration holds
     ONE_CORNER = "one_corner", "CHECK", True, Answer.OTHER_POSES
     JOINT_MOVED_LITTLE = "joint_moved_little", "CHECK", True
     VALIDATED_ELSEWHERE = "validated_elsewhere", "CHECK", True
     BEYOND_JOINT_LIMITS = "beyond_joint_limits", "CHECK", True
-    TURNS_NOT_COUNTED = "turns_not_counted", "CHECK"
+    TURNS_NOT_COUNTED = "turns_not_counted", "CHECK", False, Answer.CORRECT
     BEYOND_CURVES = "beyond_curves", "CHECK", True, Answer.OTHER_POSES
     BLOCKS_DISAGREE = "blocks_disagree", "CHECK", True, Answer.ADD_TERMS
     TERMS_UNTESTED = "terms_untested", "CHECK", True, Answer.OTHER_POSES

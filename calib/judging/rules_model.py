@@ -18,7 +18,7 @@ from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain
 from calib.judging.effects import IN_COURSE
-from calib.judging.reasons import Code, Reason
+from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.residual_patterns import describe
 from calib.judging.rules_noise import impossible, in_words
 from calib.numerics.chances import EXACT, UNLIKELY
@@ -93,11 +93,13 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
+    moved = any(frame_moved(fit))
     for comparison in comparisons(fit):
         if comparison.worse:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * UNLIKELY:g} %){'' if any(frame_moved(fit)) else _NOT_THE_ROBOT}"
+                f" {100 * UNLIKELY:g} %){'' if moved else _NOT_THE_ROBOT}",
+                answer=Answer.HOLD_OUT if moved else None,
             )
 
 
@@ -143,14 +145,16 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
         claim: Its claim.
         needless: Whether the robot needs no correction.
     """
-    worse, further = ("", "") if any(frame_moved(fit)) else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
+    moved = any(frame_moved(fit))
+    worse, further = ("", "") if moved else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     for accuracy in claim.broken:
         times, claimed = accuracy.rms / claim.told.rms, claim.told
         if accuracy.rms > accuracy.before and claim.gain is not Gain.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
                 f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
-                f" ({claimed.shown(claimed.rms)}){worse}"
+                f" ({claimed.shown(claimed.rms)}){worse}",
+                answer=Answer.HOLD_OUT if moved else None,
             )
         else:
             yield Code.VALIDATION.says(

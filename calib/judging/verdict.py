@@ -119,13 +119,14 @@ def judge(fit: Fit) -> Verdict:
 def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
     """What others take back, or say of its cause.
 
-    No gain, where there is harm; patterns in residuals that are as large as the robot; instruments that disagree, where
-    a column was copied over another.
+    No gain, where there is harm; patterns in residuals that are as large as the robot; noise as large as it, where it
+    did not move; instruments that disagree, where a column was copied over another.
     """
     codes = {reason.code for reason in reasons}
     pairs = (
         (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
         (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+        (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),
         (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
     )
     return {less for more, less in pairs if more in codes}

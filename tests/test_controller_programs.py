@@ -3,6 +3,7 @@
 import difflib
 import json
 import re
+from pathlib import Path
 
 import controller_programs as programs
 import numpy as np
@@ -414,6 +415,7 @@ def test_every_format_has_25_cases_and_a_good_program_has_none(suffix, cell, tmp
         (["part.ls", "--keep", "pose"], "are not for programs of controllers"),
         (["part.csv", "--third-joint", "j3"], "are for programs of controllers"),
         (["part.ls"], "say with --third-joint whether"),
+        (["part.ls", "--out", "new.mod"], "new.mod: the program has the language of part.ls, whose names end in .ls"),
         (["far.script"], "is out of the nominal robot's reach"),
         (["other.src"], "not as its configuration says (S 0, T 63)"),
     ],
@@ -428,7 +430,7 @@ def test_bad_options_end_with_one_line(cell, arguments, said, tmp_path, monkeypa
     (tmp_path / "far.script").write_text(UR.replace("p[0.6", "p[6"))
     (tmp_path / "other.src").write_text(KUKA.replace("S 2,T 0", "S 0,T 63"))
     before = sorted(tmp_path.iterdir())
-    done = CliRunner().invoke(command, [str(cell[0] / "out"), *arguments, "--out", "new" + arguments[0][-4:]])
+    done = CliRunner().invoke(command, [str(cell[0] / "out"), "--out", "new" + Path(arguments[0]).suffix, *arguments])
     assert done.exit_code == 2, done.output
     assert said in done.output
     assert sorted(tmp_path.iterdir()) == before

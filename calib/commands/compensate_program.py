@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.base.errors import UnreachablePoseError
+from calib.base.errors import InputError, UnreachablePoseError
 from calib.base.files import write_files
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.base.words import counted
@@ -45,8 +45,12 @@ def compensate_controller(
 
     Raises:
         DataError: A program that cannot be read; with its line.
+        InputError: The file to write has the suffix of another language.
         UnreachablePoseError: Targets that cannot be compensated.
     """
+    suffix = Path(path).suffix
+    if Path(out).suffix.lower() != suffix.lower():
+        raise InputError(f"{out}: the program has the language of {path}, whose names end in {suffix}; end it so, too")
     program = read_program(path, frames)
     places = [Path(out), *(Path(out).with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))

@@ -244,7 +244,7 @@ def fit(
         used = with_sigma(robot, used, sigma)
     used = used.read_visits()
     if isinstance(validation, (float, int)):
-        used, held = used.split(validation, seed=seed)
+        used, held = used.split(validation=validation, seed=seed)
     elif validation is not None:
         held = as_measurements(robot, validation).read_visits()
     settings = Settings(

@@ -153,7 +153,7 @@ BAD_ROBOTS = {
     "unknown joint": (ARM_YAML.replace("[turn,", "[trun,"), "name_mot: no joint 'trun'; did you mean 'turn'?"),
     "unknown frame": (ARM_YAML.replace("frame: tool", "frame: toool"), "link or joint 'toool'; did you mean 'tool'?"),
     "unknown plugin": (NO_PARAMETRISATION + "parametrisation: scara\n", "arm.yaml: no parametrisation 'scara' is"),
-    "unknown held": (ARM_YAML + "held: [turn.q]\n", "arm.yaml: held: no parameter 'turn.q'; did you mean 'turn."),
+    "unknown held": (ARM_YAML + "held: [turn.q]\n", "arm.yaml: held: no parameter 'turn.q'; of 'turn' there"),
     "sigma": (ARM_YAML + "sigma: -0.1 mm\n", "arm.yaml: sigma: should be greater than 0 (given: '-0.1 mm')"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
     "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),

@@ -406,7 +406,7 @@ def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
     j = medrue.joint_names.index("q2")
     joints_read[:, j] = joints_read[:, j] / 1.01  # told less than it is
     told = calib.as_measurements(robot, joints_read, data.points(medrue))
-    train, test = told.split(0.7, seed=1)
+    train, test = told.split(validation=0.7, seed=1)
     fit = calib.fit(robot, train, validation=test)
     fit.save(tmp_path / "out", pages=False)
     alone = calib.fit(medrue, train, validation=test)

@@ -80,7 +80,7 @@ def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(
 
 
 def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
-    used, held = data.split(0.25, seed=1)
+    used, held = data.split(validation=0.25, seed=1)
     validated = calib.fit(robot, used, validation=held)
     say("PASS")
     assert after_fit(validated, "a.yaml", ("d.csv",), "my out").splitlines()[1] == (

@@ -147,6 +147,17 @@ RUN = {
     "jacobian": lambda t: t.robot.jacobian(t.q).shape == (5, 6, 6),
     "jacobian of one": lambda t: t.robot.jacobian(t.q[0], "flange").shape == (6, 6),
     "joint_limits": lambda t: t.robot.joint_limits.shape == (6, 2) and t.robot.joint_limits[0, 1] == 2.9,
+    "limits of a joint by name": lambda t: t.robot.joint_limits["joint_2"].tolist() == [-1.6, 2.2],
+    "compensate(fit, T)": lambda t: np.allclose(
+        calib.compensate(t.fit, t.fit.nominal.forward(t.q)).q, calib.compensate(t.fit, t.q, keep="pose").q, atol=1e-8
+    ),
+    "to_dict with noise": lambda t: np.allclose(
+        calib.fit(
+            t.robot, calib.fit(t.robot, t.data, sigma=np.linspace(2e-5, 9e-5, 80)).identification.data.to_dict()
+        ).robot.values,
+        calib.fit(t.robot, t.data, sigma=np.linspace(2e-5, 9e-5, 80)).robot.values,
+        atol=1e-9,
+    ),
     "frame_names": lambda t: "flange" in t.robot.frame_names,
     "forward of a list": lambda t: t.robot.forward([0.0] * 6, "flange").shape == (4, 4),
     "in robot.parameters": lambda t: "joint_3.z" in t.robot.parameters and "joint_9.z" not in t.robot.parameters,
@@ -233,7 +244,9 @@ ANSWERED = {
     "calib.load(3)": "load: path: expected a path",
     "t.fit.save(None)": "folder: expected a path",
     "t.fit.cross_validate(1.5)": "1.5",
-    "t.data.split('a')": "fraction: expected a number",
+    "t.data.split(validation='a')": "validation: expected a number",
+    "t.data.split(0.8)": "data.split(validation=0.25, seed=1), the part to hold out",
+    "t.data.split()": "validation is missing; it takes every argument by its name",
     "t.robot.fix(3)": "named by text",
     "t.fit.covariance['joint_3.z']": "takes two names",
     "t.fit.predict()": "predict: poses is missing",
@@ -243,7 +256,7 @@ ANSWERED = {
     "t.fit.score(t.data)": "calib.verify",
     "t.fit.coef_": "fit.parameters",
     "t.fit.rmse": "fit.rms",
-    "calib.train_test_split(t.data)": "data.split(0.25, seed=1)",
+    "calib.train_test_split(t.data)": "data.split(validation=0.25, seed=1)",
     "calib.cross_val_score(t.robot)": "fit.cross_validate(5)",
     "calib.fit(t.robot, t.data, cv=5)": "folds=5",
     "calib.fit(t.robot, t.data, random_state=1)": "seed=",
@@ -260,7 +273,7 @@ ANSWERED = {
     "t.fit.to_json()": "fit.to_dict()",
     "calib.fit(t.robot, t.data, prior={'joint_3.z': 0.5})": "has no unit",
     "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
-    "t.data.split(test_size=0.25)": "data.split(0.25, seed=1)",
+    "t.data.split(test_size=0.25)": "data.split(validation=0.25, seed=1)",
     "t.robot.fit(t.data)": "calib.fit(robot, data)",
     "t.fit.bootstrap(n_boot=5)": "draws=200",
     # pandas and matplotlib
@@ -335,6 +348,26 @@ ANSWERED = {
     "t.fit.joint_offsets": "joint-offsets",
     "t.data.dropna()": "data.to_dataframe()",
     "calib.SE3(t.q)": "(4, 4)",
+    # what is given is of another kind
+    "t.robot.joint_limits['joint_9']": "did you mean 'joint_6'",
+    "t.robot.parameters['joint_2.offset']": "of 'joint_2' there are: joint_2.rx, joint_2.ry, joint_2.rz, joint_2.x",
+    "t.robot.forward({'joint_1': 0.1})": "[values[name] for name in robot.joint_names]",
+    "t.robot.forward(np.eye(4))": "calib.solve(robot, poses)",
+    "t.robot.model": "pin.buildModelFromUrdf",
+    "t.robot.simulate(30)": "calib.simulate(robot, robot.sample(30, seed=1)",
+    "t.robot.save('c2.urdf')": "calib.export(robot, 'c2.urdf', 'urdf')",
+    "calib.simulate(t.robot, 30)": "robot.sample(30, seed=1)",
+    "calib.simulate(t.robot, n=30)": "robot.sample(30, seed=1)",
+    "calib.select(t.robot, n=12)": "of candidates, such as robot.sample(1000, seed=1)",
+    "calib.Data(t.q, t.q)": "calib.as_measurements(robot, q, xyz)",
+    "calib.concat([t.data, t.data])": 'calib.read_measurements(["a.csv", "b.csv"], robot)',
+    "t.data + t.data": "calib.fit(robot, ['a.csv', 'b.csv'])",
+    "t.data.save('copy.csv')": ".to_csv(",
+    "t.data.drop(3)": "data[np.arange(len(data)) != 3]",
+    "t.fit.residuals[0]": "valid: reflector",
+    "t.fit.errors['test']": "valid: identification, validation",
+    "t.fit.save('result.json')": "leave the ending out",
+    "calib.solve(t.robot, t.data.points()[:3, 0]).require_all()": "where the robot description has them",
 }
 """Lines of other packages, and what the error names."""
 
@@ -342,7 +375,7 @@ ANSWERED = {
 @pytest.mark.parametrize("typed", ANSWERED)
 def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
     with pytest.raises(calib.InputError) as caught:
-        eval(typed, {"calib": calib, "t": t, "READ": READ, "ARM": ARM})
+        eval(typed, {"calib": calib, "np": np, "t": t, "READ": READ, "ARM": ARM})
     assert ANSWERED[typed] in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -31,7 +31,7 @@ def data(robot):
 
 @pytest.fixture(scope="module")
 def fit(robot, data):
-    used, held = data.split(0.25, seed=1)
+    used, held = data.split(validation=0.25, seed=1)
     return calib.fit(robot, used, validation=held)
 
 
@@ -47,7 +47,7 @@ def test_measurements_are_taken_like_rows_of_an_array(data):
 
 
 def test_parts_of_the_measurements_are_held_out(data):
-    used, held = data.split(0.25, seed=1)
+    used, held = data.split(validation=0.25, seed=1)
     assert (len(used), len(held)) == (60, 20)
     assert sorted(used.names + held.names) == sorted(data.names)
 
@@ -331,9 +331,13 @@ GUESSES = {
     "repr of data is short": lambda t: len(repr(t.data)) < 200,
     "html of data": lambda t: "<table>" in t.data._repr_html_(),
     # scikit-learn: split, fit, predict, seed
-    "split": lambda t: [len(part) for part in t.data.split(0.25, seed=1)] == [60, 20],
-    "the same seed": lambda t: t.data.split(0.25, seed=1)[0].names == t.data.split(0.25, seed=1)[0].names,
-    "another seed": lambda t: t.data.split(0.25, seed=1)[0].names != t.data.split(0.25, seed=2)[0].names,
+    "split": lambda t: [len(part) for part in t.data.split(validation=0.25, seed=1)] == [60, 20],
+    "the same seed": lambda t: (
+        t.data.split(validation=0.25, seed=1)[0].names == t.data.split(validation=0.25, seed=1)[0].names
+    ),
+    "another seed": lambda t: (
+        t.data.split(validation=0.25, seed=1)[0].names != t.data.split(validation=0.25, seed=2)[0].names
+    ),
     "fit then predict": lambda t: t.fit.predict(t.held.joints).positions.shape == (20, 1, 3),
     "predict of a fit": lambda t: np.array_equal(calib.predict(t.fit, t.held).std, t.fit.predict(t.held.joints).std),
     "predict of measurements": lambda t: np.array_equal(t.fit.predict(t.held).std, t.fit.predict(t.held.joints).std),
@@ -427,7 +431,7 @@ class Tried(SimpleNamespace):
 @pytest.fixture(scope="module")
 def tried(robot, data, fit, tmp_path_factory):
     figure = pytest.importorskip("matplotlib.figure").Figure()
-    used, held = data.split(0.25, seed=1)
+    used, held = data.split(validation=0.25, seed=1)
     folder = tmp_path_factory.mktemp("saved") / "result"
     fit.save(folder, pages=False)
     return Tried(

@@ -20,7 +20,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def fit(data):
-    used, others = data.split(0.25, seed=1)
+    used, others = data.split(validation=0.25, seed=1)
     return calib.fit(calib.load(EXAMPLES / "arm.yaml"), used, validation=others, folds=3)
 
 

@@ -23,7 +23,7 @@ def some(n, same=()):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_split_keeps_repeats_of_one_pose_together(seed):
-    kept, held = some(20, same=(4, 9, 15)).split(0.3, seed=seed)
+    kept, held = some(20, same=(4, 9, 15)).split(validation=0.3, seed=seed)
     assert len(kept) + len(held) == 20
     assert len(held) >= 6
     repeats = {"0", "4", "9", "15"}
@@ -37,7 +37,7 @@ def test_repeats_by_name_stay_together_although_their_encoders_differ(seed):
     q += np.random.default_rng(1).uniform(-8e-4, 8e-4, q.shape)
     names = tuple(f"p{k // 3}" for k in range(60))
     data = from_readings(calib.Poses(q, names, names, "test", ()), {"ball": plain_readings(np.zeros((60, 3)))})
-    kept, held = data.split(0.3, seed=seed)
+    kept, held = data.split(validation=0.3, seed=seed)
     assert len(held) == 18
     assert not set(kept.names) & set(held.names)
     folds = deal(data, 4, seed)
@@ -53,23 +53,23 @@ def test_repeats_are_known_although_an_encoder_reads_them_with_noise():
 
 
 def test_a_split_is_in_file_order_and_repeatable():
-    kept, held = some(30).split(0.2, seed=7)
+    kept, held = some(30).split(validation=0.2, seed=7)
     assert len(held) == 6
     assert [int(name) for name in held.names] == sorted(int(name) for name in held.names)
-    assert held.names == some(30).split(0.2, seed=7)[1].names
-    assert held.names != some(30).split(0.2, seed=8)[1].names
+    assert held.names == some(30).split(validation=0.2, seed=7)[1].names
+    assert held.names != some(30).split(validation=0.2, seed=8)[1].names
     assert not set(held.names) & set(kept.names)
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 0.01, 0.99])
 def test_a_split_that_leaves_nothing_is_an_error(fraction):
     with pytest.raises(calib.DataError, match="leaves nothing to"):
-        some(10).split(fraction)
+        some(10).split(validation=fraction)
 
 
 def test_all_poses_the_same_cannot_be_split():
     with pytest.raises(calib.DataError, match="nothing to identify"):
-        some(10, same=range(1, 10)).split(0.5)
+        some(10, same=range(1, 10)).split(validation=0.5)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.base.errors import InputError
+from calib.base.errors import InputError, nearest
 from calib.base.other_words import Worded
 
 FloatArray = NDArray[np.floating[Any]]
@@ -65,6 +65,32 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{what}: expected numbers, not {given!r:.60}") from None
+
+
+class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
+    """A read-only array whose rows also have names: `limits["elbow"]` is `limits[1]`; what is taken of it is plain."""
+
+    _names: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(array: FloatArray, names: tuple[str, ...]) -> NamedRows:
+        """Return the array (n, ...) with names of its rows; taking a row of another name is an `InputError`."""
+        result = read_only(array).view(NamedRows)
+        result._names = names
+        return result
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a row by its name, or what an array has there.
+
+        Raises:
+            InputError: No row has this name.
+        """
+        if isinstance(key, str) and key not in self._names:
+            raise InputError(f"no row '{key}'{nearest(key, self._names)}")
+        return np.asarray(self)[self._names.index(key) if isinstance(key, str) else key]
+
+    def __repr__(self) -> str:
+        return repr(np.asarray(self))
 
 
 class ReadOnlyArrays(Worded):

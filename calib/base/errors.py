@@ -15,6 +15,8 @@ from itertools import takewhile
 
 _ALIKE = 0.6
 """Part of two names that must agree for one to be a misspelling of the other."""
+_LISTED = 100
+"""Names that a message lists: all parameters of most robots."""
 
 
 class CalibrationError(Exception):
@@ -68,6 +70,8 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     "; did you mean 'deg'?"
     >>> nearest("q", ["rad", "deg"])
     '; valid: deg, rad'
+    >>> nearest("elbow.offset", ["elbow.x", "elbow.rz", "wrist.x"])
+    "; of 'elbow' there are: elbow.rz, elbow.x"
 
     Args:
         name: What was given.
@@ -75,13 +79,22 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     """
     names = sorted({str(item) for item in valid})
     same = [item for item in names if item.casefold() == str(name).casefold()]
+    stem, _, leaf = str(name).rpartition(".")
+    stem = stem or leaf
+    siblings = [item for item in names if item.startswith(f"{stem}.")]
+    if not same and len(siblings) > 1 and not any(_alike(item.removeprefix(f"{stem}."), leaf) for item in siblings):
+        return f"; of '{stem}' there are: {', '.join(siblings)}"
     close = same[0] if same else _closest(str(name), names)
     if close:
         return f"; did you mean '{close}'?"
     if not names:
         return "; nothing is valid here"
-    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-    return f"; valid: {shown}"
+    more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"; valid: {', '.join(names[:_LISTED])}{more}"
+
+
+def _alike(name: str, other: str) -> bool:
+    return SequenceMatcher(None, name.casefold(), other.casefold()).ratio() >= _ALIKE
 
 
 def _closest(name: str, names: list[str]) -> str:

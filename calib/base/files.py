@@ -18,6 +18,7 @@ from calib.base.errors import CalibrationError, InputError
 from calib.base.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
 from calib.base.replacing import clear_leftovers, new_file, new_folder, replace_folder
 
+_FILE_ENDINGS = (".csv", ".html", ".json", ".pdf", ".urdf", ".xml", ".yaml", ".yml")
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
 _PIECE = 2**20  # bytes of a large file at once
@@ -254,6 +255,8 @@ def _check_replaceable(path: Path) -> None:
     """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
     if path.is_file():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
+    if path.suffix.lower() in _FILE_ENDINGS and not path.exists():
+        raise NotADirectoryError(errno.ENOTDIR, "is the name of a file, and a folder is written; leave the ending out")
     above = next(folder for folder in path.parents if folder.exists())
     if not above.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "a part of the path is a file, not a folder")

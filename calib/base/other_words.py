@@ -212,6 +212,13 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
     known = [name for name in parameters if name != "self"]
     in_order = [name for name, parameter in parameters.items() if parameter.kind is not Parameter.KEYWORD_ONLY]
     needed = [name for name in in_order if parameters[name].default is Parameter.empty]
+    named = [
+        name
+        for name, parameter in parameters.items()
+        if parameter.kind is Parameter.KEYWORD_ONLY and parameter.default is Parameter.empty
+    ]
+    order = ", ".join(name for name in in_order if name != "self")
+    takes = f"{order} in this order, and the rest by name" if order else "every argument by its name"
     place = f"arguments of {function.__name__}"
     called_as = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
 
@@ -222,17 +229,11 @@ def worded(function: Callable[P, R]) -> Callable[P, R]:
                 hint = way(name, place) or way(name, "arguments") or nearest(name, known)
                 raise UnknownOptionError(f"{called_as}: takes no argument '{name}'{hint}")
         if len(args) > len(in_order):
-            names = ", ".join(name for name in in_order if name != "self")
-            raise UnknownOptionError(
-                f"{called_as}: takes {names} in this order, and the rest by name{way('another', place)}"
-            )
-        missing = [name for name in needed[len(args) :] if name not in options]
+            raise UnknownOptionError(f"{called_as}: takes {takes}{way('another', place)}")
+        missing = [name for name in (*needed[len(args) :], *named) if name not in options]
         if missing:
-            names = ", ".join(name for name in in_order if name != "self")
-            raise UnknownOptionError(
-                f"{called_as}: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing;"
-                f" it takes {names} in this order, and the rest by name"
-            )
+            verb = "is" if len(missing) == 1 else "are"
+            raise UnknownOptionError(f"{called_as}: {' and '.join(missing)} {verb} missing; it takes {takes}")
         for name, value in (*zip(in_order, args, strict=False), *options.items()):
             meant = _MEANT.get(parameters[name].annotation)
             if meant is not None and not meant[0](value):

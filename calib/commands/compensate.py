@@ -156,7 +156,7 @@ def command(
     with output.working(f"compensating {len(rows)} rows"):
         compensation = compensate(known, rows, keep=keep)
     if not skip_unreachable or not np.any(compensation.ok):
-        _require_all(compensation)
+        _require_all(compensation, compensation.frame if isinstance(rows, Goals) else "")
     for miss in compensation.misses():
         output.note(f"{miss}; left empty")
     output.remarks(compensation.jumps())
@@ -203,14 +203,15 @@ def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
     return read_poses(path, robot)
 
 
-def _require_all(compensation: Compensation) -> None:
-    """Raise `UnreachablePoseError` that names the rows without a command."""
+def _require_all(compensation: Compensation, frame: str) -> None:
+    """Raise `UnreachablePoseError` that names the rows without a command, and the frame of goals."""
     misses = compensation.misses()
     if misses:
         more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
         raise UnreachablePoseError(
             f"{counted(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"
-            f" {'; '.join(misses[:5])}{more}; change these rows, or mark them with --skip-unreachable"
+            f" {'; '.join(misses[:5])}{more}{f'; goals are {frame}' if frame else ''}; change these rows, or mark them"
+            " with --skip-unreachable"
         )
 
 

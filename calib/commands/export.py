@@ -17,7 +17,7 @@ from calib.commands.common import (
     values_options,
     with_values,
 )
-from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
+from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export, format_of
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
 from calib.functions.languages import LANGUAGES
@@ -33,9 +33,9 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @click.option(
     "--format",
     "file_format",
-    required=True,
     type=click.Choice(tuple(HELD)),
-    help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
+    help="By the ending of FILE (.urdf, .xml, .xacro, .c) if not given. urdf: only edited origins change. mjcf:"
+    " MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The files from dh to xacro"
@@ -72,7 +72,7 @@ def command(
     robot: str,
     parameters: str | None,
     result: str | None,
-    file_format: str,
+    file_format: str | None,
     free_slide: bool,
     meshes: str | None,
     provenance: bool,
@@ -80,6 +80,7 @@ def command(
     output: Output,
 ) -> None:
     """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
+    file_format = file_format or format_of(out)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     lines = _origin_of_values(parameters, result) if provenance or file_format in LANGUAGES else None

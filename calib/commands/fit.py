@@ -191,4 +191,4 @@ def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tup
         if not Path(validate).exists():
             raise InputError(f"--validate {validate}: is neither a file nor a fraction such as 0.2") from None
         return data, read_measurements(validate, robot)
-    return data.split(fraction, seed=seed)
+    return data.split(validation=fraction, seed=seed)

@@ -33,7 +33,8 @@ def _usage(error: click.UsageError) -> str:
     hint = way(typed, "the command line") if typed else ""
     if hint:  # in place of names that are spelt alike
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
-    return _one_line(error.format_message())
+    missing = error.param.human_readable_name if isinstance(error, click.MissingParameter) and error.param else ""
+    return _one_line(error.format_message()) + way(missing, "missing arguments")
 
 
 def run_program(group: click.Group) -> None:

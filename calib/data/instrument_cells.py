@@ -7,6 +7,7 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.base.units import Dimension
+from calib.data.measurement_columns import correlation_columns, std_columns
 from calib.data.measurements import in_setups
 from calib.data.on_demand import Numbered, picked
 from calib.data.tables import Table
@@ -19,23 +20,12 @@ def named_columns(instrument: Instrument) -> list[str]:
     return [column.name for column in instrument.columns()] or list(instrument.text_columns())
 
 
-def _std_columns(instrument: Instrument) -> list[tuple[str, Dimension]]:
-    return [(f"{instrument.name}_std_{axis}", part.dimension) for part in instrument.parts for axis in part.axes]
-
-
 def columns_in(instrument: Instrument, table: Table) -> list[str]:
     """Return the columns of a table that an instrument reads."""
     names = [column.name for column in instrument.columns()] + list(instrument.text_columns())
     names += [] if instrument.label_column is None else [instrument.label_column]
-    names += [name for name, _ in _std_columns(instrument)] + list(_correlation_columns(instrument))
+    names += [name for name, _ in std_columns(instrument)] + list(correlation_columns(instrument))
     return [name for name in names if name in table.names]
-
-
-def _correlation_columns(instrument: Instrument) -> dict[str, tuple[int, int]]:
-    axes = [axis for part in instrument.parts for axis in part.axes]
-    return {
-        f"{instrument.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))
-    }
 
 
 def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArray) -> Readings:
@@ -44,6 +34,13 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     Raises:
         DataError: The message names file, line and column.
     """
+    lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
+    if lacking is not None:
+        raise DataError(
+            f"{table.path}: no column '{lacking}'{nearest(lacking, table.names)}; its beginning is a name of the robot"
+            f" description: change '{instrument.name}' there ('calib init URDF --out robot.yaml' writes one), or the"
+            " column"
+        )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
@@ -112,8 +109,8 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
 
 def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
     """The covariance that columns of standard deviations and correlations state; None without them."""
-    names = _std_columns(instrument)
-    correlated = [name for name in _correlation_columns(instrument) if name in table.names]
+    names = std_columns(instrument)
+    correlated = [name for name in correlation_columns(instrument) if name in table.names]
     present = [name for name, _ in names if name in table.names] + correlated
     if not present:
         return None
@@ -128,7 +125,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
         )
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
-        i, j = _correlation_columns(instrument)[name]
+        i, j = correlation_columns(instrument)[name]
         correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
     smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):

@@ -13,7 +13,7 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
-from calib.instruments.kind import Readings
+from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.term import CONTEXT
 from calib.robots.robot import Robot
 
@@ -72,6 +72,31 @@ def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, lis
     }
 
 
+def std_columns(instrument: Instrument) -> list[tuple[str, Dimension]]:
+    """Return the columns of standard deviations of an instrument, with their dimensions."""
+    return [(f"{instrument.name}_std_{axis}", part.dimension) for part in instrument.parts for axis in part.axes]
+
+
+def correlation_columns(instrument: Instrument) -> dict[str, tuple[int, int]]:
+    """Return the columns of correlations of an instrument, with the rows of the covariance that they are about."""
+    axes = [axis for part in instrument.parts for axis in part.axes]
+    return {
+        f"{instrument.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))
+    }
+
+
+def _noise_columns(instrument: Instrument, covariance: FloatArray) -> dict[str, Sequence[object]]:
+    """Cells of standard deviations, and of correlations if there are any, from (n, n_rows, n_rows) [SI]."""
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    cells: dict[str, Sequence[object]] = {
+        header(name, dimension): list(shown(std[:, k], dimension))
+        for k, (name, dimension) in enumerate(std_columns(instrument))
+    }
+    correlation = covariance / (std[:, :, None] * std[:, None, :])
+    off_diagonal = {name: correlation[:, i, j] for name, (i, j) in correlation_columns(instrument).items()}
+    return cells | {name: values.tolist() for name, values in off_diagonal.items() if np.any(values)}
+
+
 def reading_columns(
     robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]
 ) -> tuple[IntArray, dict[str, list[object]]]:
@@ -93,6 +118,8 @@ def reading_columns(
         }
         if instrument.label_column is not None:
             cells[instrument.label_column] = [instrument.name] * len(readings)
+        if readings.covariance is not None:
+            cells |= _noise_columns(instrument, readings.covariance)
         for name, texts in (cells | instrument.texts(readings.pairs, readings.details)).items():
             column = columns.setdefault(name, [""] * len(visits))
             for line, cell in zip(line_of[instrument.name], texts, strict=True):

@@ -93,6 +93,9 @@ class Poses(ReadOnlyArrays):
         except IndexError as error:
             raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
 
+    def __add__(self, other: object) -> NoReturn:
+        raise InputError(f"{self.path}: is joined in a list of files: calib.fit(robot, ['a.csv', 'b.csv'])")
+
     def __array__(self, *_: object, **__: object) -> NoReturn:
         raise InputError(f"{self.path}: {type(self).__name__} are not an array; give .joints, the joint values alone")
 
@@ -251,20 +254,20 @@ class Measurements(Poses):
         return replace(self, readings=chosen).subset(visits)
 
     @worded
-    def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
+    def split(self, *, validation: float, seed: int = 0) -> tuple[Measurements, Measurements]:
         """Hold out a random part of the poses for validation; repeats of one pose stay together.
 
         Args:
-            fraction: Part of the poses to hold out, between 0 and 1.
+            validation: Part of the poses to hold out, between 0 and 1.
             seed: Seed of the random choice.
 
         Returns:
             Measurements to identify with, and to validate with, both in file order.
 
         Raises:
-            DataError: The fraction leaves one of them empty.
+            DataError: This part leaves one of them empty.
         """
-        n_held = round(fraction * len(self)) if 0 < fraction < 1 else 0
+        n_held = round(validation * len(self)) if 0 < validation < 1 else 0
         chosen: list[int] = []
         for group in shuffled_poses(self.joints, self.pose_numbers, seed):
             if len(chosen) >= n_held:
@@ -273,7 +276,7 @@ class Measurements(Poses):
         held: IntArray = np.array(chosen, dtype=np.intp)
         if not 0 < len(held) < len(self):
             raise DataError(
-                f"{self.path}: holding out {fraction:g} of {len(self)} poses leaves nothing to"
+                f"{self.path}: holding out {validation:g} of {len(self)} poses leaves nothing to"
                 f" {'validate' if len(held) == 0 else 'identify'} with; give a fraction between 0 and 1, or a file"
             )
         return self.subset(np.setdiff1d(np.arange(len(self)), held)), self.subset(np.sort(held))

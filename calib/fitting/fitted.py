@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.base.errors import InputError
+from calib.base.errors import InputError, nearest
 from calib.base.other_words import Worded, worded
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.error_sets import ErrorSet, Folds
@@ -81,11 +81,17 @@ class Errors(dict[str, dict[str, dict[str, object]]], Worded):
 
     _other_words = "errors of a fit"
 
+    def __missing__(self, key: object) -> NoReturn:
+        raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
+
 
 class Residuals(dict[str, FloatArray], Worded):
     """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`."""
 
     _other_words = "residuals of a fit"
+
+    def __missing__(self, key: object) -> NoReturn:
+        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}; np.asarray(fit.residuals) is an array")
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if len(self) != 1:

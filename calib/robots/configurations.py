@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,11 +43,16 @@ def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
     Raises:
         DataError: Wrong shape, or values that are not finite.
     """
+    if isinstance(q, Mapping):
+        raise DataError("joint values by name: give a list, [values[name] for name in robot.joint_names] [m or rad]")
     values = np.atleast_2d(numbers_in(q, "joint values"))
     if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
+        shape = np.shape(q)
+        hint = "; for a number of poses: robot.sample(30, seed=1)" if shape == () else ""
+        hint = "; joint values that reach poses: calib.solve(robot, poses)" if shape[-2:] == (4, 4) else hint
         raise DataError(
-            f"joint values of shape {np.shape(q)}; expected (n, {len(robot.joint_names)}) in the order"
-            f" {', '.join(robot.joint_names)}"
+            f"joint values of shape {shape}; expected (n, {len(robot.joint_names)}) in the order"
+            f" {', '.join(robot.joint_names)}{hint}"
         )
     if not np.all(np.isfinite(values)):
         row, column = np.argwhere(~np.isfinite(values))[0]

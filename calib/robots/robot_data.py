@@ -16,7 +16,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
+from calib.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
 from calib.base.errors import DescriptionError, ParameterError, nearest
 from calib.base.parameter import Parameters, index_of
 from calib.base.units import in_si
@@ -100,8 +100,11 @@ class RobotData(ReadOnlyArrays):
 
     @property
     def joint_limits(self) -> FloatArray:
-        """Lower and upper limits of the actuated joints, (n_actuated, 2) [m or rad]; infinite where there are none."""
-        return read_only(np.stack(self.urdf.limits(self.joint_names), axis=1))
+        """Lower and upper limits of the actuated joints, (n_actuated, 2) [m or rad]; infinite where there are none.
+
+        Rows also have the joints' names: `joint_limits["elbow"]`, (2,).
+        """
+        return NamedRows.of(np.stack(self.urdf.limits(self.joint_names), axis=1), self.joint_names)
 
     @property
     def home(self) -> FloatArray:

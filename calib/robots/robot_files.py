@@ -78,7 +78,10 @@ def write_description(robot: RobotData, path: Path | str, *, force: bool) -> Non
     """Write the robot description; see `Robot.save`."""
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(f"{path}: the name of a robot description ends in .yaml")
+        raise InputError(
+            f"{path}: the name of a robot description ends in .yaml; other formats: calib.export(robot, {path.name!r},"
+            " 'urdf')"
+        )
     nominal = np.array([parameter.nominal_si for parameter in robot.parameters])
     if not np.array_equal(robot.values, nominal):
         name = robot.parameters[int(np.argmax(robot.values != nominal))].name

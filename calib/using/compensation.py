@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,7 +49,7 @@ from calib.robots.robot import Robot
 from calib.rows.frames import Frame, as_described, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.expected_errors import ExpectedError
-from calib.using.goals import Goals
+from calib.using.goals import Goals, goals_of_poses
 from calib.using.inverse import BETWEEN_SIDES, problem, settled
 from calib.using.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
 from calib.using.reaching import Configured, Reach, descend
@@ -155,7 +156,9 @@ def compensate(
         calibrated: A fit or a loaded result. Or a robot alone: then errors to expect are not known, and its frame is
             placed over poses around home.
         program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or the `Goals` to which it
-            brings a target, in the measurement frame as the nominal description has it.
+            brings a target, in the measurement frame as the nominal description has it; or poses as `robot.forward`
+            gives them of the nominal robot for that target, (n, 4, 4) or (4, 4), but (4, 4) of a robot with four joints
+            are joint values.
         keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
 
     Raises:
@@ -167,6 +170,9 @@ def compensate(
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):
         raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
+    shape = () if isinstance(program, (Goals, Poses)) else np.shape(program)
+    if shape[-2:] == (4, 4) and (len(shape) == 3 or len(known.robot.joint_names) != 4):
+        program = goals_of_poses(cast(ArrayLike, program))
     if not isinstance(program, Goals):
         program = as_poses(known.robot, program)
     return compensated_in(program_frame(known), program, keep)

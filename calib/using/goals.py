@@ -135,6 +135,12 @@ class Goals:
         return "position" if self.directions is None else "position and axis"
 
 
+def goals_of_poses(poses: ArrayLike) -> Goals:
+    """Return poses as goals, (n, 4, 4) or (4, 4) [m], as `Robot.forward` gives them for the target."""
+    values = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+    return Goals(values[:, :3, 3], rotations=values[:, :3, :3])
+
+
 def read_goals(path: Path | str, robot: Robot) -> Goals:
     """Read goals for one of the robot's targets; see the module docstring for the columns.
 

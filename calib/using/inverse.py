@@ -27,7 +27,7 @@ from calib.robots.robot import Robot
 from calib.rows.frames import measurement_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.expected_errors import ExpectedError
-from calib.using.goals import Goals
+from calib.using.goals import Goals, goals_of_poses
 from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer, unwound
 from calib.using.search import TOLERANCE, Search, closed_start, inside
@@ -82,8 +82,8 @@ class Solution(ReadOnlyArrays):
             more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
             raise UnreachablePoseError(
                 f"out of reach within the joint limits, in home's assembly mode:"
-                f" {'; '.join(misses[:5])}{more}; move these goals, leave them out, or leave"
-                " the cells of coordinates empty that need not be met"
+                f" {'; '.join(misses[:5])}{more}; goals are {self.expected.frame}; move these"
+                " goals, leave them out, or leave the cells of coordinates empty that need not be met"
             )
 
 
@@ -132,8 +132,7 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
         return goals
     values = numbers_in(goals, "goals")
     if values.shape[-2:] == (4, 4) and values.ndim in (2, 3):
-        poses = values.reshape(-1, 4, 4)
-        return Goals(poses[:, :3, 3], rotations=poses[:, :3, :3])
+        return goals_of_poses(values)
     goals = Goals(np.atleast_2d(values))
     odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
     if np.any(odd):

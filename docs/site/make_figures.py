@@ -76,7 +76,7 @@ def errors_before_after() -> Figure:
     """Position errors of the first calibration on the start page, on poses that it has not seen."""
     robot = calib.load(ROOT / "urdf" / "medrue.yaml")
     data = calib.read_measurements(EXAMPLES / "medrue_simulated.csv", robot)
-    used, others = data.split(0.8)
+    used, others = data.split(validation=0.8)
     fit = calib.fit(robot, used, validation=others)
     assert fit.validation is not None
     figure = Figure(figsize=(8, 2.8), layout="constrained")

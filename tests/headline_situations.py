@@ -121,6 +121,7 @@ class Commands:
         hidden = calib.as_measurements(stretched, elsewhere, stretched.positions(elsewhere) + noise_of(rng, 25))
         return {
             "agrees": verify(self.fit, measured(self.truth, q, 2)),
+            "quiet": verify(self.fit, measured(self.truth, q, 2, 0.3 * SIGMA)),
             "alone": verify(self.fit, measured(self.changed(flange_z=3e-4), q, 3)),
             "alike": verify(self.fit, measured(self.changed(slide_x=3e-4), q, 3)),
             "two": verify(self.fit, measured(self.changed(slide_x=3e-4, flange_z=4e-4), q, 3)),

@@ -142,6 +142,14 @@ def test_residuals_are_as_many_times_as_large_as_said(commands, by_hand):
     assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx(expected, abs=2e-4)
 
 
+def test_residuals_that_are_too_small_are_told(commands):
+    """The readings have a third of the noise; or they are those of the calibration, which are nearer to it."""
+    (ratio,) = numbers_of(r"Residuals are ([\d.]+) times", commands.verify_texts["quiet"])
+    assert ratio == pytest.approx(0.3 * h.SIGMA / commands.fit.sigma, rel=0.3)
+    assert "That is less than chance explains" in commands.verify_texts["quiet"]
+    assert "less than chance explains" not in commands.verify_texts["agrees"]
+
+
 def test_a_change_has_the_size_that_is_said(commands, by_hand):
     _, _, _, _, whitened, by = by_hand
     size, std = -np.linalg.lstsq(by, whitened)[0][-1], np.sqrt(np.linalg.inv(by.T @ by)[-1, -1])

@@ -121,6 +121,11 @@ def _errors(acceptance: Acceptance) -> list[str]:
         f" if nothing has changed, {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases"
         f" ({acceptance.freedom} degrees of freedom, p = {acceptance.p_value:.3g})"
     ]
+    if acceptance.p_value > 1.0 - FALSE_ALARM / 2:
+        lines.append(
+            "That is less than chance explains: the calibration used these readings, or they have less noise than its"
+            " own"
+        )
     data = acceptance.errors.data
     if np.isfinite(acceptance.promised):
         table = error_table(acceptance.errors.errors("after", single=True))

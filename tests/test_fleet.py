@@ -241,6 +241,20 @@ def test_results_with_other_parameters_or_of_another_robot_are_refused(results, 
     assert "has no free parameter 'joint_4.z'" in done.output
 
 
+def test_a_failed_result_that_was_forced_is_named(results, tmp_path):
+    robot, _, folders, _ = results
+    noisy = calib.simulate(robot, robot.sample(30, 2), sigma=2e-2, seed=2)  # m: no robot is that bad
+    failed = calib.fit(robot, noisy.joints, noisy.readings["reflector"].values)
+    assert failed.verdict.grade == "FAIL"
+    failed.save(tmp_path / "failed", pages=False)
+    assert run(*folders[1:3], tmp_path / "failed").exit_code == 3
+    failed.save(tmp_path / "forced", pages=False, force=True)
+    assert "Verdict FAIL: forced; " in " ".join(run(*folders[1:3], tmp_path / "forced").output.split()).replace(
+        f"{tmp_path.name}/", ""
+    )
+    assert not any(note.startswith("Verdict") for note in calib.fleet(*folders[1:3]).notes)
+
+
 def test_a_description_with_a_fleet_of_other_parameters_is_refused(results, tmp_path):
     _, _, folders, _ = results
     calib.fleet(*folders[1:3]).save(tmp_path / "fleet.yaml")

@@ -27,6 +27,10 @@ _WIDTH = 118
 _CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
 _NAMED = 3  # parameters of a robot that are named as unlike
+_UNPROVEN = {
+    "CHECK": "systematic errors there count as properties of the robot.",
+    "FAIL": "what is wrong there may count as a property of the robot: leave it out, or fit it again.",
+}
 _SCREEN = 12  # robots, and parameters, whose tables leave a screen of 40 lines
 
 
@@ -353,9 +357,11 @@ def _confirmed(folders: Sequence[Path]) -> float:
 def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
     notes = []
     named = zip(distinct_names(folders), folders, strict=True)
-    check = [name for name, folder in named if read_result(folder)["verdict"]["grade"] == "CHECK"]
-    if check:
-        notes.append(f"Verdict CHECK: {listed(check)}; systematic errors there count as properties of the robot.")
+    grades = [(name, str(read_result(folder)["verdict"]["grade"])) for name, folder in named]
+    for grade, why in _UNPROVEN.items():
+        names = [name for name, found in grades if found == grade]
+        if names:
+            notes.append(f"Verdict {grade}: {listed(names)}; {why}")
     if len(folders) - len(odd) < 5:
         notes.append("Spreads of fewer than five robots are uncertain, so the prior of one more is wide.")
     if len(folders) == 2:

@@ -144,7 +144,7 @@ def test_data_that_is_not_there_is_refused(folder, refused):
 
 NO_PARAMETRISATION = ARM_YAML[: ARM_YAML.index("parametrisation:")]
 BAD_ROBOTS = {
-    "no file": (None, "arm.yaml: no such file; give a robot description (YAML) or a URDF"),
+    "no file": (None, "arm.yaml: no such file or folder; give a robot description"),
     "empty": ("", "arm.yaml: is not a mapping of keys to values"),
     "broken YAML": (ARM_YAML.replace("[turn,", "[turn"), "arm.yaml"),
     "tab": (ARM_YAML.replace("base:", "\tbase:"), "arm.yaml, line 3: not valid YAML (found character '\\t'"),
@@ -360,7 +360,10 @@ def test_no_command_shows_the_help(run_calib):
             "predict out/robot data.csv --out p.csv",
             "calib: out/robot: no such file or folder; give a robot description (YAML), a URDF or a result folder\n",
         ),
-        ("fit no.yaml data.csv --out out", "calib: no.yaml: no such file; give a robot description (YAML) or a URDF\n"),
+        (
+            "fit no.yaml data.csv --out out",
+            "calib: no.yaml: no such file or folder; give a robot description (YAML), a URDF or a result folder\n",
+        ),
         ("fit arm.yaml bad.csv --out out", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n"),
         ("fitt", "calib: No such command 'fitt'. Did you mean 'fit'? (see calib --help)\n"),
     ],

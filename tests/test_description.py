@@ -135,7 +135,10 @@ def test_a_file_that_is_no_mapping_is_an_error(tmp_path, content):
 
 def test_files_that_cannot_be_read_are_errors(tmp_path):
     path = write_arm(tmp_path)
-    assert complaint(tmp_path / "no.yaml") == "no such file; give a robot description (YAML) or a URDF"
+    assert (
+        complaint(tmp_path / "no.yaml")
+        == "no such file or folder; give a robot description (YAML), a URDF or a result folder"
+    )
     (tmp_path / "folder.yaml").mkdir()
     assert complaint(tmp_path / "folder.yaml").startswith("holds no result")
     path.write_bytes(ARM_YAML.encode("utf-16"))

@@ -59,7 +59,7 @@ def load(path: Path | str) -> Robot:
         ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     folder = Path(path)
-    if not folder.suffix and not folder.exists():
+    if not folder.exists():
         raise DescriptionError(
             f"{path}: no such file or folder; give a robot description (YAML), a URDF or a result folder"
         )

@@ -110,7 +110,7 @@ class UrdfReader:
             )
             raise UrdfError(
                 f"{self.path}, line {error.lineno}: not valid XML ({message}){hint};"
-                " a robot is a URDF, or a YAML description"
+                " a robot is a URDF, a YAML description or a result folder"
             ) from None
         except (LookupError, ValueError) as error:
             raise UrdfError(f"{self.path}: its character encoding cannot be read ({error}); save it as UTF-8") from None

@@ -519,6 +519,17 @@ def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(com
     assert "will not help" not in commands.watch_texts["close"]
 
 
+def test_a_goal_below_the_scatter_of_the_readings_is_told(commands):
+    said = r"not yet; readings that scatter by ([\d.]+) mm RMS about the model can never show that it is met"
+    told = commands.watched["twelve"]
+    left = told.fit.robot.positions(joints(60, 9)[:12]) - measured(commands.few_free[1], joints(60, 9), 9)[:12].points()
+    scatter = 1e3 * np.sqrt(3 * np.sum(left**2) / (36 - 9))
+    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([scatter], rel=5e-3)
+    assert scatter > 1e3 * told.goal
+    for name in ("close", "nothing", "wire"):
+        assert "can never show" not in commands.watch_texts[name]
+
+
 def test_the_next_pose_is_offered_while_there_is_one(commands):
     texts, told = commands.watch_texts, commands.watched
     assert "which determines more of what is unknown" in texts["nothing"]

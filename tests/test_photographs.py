@@ -385,3 +385,22 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     wrong = runner.invoke(group, [*told[:-1], board, "--out", str(tmp_path / "other")])
     assert wrong.exit_code == 2
     assert not (tmp_path / "other").exists()
+
+
+def test_mistakes_of_options_are_one_line_and_nothing_is_written(tmp_path, run_calib):
+    cv2.imwrite(str(tmp_path / "empty.png"), np.full((60, 80), 127, np.uint8))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "shot_03.png").write_bytes(b"mine")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    cases = [
+        (("detect", "empty.png", "--board", CHARUCO, "--columns", "a,b"), "--columns 'a,b': give one word"),
+        (("detect", "empty.png", "--board", "none.yaml"), "none.yaml: no such file; give a board"),
+        (("detect", "empty.png", "--board", CHARUCO), "no board in 1 image; empty: no board found: no marker of"),
+        (("hand-eye", "empty.png", "--board", CHARUCO), "give the pose of the tool at each image with --poses FILE"),
+        (("board", "--board", CHARUCO, "--photographs", "mine"), "shot_03.png: was not written by this program"),
+    ]
+    for words, said in cases:
+        done = run_calib(*words, "--out", "out.pdf" if words[0] == "board" else "out.csv", cwd=tmp_path)
+        assert done.code == 2
+        assert said in done.err.splitlines()[-1]
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -205,13 +205,17 @@ _UniqueKeyLoader.yaml_implicit_resolvers = {
 _UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
 
 
-def read_yaml(path: Path | str) -> object:
+def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
     """Read a YAML file.
+
+    Args:
+        path: The file.
+        what: It should be, for messages.
 
     Raises:
         DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
     """
-    text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
+    text = read_text(path, what, DescriptionError)
     try:
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist

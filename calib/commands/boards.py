@@ -50,7 +50,8 @@ def command(board: str, paper: str | None, photographs: str | None, seed: int, o
     if form not in FORMATS:
         raise InputError(f"{out}: the name of a page to print ends in .pdf or .svg")
     described = given_board(board)
-    output.check(out, folders=(photographs,))
+    names = [*(f"shot_{k + 1:02d}.png" for k in range(_PHOTOGRAPHS)), "poses.csv", "truth.json"]
+    output.check(out, folders=(photographs,), names=names)
     content = page(described, form, paper)
     write_files({Path(out): content}, comment="%" if form == "pdf" else "", force=output.force)
     output.say(f"{out} written: {described}; print it at 100 % and measure the ruler")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -50,11 +51,13 @@ def command(
     Each image is a pose, named after its file. Of a bag, one image of each stop of the robot is used, and the joint
     values of that moment are written too. Images without a board are named and left out.
     """
+    if not re.fullmatch(r"[^\s,;\[\]#]+", columns):
+        raise InputError(f"--columns '{columns}': give one word, such as camera")
     described, photographs = given_board(board), with_joints(shots(images, topic))
     output.check(out, page_file)
     detection, small = detected(described, photographs, output, pictures=page_file is not None)
     if not detection.usable:
-        raise DataError(f"no board in any of {counted(len(photographs), 'image')}: {detection.images[0].remark}")
+        raise nothing_found(detection)
     output.write(out, pixel_table(detection, photographs, columns))
     lines = summary(detection)
     if page_file:
@@ -63,7 +66,8 @@ def command(
             for image, copy in zip(detection.images, small, strict=True)
         ]
         write_files(
-            {Path(page_file): page(f"Photographs of a {detection.board}", lines, pictures).encode()}, force=output.force
+            {Path(page_file): page(f"Photographs of a board: {detection.board}", lines, pictures).encode()},
+            force=output.force,
         )
     for line in lines:
         output.say(line)
@@ -100,6 +104,12 @@ def detected(
         if image.remark:
             output.note(f"{'note' if image.usable else 'left out'}: {image.name}: {image.remark}")
     return result, small
+
+
+def nothing_found(detection: Detection) -> DataError:
+    """Return the error of a set of images without a board."""
+    first = detection.images[0]
+    return DataError(f"no board in {counted(len(detection.images), 'image')}; {first.name}: {first.remark}")
 
 
 def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:

@@ -14,10 +14,9 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, DataError, InputError, nearest
 from calib.base.files import write_folder
-from calib.base.words import counted
 from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, loaded, shared_options
-from calib.commands.detect import detected, summary
+from calib.commands.detect import detected, nothing_found, summary
 from calib.data.tables import read_table
 from calib.instruments.board import Board
 from calib.photographs.camera_files import read_camera
@@ -113,7 +112,7 @@ def command(
         for line in summary(detection):
             output.say(line)
         if not detected_images:
-            raise DataError(f"no board in any of {counted(len(photographs), 'image')}: {detection.images[0].remark}")
+            raise nothing_found(detection)
         if poses is None:
             by_name = {shot.name: shot for shot in photographs}
             bag_joints = joint_columns([by_name[image.name] for image in detected_images])

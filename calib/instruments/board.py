@@ -196,7 +196,7 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
     kind, colon, rest = text.partition(":")
     path = (folder or Path()) / text
     if path.suffix.lower() in (".yaml", ".yml") or path.is_file():
-        content = read_yaml(path)
+        content = read_yaml(path, "a board (YAML: kind, columns, rows, sizes), or its short form")
         inner = content.get("board") if isinstance(content, dict) else None
         return checked_board(inner if isinstance(inner, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:

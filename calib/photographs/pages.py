@@ -84,7 +84,7 @@ def _figure(picture: Picture) -> str:
     words = f'<span class="{"off" if picture.off else "fine"}">{escape(picture.caption)}</span>'
     if not picture.small or not width:
         return f"<figure><figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
-    radius = max(width, height) / 160
+    radius = max(width, height) / 100
     address = f"data:image/jpeg;base64,{base64.b64encode(picture.small).decode()}"
     marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in picture.image.pixels)
     line = "".join(_arrow(start, end) for start, end in zip(picture.image.pixels, picture.arrows, strict=False))

@@ -461,7 +461,7 @@ def test_what_the_table_names_is_there(t):
     ("typed", "words"),
     [
         (["fit", ARM, READ, "--robust"], "--loss huber"),
-        (["fit", ARM, READ, "--output", "x"], "--out DIR"),
+        (["fit", ARM, READ, "--output", "x"], "here: --out"),
         (["fit", ARM, READ, "--bounds", "1"], "there are no bounds"),
         (["calibrate", ARM, READ], "calib fit ROBOT DATA --out DIR"),
         (["plot", ARM], "calib view ROBOT"),

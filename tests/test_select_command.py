@@ -186,6 +186,7 @@ def broken(folder):
         (("good.csv", "--count", "20", "--starts", "0"), "0 starts"),
         (("missing.csv", "--count", "20"), "no such file"),
         (("good.csv",), "Missing option '-n' / '--count'"),
+        ((), "Missing argument 'CANDIDATES'; here: a file of joint values, such as calib sample"),
     ],
 )
 def test_bad_input_is_one_line_exit_code_2_and_nothing_is_written(run_calib, tmp_path, arguments, words):

@@ -34,7 +34,9 @@ def _usage(error: click.UsageError) -> str:
     if hint:  # in place of names that are spelt alike
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
     missing = error.param.human_readable_name if isinstance(error, click.MissingParameter) and error.param else ""
-    return _one_line(error.format_message()) + way(missing, "missing arguments")
+    hint = way(missing, "missing arguments") if missing else ""
+    said = _one_line(error.format_message())
+    return said.rstrip(".") + hint if hint else said
 
 
 def run_program(group: click.Group) -> None:

@@ -215,12 +215,12 @@ def test_base_and_target_are_said_to_take_degrees_of_freedom_where_they_do(comma
 
 
 def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, tmp_path):
-    commands.fit.save(tmp_path / "fit", pages=False)
+    _, results = commands.results
     lines = [",".join(commands.robot.joint_names), *(",".join(map(str, q)) for q in joints(20, 6))]
     (tmp_path / "plan.csv").write_text("\n".join(lines) + "\n")
 
     def said(change, *options):
-        run = run_calib("verify", tmp_path / "fit", tmp_path / "plan.csv", "--plan", "--change", change, *options)
+        run = run_calib("verify", results / "arm", tmp_path / "plan.csv", "--plan", "--change", change, *options)
         assert run.code == 0, run.err
         return on_one_line(run.out)
 
@@ -461,12 +461,13 @@ def test_a_robot_may_differ_without_a_parameter_that_is_proven_to(commands):
 
 
 def test_of_more_results_fewer_pairs_differ_by_chance(commands):
-    """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of six pairs larger."""
+    """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of three pairs larger."""
     _, folder = commands.results
-    names = ("first", "again", "elsewhere", "folds")
+    names = ("first", "again", "elsewhere")
     together = calib.compare(*(folder / name for name in names)).together
     alone = [commands.comparisons[f"first and {name}"].together[0] for name in names[1:]]
-    assert all(p > single for p, single in zip(together, alone, strict=True))
+    assert all(p > 0.999 * single for p, single in zip(together, alone, strict=True))
+    assert together[0] > 1.9 * alone[0]  # at most one pair has a smaller p, so it counts twice at least
 
 
 def test_notes_say_what_was_used_and_why_others_may_differ(commands):
@@ -479,7 +480,8 @@ def test_notes_say_what_was_used_and_why_others_may_differ(commands):
     assert "1 parameter free in one alone (wrist.x)" in texts["first and held"]
     assert "free in one alone" not in texts["first and again"]
     assert "on readings that it did not use" in texts["first and held"]
-    assert "on poses left out in turn" in texts["first and folds"]
+    assert "on poses left out in turn" in texts["first and again"]
+    assert "left out in turn" not in texts["first and longer"]
     for name, (one, other) in {"first and again": ("first", "again"), "placed and there": ("placed", "there")}.items():
         grades = [commands.results[0][each].verdict.grade for each in (one, other)]
         assert ("a verdict is CHECK" in texts[name]) == ("CHECK" in grades)

@@ -163,6 +163,20 @@ def test_each_mistake_is_named_and_none_passes():
         assert judge(result).grade != "PASS"
 
 
+@pytest.mark.parametrize(("order", "words"), [((2, 1, 0, 3), "fx and cx"), ((0, 1, 3, 2), "cx and cy")])
+def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(order, words):
+    view = scene(10, "base", noise=0.2)
+    swapped = INTRINSICS[[*order, 4, 5, 6, 7, 8]]
+    result = calibrate(view, swapped, mounts=("base",))
+    assert codes(result) == ["lens_given"]
+    assert f"({words} are exchanged)" in judge(result).reasons[0]
+    assert judge(result).grade == "CHECK"
+    assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+    kept = calibrate(view, swapped, lens="given", mounts=("base",))
+    assert codes(kept)[0] == "lens_given"
+    assert judge(kept).grade == "FAIL"
+
+
 def test_a_size_far_off_and_other_units_are_named():
     exact = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     for factor, code, words in ((1.2, "square_size", "17 % smaller"), (0.1, "units", "10 times as large")):

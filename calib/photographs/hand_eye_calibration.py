@@ -25,10 +25,10 @@ from calib.photographs.estimation import estimate
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import named_off, without_images_off, without_points_off
 from calib.photographs.left_out import LeftOut, predicted, rms
-from calib.photographs.lens_choice import lens_choices, lens_prior
+from calib.photographs.lens_choice import lens_choices, lens_prior, unlikely
 from calib.photographs.mistakes import find_mistakes
 from calib.photographs.scene import Mount, Scene
-from calib.photographs.starts import LEAST_IMAGES, camera_alone, intrinsics_at_first, start
+from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
 
 _GAIN = 1.5
 
@@ -59,15 +59,15 @@ def calibrate(
     if lens == "given" and intrinsics is None:
         raise DataError("no intrinsics are given, so the lens cannot stay as given; give them with --camera FILE")
     scene = _in_order_of_content(scene)
-    first = intrinsics_at_first(scene) if intrinsics is None else intrinsics
-    begin, points = without_points_off(start(scene, first, mounts=mounts), first)
+    first, begin = _begun(scene, intrinsics, mounts)
+    begin, points = without_points_off(begin, first)
     tell(1, 5)
     sure = begin.scene
     kept = without_images_off(sure, begin, intrinsics, lens)
     off = named_off(sure, kept, begin)
     kept_scene = sure.only(kept)
     tell(2, 5)
-    prior = lens_prior(first, kept_scene, intrinsics is not None)
+    prior = lens_prior(first, kept_scene, first is intrinsics)
     choices = lens_choices(kept_scene, begin.placed, prior, intrinsics, lens)
     chosen = choices[0]
     better = chosen
@@ -94,6 +94,19 @@ def calibrate(
     tell(5, 5)
     points = tuple(point for point in points if point.image in kept_scene.names)
     return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)
+
+
+def _begun(scene: Scene, intrinsics: FloatArray | None, mounts: tuple[Mount, ...]) -> tuple[FloatArray, Start]:
+    """Return intrinsics to begin with, (9,), and where to begin: as given, unless no lens has them and others fit."""
+    begun = [] if intrinsics is None else [(intrinsics, start(scene, intrinsics, mounts=mounts))]
+    if intrinsics is None or unlikely(intrinsics, scene.size):
+        try:
+            first = intrinsics_at_first(scene)
+            begun.append((first, start(scene, first, mounts=mounts)))
+        except ComputationError:
+            if not begun:
+                raise
+    return min(begun, key=lambda each: each[1].typical)
 
 
 def _in_order_of_content(scene: Scene) -> Scene:

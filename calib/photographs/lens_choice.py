@@ -7,7 +7,7 @@ a lens without distortion is no choice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -25,6 +25,28 @@ from calib.photographs.starts import camera_alone
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
 _FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # how far off: of the focal length, of the width; k1 and k2
+_FROM_MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
+_MOST_ASPECT = 1.25  # of fx and fy
+
+
+def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
+    """Return what no lens has of intrinsics as given, (9,), for images of a size: its code, and in words."""
+    width, height = size
+    middle, result = np.array([(width - 1) / 2, (height - 1) / 2]), []
+    away = float(np.max(np.abs(given[2:4] - middle)))
+    if away > _FROM_MIDDLE * max(width, height):
+        exchanged = float(np.max(np.abs(given[3:1:-1] - middle))) < away / 2
+        text = (
+            f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of {width}"
+            f" x {height} px:"
+            f" {'cx and cy are exchanged' if exchanged else 'the intrinsics are of another image'}, or the images were"
+            " turned, cut or scaled since"
+        )
+        result.append(("principal_point", text))
+    if not 1 / _MOST_ASPECT < given[0] / given[1] < _MOST_ASPECT:
+        text = f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"
+        result.append(("focal", text))
+    return result
 
 
 def lens_prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
@@ -68,7 +90,7 @@ def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArr
     """
     result: list[Choice] = []
     if intrinsics is not None and lens != "found":
-        placed, weights = plain(scene, begin, ())
+        placed, weights = plain(scene, replace(begin, intrinsics=intrinsics), ())
         result.append(Choice(placed, (), None, predicted(scene, placed, (), weights, None)))
     for count in (6,) if intrinsics is not None or _distorted(scene, begin.intrinsics) else (4, 6):
         free = LENS_NUMBERS[:count]

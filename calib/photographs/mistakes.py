@@ -6,7 +6,7 @@
     exchanged              camera and board are where the other mount and inverted poses put them
     something moved        board or camera is elsewhere from some image on: sought as six more unknowns
     lens as given          intrinsics found contradict those given
-    principal point        far from the middle of the image: of another image, or turned
+    principal point        far from the middle of the image: of another image, or turned (`lens_choice.unlikely`)
 
 Other readings are tried as wholes, from closed forms, where an image is off by more than robots are, and so is another
 size of the board; they count where they halve what is left. Square size and moves are one more step of the same least
@@ -26,7 +26,7 @@ from calib.base.errors import CalibrationError
 from calib.instruments.camera import NAMES
 from calib.photographs.estimation import Estimate, estimate, solve
 from calib.photographs.left_out import predicted, rms
-from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
+from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
 from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import SIDES, Linear, Mount, Placed, Scene, linearised, residuals, rows
 from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
@@ -38,12 +38,23 @@ _SURE = 0.1  # of what is left: then no other reading is tried
 _BETTER = 0.6  # of the squares of images left out
 _CHANCE = 1e-4
 _SCALE = 0.004  # part of the size of a board that matters
+_SCALE_OFF = 0.02  # of a board whose images are off by more than robots are
 _MOVED = 1e-3  # m
 _TURNED = np.deg2rad(0.15)
 _OTHER_UNIT = 2.0  # times the size described: no print is so far off
 _EXCHANGED = 1.5  # times as far from the tool as the other is from the base
-_MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
 _LENS_OFF = 6.0  # standard deviations
+_ALSO_OFF = 3.0  # the same, where another number is off for sure
+_SAME_LENS = 0.05  # of the focal length: how well an exchange of numbers must explain those found
+_SWAPS = {
+    "cx and cy are exchanged": (0, 1, 3, 2),
+    "fx and cx are exchanged": (2, 1, 0, 3),
+    "fy and cy are exchanged": (0, 3, 2, 1),
+    "fx and cx are exchanged, and fy and cy": (2, 3, 0, 1),
+    "fx and cy are exchanged": (3, 1, 2, 0),
+    "fy and cx are exchanged": (0, 2, 1, 3),
+}
+"""Where in the given numbers each of fx, fy, cx, cy is."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +94,9 @@ def find_mistakes(
         better: With the lens found, where that tells images left out better; else `fitted`.
         mounts: Where the camera may be: one, if it is stated.
     """
-    result = list(_of_the_whole(every, fitted, first, mounts))
-    if not result:
+    lens = _of_the_lens(used, fitted, better, given)
+    result = [] if any(mistake.whole for mistake in lens) else _of_the_whole(every, fitted, first, mounts)
+    if not any(mistake.whole for mistake in lens + result):
         result += [
             mistake
             for mistake in (_square_size(used, fitted, prior), _moved(used, fitted, prior))
@@ -92,8 +104,7 @@ def find_mistakes(
         ]
         exchanged = _exchanged(fitted.placed, used.mount) if len(mounts) > 1 else None
         result += [] if exchanged is None else [exchanged]
-    result += _of_the_lens(used, better, given, bool(fitted.free))
-    return tuple(result)
+    return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
 
 def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]) -> list[Mistake]:
@@ -139,6 +150,8 @@ def _other_size(scene: Scene, fitted: Estimate) -> tuple[float, str, str] | None
     if not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
         return None
     change = placed.scale - 1.0
+    if abs(change) < _SCALE_OFF:
+        return None
     text = (
         f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
         " squares or markers, and correct its sizes"
@@ -278,43 +291,41 @@ def _explains(scene: Scene, fitted: Estimate, k: int, which: str) -> bool:
     return error(wide) < _BETTER * error(j)
 
 
-def _of_the_lens(scene: Scene, fitted: Estimate, given: FloatArray | None, used: bool) -> list[Mistake]:
-    width, height = scene.size
-    result = []
-    if given is not None:
-        away = np.abs(given[2:4] - [(width - 1) / 2, (height - 1) / 2])
-        if np.max(away) > _MIDDLE * max(width, height):
-            swapped = np.max(np.abs(given[3:1:-1] - [(width - 1) / 2, (height - 1) / 2])) < np.max(away) / 2
-            result.append(
-                Mistake(
-                    "principal_point",
-                    f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of"
-                    f" {width} x {height} px:"
-                    f" {'cx and cy are exchanged' if swapped else 'the intrinsics are of another image'}"
-                    ", or the images were turned, cut or scaled since",
-                )
-            )
-        if not 0.8 < given[0] / given[1] < 1.25:
-            result.append(
-                Mistake(
-                    "focal", f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"
-                )
-            )
-    if given is not None and fitted.free:
-        std = np.sqrt(np.diag(fitted.covariance)[12 : 12 + len(fitted.free)])
-        change = (fitted.placed.intrinsics - given)[list(fitted.free)]
-        sure = np.abs(change) / std
-        k = int(np.argmax(sure))
-        # a focal length that is off by a percent is a distance that is off by a percent
-        if not used or (sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / fitted.placed.intrinsics[0]) > 0.02):
-            name, digits = NAMES[fitted.free[k]], 1 if fitted.free[k] < 4 else 4  # px, or of the distortion
-            result.append(
-                Mistake(
-                    "lens_given",
-                    f"the intrinsics given contradict the photographs: {name} is"
-                    f" {given[fitted.free[k]]:.{digits}f} there and"
-                    f" {fitted.placed.intrinsics[fitted.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"
-                    f" here; {'those found are used' if used else 'let them be found (leave out --lens given)'}",
-                )
-            )
-    return result
+def _of_the_lens(scene: Scene, fitted: Estimate, better: Estimate, given: FloatArray | None) -> list[Mistake]:
+    """What is wrong with intrinsics as given, (9,): by themselves, and beside those that the photographs show."""
+    if given is None:
+        return []
+    swap = _swapped(given, better) if better.free else ""
+    result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, scene.size)]
+    if not better.free:
+        return result
+    kept = not fitted.free  # as given, although others are better
+    std = np.sqrt(np.diag(better.covariance)[12 : 12 + len(better.free)])
+    change = (better.placed.intrinsics - given)[list(better.free)]
+    sure, pixels = np.abs(change) / std, np.abs(change[:4])
+    # a focal length that is off by a percent is a distance that is off by a percent
+    if not (kept or swap or (np.max(sure) > _LENS_OFF and np.max(pixels) / better.placed.intrinsics[0] > 0.02)):
+        return result
+    numbers = []
+    for k in dict.fromkeys((int(np.argmax(sure)), int(np.argmax(np.where(sure[:4] > _ALSO_OFF, pixels, 0.0))))):
+        if numbers and not sure[k] > _ALSO_OFF:
+            continue
+        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # px, or of the distortion
+        numbers.append(
+            f"{name} is {given[better.free[k]]:.{digits}f} there and"
+            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f} here"
+        )
+    before, after = (float(np.median(image_rms(scene, each.placed))) for each in (fitted, better))
+    text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (
+        "let them be found (leave out --lens given)" if kept else "those found are used"
+    )
+    return [*result, Mistake("lens_given", text, before > _FAR_PIXELS and after < _HALVES * before)]
+
+
+def _swapped(given: FloatArray, better: Estimate) -> str:
+    """Which numbers of the intrinsics given, (9,), are exchanged; nothing where no exchange explains those found."""
+    real = better.placed.intrinsics[:4]
+    off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}
+    words = min(off, key=lambda swap: off[swap])
+    as_it_is = float(np.max(np.abs(given[:4] - real))) / real[0]
+    return words if off[words] < min(_SAME_LENS, as_it_is / 2) else ""

@@ -234,6 +234,16 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     assert "shot_05" not in result.scene.names
 
 
+def test_a_large_move_is_named_as_a_move():
+    view = scene(10, "base", noise=0.2, shift=2e-4, turn=2e-4)
+    late = np.arange(10)[:, None, None] >= 5
+    tool = np.where(late, view.tool @ pose((0.03, 0.01, 0.0), (0, 0, 4)), view.tool)
+    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",))
+    assert codes(result)[0] == "moved"
+    assert "the board is elsewhere from image shot_06 on" in judge(result).reasons[0]
+    assert judge(result).grade == "FAIL"
+
+
 def test_turning_about_one_axis_alone_is_refused_or_said():
     item = scene(8, "tool", noise=0.1)
     spin = [item.tool[0] @ pose((0, 0, 0), (0, 0, 10 * k)) for k in range(8)]

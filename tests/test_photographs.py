@@ -385,6 +385,11 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     wrong = runner.invoke(group, [*told[:-1], board, "--out", str(tmp_path / "other")])
     assert wrong.exit_code == 2
     assert not (tmp_path / "other").exists()
+    first = tmp_path / "shots" / "shot_01.png"
+    cv2.imwrite(str(first), cv2.imread(str(first))[:, ::-1])
+    doubted = runner.invoke(group, [*told, "--out", str(tmp_path / "other")])
+    assert "Verdict: CHECK" in doubted.output
+    assert "mirrored images were left out: shot_01" in doubted.output
 
 
 def test_mistakes_of_options_are_one_line_and_nothing_is_written(tmp_path, run_calib):

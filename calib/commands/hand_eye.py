@@ -14,6 +14,7 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, DataError, InputError, nearest
 from calib.base.files import write_folder
+from calib.base.words import listed
 from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, loaded, shared_options
 from calib.commands.detect import detected, nothing_found, summary
@@ -26,6 +27,7 @@ from calib.photographs.hand_eye_calibration import calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.images import joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
+from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import Picture, exaggeration, page
 from calib.photographs.scene import Mount, scene_of
 from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
@@ -96,6 +98,7 @@ def command(
     table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
     bag_joints: tuple[list[str], FloatArray] | None = None
     small: dict[str, bytes] = {}
+    mirrored: list[str] = []
     if table:
         output.check(folders=(out,), names=FILES)
         detected_images = _detected_before(images[0], described)
@@ -109,6 +112,7 @@ def command(
         detection, copies = detected(described, photographs, output, pictures=True)
         small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
         detected_images, described = list(detection.usable), detection.board
+        mirrored = [image.name for image in detection.images if image.mirrored]
         for line in summary(detection):
             output.say(line)
         if not detected_images:
@@ -131,6 +135,9 @@ def command(
         result = calibrate(
             scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
         )
+    if mirrored:
+        text = f"mirrored images were left out: {listed(mirrored)}; switch that off in the camera, or flip them back"
+        result = replace(result, mistakes=(*result.mistakes, Mistake("mirrored", text)))
     judgement = judge(result)
     output.say(report(result, named))
     pages = {"photographs.html": _page(result, named, detected_images, small).encode()}

@@ -52,6 +52,7 @@ class DetectedImage:
         pixels: Where they are, (n, 2).
         remark: What is wrong, in words; empty if nothing is.
         edge: Width of edges [px]; NaN where nothing was found.
+        mirrored: Whether the board is found in the mirror image alone.
     """
 
     name: str
@@ -60,6 +61,7 @@ class DetectedImage:
     pixels: FloatArray
     remark: str = ""
     edge: float = float("nan")
+    mirrored: bool = False
 
     @property
     def usable(self) -> bool:
@@ -182,11 +184,11 @@ class _Detector:
 
     def explained(self, detected: DetectedImage, image: GreyImage) -> DetectedImage:
         """Return what was found with a remark that says why it is too little."""
-        return DetectedImage(
-            detected.name, detected.size, detected.points, detected.pixels, self._why(image, len(detected.points))
-        )
+        n = len(detected.points)
+        mirrored = self.mirrored(image) >= max(FEWEST, 2 * n)
+        return replace(detected, remark=self._why(image, n, mirrored), edge=float("nan"), mirrored=mirrored)
 
-    def _why(self, image: GreyImage, n: int) -> str:
+    def _why(self, image: GreyImage, n: int, mirrored: bool) -> str:
         few = f"only {counted(n, 'point')} found" if n else "no board found"
         board = self.board
         if board.dictionary is None:
@@ -198,7 +200,7 @@ class _Detector:
         markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
         if columns:
             return f"{few}: its {counted(len(set(markers)), 'marker')} lie as on {columns}; correct columns and rows"
-        if self.mirrored(image) >= max(FEWEST, 2 * n):
+        if mirrored:
             return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
         if len(markers) == 0:
             if self._tries > 0 and not self._dictionary:

@@ -88,7 +88,22 @@ def without_images_off(scene: Scene, begin: Start, intrinsics: FloatArray | None
         if np.array_equal(now, trial):
             break
         trial = now
-    return trial
+    return _without_the_furthest(scene, trial, begin.placed, free, intrinsics, max(_FEWEST, len(scene) - most))
+
+
+def _without_the_furthest(
+    scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None, fewest: int
+) -> BoolArray:
+    """Images that fit, (n,): one that is kept moves where the others are put, and so hides how far off it is."""
+    errors = _foretold(scene, kept, begin, free, intrinsics)
+    while errors is not None and np.sum(kept) > fewest:
+        furthest = int(np.argmax(np.where(kept, errors, -np.inf)))
+        without = kept & (np.arange(len(scene)) != furthest)
+        errors = _foretold(scene, without, begin, free, intrinsics)
+        if errors is None or not errors[furthest] > max(_OFF * float(np.median(errors[without])), _LEAST_OFF):
+            break
+        kept = without
+    return kept
 
 
 def _foretold(

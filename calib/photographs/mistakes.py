@@ -16,7 +16,7 @@ that matters.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -32,6 +32,7 @@ from calib.photographs.scene import SIDES, Linear, Mount, Placed, Scene, lineari
 from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
 from calib.photographs.starts import Start, camera_alone, image_rms, start
 
+_UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
 _HALVES = 0.5
 _SURE = 0.1  # of what is left: then no other reading is tried
@@ -96,6 +97,9 @@ def find_mistakes(
     """
     lens = _of_the_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _of_the_whole(every, fitted, first, mounts)
+    if [mistake.code for mistake in result] == [_UNKNOWN]:
+        moved = _moved(used, fitted, prior)
+        result = result if moved is None else [replace(moved, whole=True)]
     if not any(mistake.whole for mistake in lens + result):
         result += [
             mistake
@@ -137,7 +141,7 @@ def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray, mounts
         f" belong together,"
         " or the tool of the poses, the units or the order of rotations are not what the file says"
     )
-    return [Mistake("not_explained", text, True)]
+    return [Mistake(_UNKNOWN, text, True)]
 
 
 def _other_size(scene: Scene, fitted: Estimate) -> tuple[float, str, str] | None:
@@ -306,7 +310,7 @@ def _of_the_lens(scene: Scene, fitted: Estimate, better: Estimate, given: FloatA
     # a focal length that is off by a percent is a distance that is off by a percent
     if not (kept or swap or (np.max(sure) > _LENS_OFF and np.max(pixels) / better.placed.intrinsics[0] > 0.02)):
         return result
-    numbers = []
+    numbers: list[str] = []
     for k in dict.fromkeys((int(np.argmax(sure)), int(np.argmax(np.where(sure[:4] > _ALSO_OFF, pixels, 0.0))))):
         if numbers and not sure[k] > _ALSO_OFF:
             continue

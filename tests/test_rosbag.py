@@ -234,10 +234,10 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     from calib.photographs.opencv import read_image
     from calib.photographs.rendering import example
 
-    board, q = "charuco:5x7:30mm:22mm:DICT_5X5_100", np.random.default_rng(3).uniform(-1, 1, (3, 6))
-    for name, content in example(given_board(board), 3, np.random.default_rng(0)).items():
+    board, q = "charuco:5x7:30mm:22mm:DICT_5X5_100", np.random.default_rng(3).uniform(-1, 1, (2, 6))
+    for name, content in example(given_board(board), 1, np.random.default_rng(0)).items():
         (tmp_path / name).write_bytes(content)
-    shown = [read_image(tmp_path / f"shot_0{k}.png") for k in (1, 2, 3)]
+    shown = [read_image(tmp_path / "shot_01.png")] * 2
     generator = np.random.default_rng(1)
     write_bag(tmp_path / "bag", photographs(q, shown, generator))
     write_bag(tmp_path / "none", photographs(q, shown, generator, joints=False))
@@ -249,14 +249,14 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     done = detect("bag", "shot_01.png")
     assert done.code == 0
     assert (
-        "bag: 6 of 9 images left out: the robot moved, or had no joint states, at 3 (3, 6, 9); 3 show the" in done.err
+        "bag: 4 of 6 images left out: the robot moved, or had no joint states, at 2 (3, 6); 2 show the same" in done.err
     )
     assert "left out: shot_01: has no joint values, unlike images of bag" in done.err
     lines = (tmp_path / "pixels.csv").read_text().splitlines()
     rows = [line.split(",") for line in lines if not line.startswith("#")]
     assert rows[0][4:] == list(JOINTS)
     by_pose = {row[0]: np.array(row[4:], dtype=float) for row in rows[1:]}
-    assert list(by_pose) == ["bag_2", "bag_5", "bag_8"]
+    assert list(by_pose) == ["bag_2", "bag_5"]
     assert np.abs(np.array(list(by_pose.values())) - q).max() < 5e-5
     done = detect("none")
     assert "none: has no joint states (sensor_msgs/JointState), so its images have no joint values" in done.err

@@ -24,6 +24,10 @@ figure { margin: 0; } svg { width: 100%; height: auto; background: #ddd; display
 figcaption { overflow-wrap: anywhere; } .off { color: #a40000; font-weight: 600; }
 table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; text-align: right; }
 th { text-align: left; }
+:root { color-scheme: light dark; }
+@media screen and (prefers-color-scheme: dark) {
+  body { color: #e6e6e6; background: #16181b; } svg { background: #333; } .off { color: #ff8a80; }
+}
 """
 
 
@@ -112,4 +116,6 @@ def exaggeration(errors: FloatArray, width: int) -> float:
     typical = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else 0.0
     if typical <= 0:
         return 1.0
-    return float(10 ** np.floor(np.log10(max(0.05 * width / typical, 1.0))))
+    most = max(0.05 * width / typical, 1.0)
+    power = 10 ** np.floor(np.log10(most))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= most))

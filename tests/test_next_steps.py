@@ -62,6 +62,8 @@ def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, cod
     assert grade in meaning
     assert following.startswith("Next: ")
     assert following.partition(": calib ")[2].startswith(expected.removeprefix("calib "))
+    unwritten = after_fit(fit, "a.yaml", ("my data.csv",), "out", written=False)
+    assert ("with --out out, then" in unwritten) is ("--result out" in expected)
 
 
 def test_joint_terms_are_not_offered_where_poses_are_too_few_to_choose_them(robot, data, say):
@@ -86,6 +88,9 @@ def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     assert after_fit(validated, "a.yaml", ("d.csv",), "my out").splitlines()[1] == (
         "Next: use my out/calibrated.urdf, or correct a program for the real robot: calib compensate 'my out'"
         " program.csv --out compensated.csv"
+    )
+    assert "Next: fit again with --out out, then use out/calibrated.urdf" in after_fit(
+        validated, "a.yaml", ("d.csv",), "out", written=False
     )
     say("PASS", "nothing_to_correct")
     assert after_fit(validated, "a.yaml", ("d.csv",), "out").endswith(": calib verify out measured.csv")

@@ -144,7 +144,7 @@ def command(
     withheld = "" if out is None or failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
-    output.say(after_fit(result, robot, data, _FOLDER if out is None else out))
+    output.say(after_fit(result, robot, data, _FOLDER if out is None else out, written=out is not None))
     if output.json_target is not None:
         output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:

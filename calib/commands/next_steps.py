@@ -23,7 +23,7 @@ _MEANINGS = {
 }
 
 
-def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> str:
+def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str, *, written: bool = True) -> str:
     """Return what the grade means, and what to do next.
 
     Args:
@@ -31,10 +31,13 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> str:
         robot: ROBOT, as it was typed.
         data: DATA, likewise.
         out: Where the result is.
+        written: Whether it is there, and is not only a proposal.
     """
-    grade = judge(fit).grade
+    grade, step = judge(fit).grade, next_step(fit)
     colour, meaning = _MEANINGS[grade]
-    words = next_step(fit).typed(robot, data, out)
+    words = step.typed(robot, data, out)
+    if step.needs_folder and not written:
+        words = f"fit again with --out {shlex.quote(out)}, then {words}"
     return f"{click.style(grade, fg=colour, bold=True)}: {meaning}\nNext: {words}"
 
 

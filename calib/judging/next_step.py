@@ -42,6 +42,11 @@ class NextStep:
     def __str__(self) -> str:
         return f"{self.aim}: {self.command}"
 
+    @property
+    def needs_folder(self) -> bool:
+        """Whether it uses the result folder, and does not write it."""
+        return FOLDER in self.aim or FOLDER in self.command.removesuffix(f"--out {FOLDER}").split()
+
     def typed(self, robot: str, data: Sequence[str], folder: str) -> str:
         """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`."""
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}

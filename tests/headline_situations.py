@@ -249,9 +249,8 @@ class Commands:
     def unlike(self):
         """A fit of a robot that differs a little in many parameters, as the fit of the arm is known."""
         known = self.fit.covariance
-        sizes, axes = np.linalg.eigh(known.values)
-        step = np.random.default_rng(31).standard_normal(len(sizes))
-        step = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * step * 12 / np.linalg.norm(step))
+        step = np.random.default_rng(16).standard_normal(len(known.names))
+        step = np.linalg.cholesky(known.values) @ step * 12 / np.linalg.norm(step)
         changes = {name: size for name, size in zip(known.names, step, strict=True) if not name.startswith("base")}
         other = self.truth.with_parameters({name: value(self.truth, name) + size for name, size in changes.items()})
         return calib.fit(self.robot, measured(other, joints(60, 4), 4))

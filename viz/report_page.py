@@ -37,6 +37,7 @@ from viz.remarks import fit_remarks, record, signatures
 from viz.rendering import picture_of, points_of
 from viz.report_tables import extent, headline, judged_by, noise_lines, tolerance_of, unsure, worst
 from viz.scene import Scene, joints_of, scene_of_fit
+from viz.scene_data import in_space
 from viz.viewer_page import Page
 
 if TYPE_CHECKING:
@@ -85,6 +86,7 @@ def report_page(
             robot=fit.nominal,
             verdict=judge(fit),
             headline=headline(tables, judged_by(fit).main_part),
+            space=_space(shown, judged_by(fit).main_part.name),
             accuracy=tables,
             noise=noise_lines(fit),
             worth=worth_of_files(fit),
@@ -120,6 +122,12 @@ def report_page(
             viewer=viewer,
         )
     )
+
+
+def _space(scene: Scene | None, part: str) -> list[float] | None:
+    """Mean distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
+    alike = [] if scene is None else [other for other in scene.others if other.part == part]
+    return in_space(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 
 
 def page_environment() -> Environment:

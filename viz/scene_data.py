@@ -75,7 +75,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
                 "sets": [
                     {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
                 ],
-                "space": _in_space(scene, other),
+                "space": in_space(scene, other),
             }
             for other in scene.others
         ],
@@ -238,8 +238,11 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
     return parts
 
 
-def _in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
-    """Mean distance [mm] of points before and after, of readings in another unit that see points, in their set."""
+def in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
+    """Return the mean distance [mm] of points before and after, of readings that see points and have another unit.
+
+    Those of the validation are counted if there are any; None for other readings.
+    """
     if sum(map(len, scene.readings)) != scene.n_readings or other.unit in ("mm", "mrad"):
         return None
     sets = [name for name, *_ in other.sets]

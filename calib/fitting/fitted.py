@@ -30,7 +30,7 @@ from calib.robots.held import Holds
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination
 from calib.rows.observed import observe
-from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
+from calib.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
 from calib.rows.rows import Group, Rows, Scales
 from calib.rows.told_positions import ToldPositions
 from calib.rows.unknowns import Unknowns
@@ -196,13 +196,18 @@ class Fit(ReadOnlyArrays):
     def parameters(self) -> Estimates:
         """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
         known = self.statistics.widened(self.widened)
+        if self.undecided is not None:
+            known = known.with_more(np.sum(self.undecided.of_parameters(self.free_names) ** 2, axis=1))
         by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
         return Estimates({**by_name, **later}) if later else by_name
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Covariance of the free parameters, by name, as wide as their intervals."""
+        """Covariance of the free parameters of the robot with its joint terms, by name.
+
+        As wide as their intervals, but for terms that `--terms auto` left undecided, which intervals include.
+        """
         return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
 
     @cached_property
@@ -343,7 +348,13 @@ class Fit(ReadOnlyArrays):
     @property
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
-        return ParameterUncertainty(self.free, self.covariance.values, self.statistics.coverage_factor)
+        factor = self.statistics.coverage_factor
+        return ParameterUncertainty(self.free, self.covariance.values, factor, self.undecided)
+
+    @property
+    def undecided(self) -> UndecidedTerms | None:
+        """Joint terms that the robot may have, too; None if none were left undecided."""
+        return None if self.terms is None else self.terms.undecided
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:

@@ -130,6 +130,12 @@ class Statistics(ReadOnlyArrays):
         """Return them with standard deviations and intervals so many times as wide; see `calib.fitting.regions`."""
         return replace(self, std=factor * self.std, half_width=factor * self.half_width)
 
+    def with_more(self, variances: FloatArray) -> Statistics:
+        """Return them with standard deviations and intervals that include further variances, (n_free,)."""
+        std = np.sqrt(self.std**2 + variances)
+        wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
+        return replace(self, std=std, half_width=wider * self.half_width)
+
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
         with np.errstate(divide="ignore", invalid="ignore"):

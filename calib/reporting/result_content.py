@@ -29,6 +29,8 @@ from calib.rows.rows import Rows
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 """Files of a result folder that hold the robot as it was before."""
+UNDECIDED = "undecided_terms.csv"
+"""File of a result folder: what joint terms leave uncertain that `--terms auto` did not decide on."""
 LEFT_OUT = "left out"
 """Set in `residuals.csv` of the readings that were left out as outliers."""
 CORRELATED = 0.95
@@ -277,6 +279,7 @@ def _terms(fit: Fit) -> dict[str, object]:
     return {
         "asked": None if choice is None else choice.asked,
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
+        "undecided": [section.model_dump(mode="json") for section in fit.undecided.terms] if fit.undecided else [],
         "unit": ERROR_UNIT[part.dimension],
         "tried": [
             {**asdict(trial), "before": scale * trial.before, "after": scale * trial.after, "proven": trial.proven}

@@ -25,13 +25,13 @@ from calib.joint_terms.terms import stored_terms
 from calib.judging.promise import Promise
 from calib.judging.reasons import Code
 from calib.reporting.files_held import file_entry, stored_files
-from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
+from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML, UNDECIDED
 from calib.reporting.result_format import damage
 from calib.robots import loading
 from calib.robots.held import Holds
 from calib.robots.robot import Robot
 from calib.rows.known_robot import KnownRobot
-from calib.rows.prediction import ParameterUncertainty
+from calib.rows.prediction import ParameterUncertainty, UndecidedTerms
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
 _MOST_FREEDOM = 1e9  # degrees of freedom: more than any file has rows; tails of F and t are not found far beyond
@@ -200,7 +200,36 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
-    return ParameterUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+    undecided = None if entry.get("values") else _undecided_terms(folder, content, robot)
+    return ParameterUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)), undecided)
+
+
+def _undecided_terms(folder: Path | str, content: dict[str, Any], robot: Robot) -> UndecidedTerms | None:
+    """Joint terms that a choice left undecided; None if it left none, or an earlier version wrote the result."""
+    entries = (content.get("joint_terms") or {}).get("undecided")
+    if not entries:
+        return None
+    path = Path(folder) / UNDECIDED
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; run the fit again")
+    table = read_table(path)
+    directions = [k for k, name in enumerate(table.names) if name.startswith("direction_")]
+    try:
+        bare = UndecidedTerms(stored_terms(entries), (), np.zeros((0, 0)))
+        whole = {p.name: p for p in bare.added_to(robot).parameters}
+        names, units = table.text("parameter"), table.text("unit")
+        scale = np.array(
+            [
+                per_si(unit, whole[name].dimension, f"{path}, parameter '{name}'")
+                for name, unit in zip(names, units, strict=True)
+            ]
+        )
+        spread = np.array([[float(row[k]) for k in directions] for row in table.rows]) / scale[:, None]
+    except (ValueError, KeyError, DescriptionError):
+        raise DataError(f"{path}: does not fit the joint terms in result.json; run the fit again") from None
+    if not directions or not np.all(np.isfinite(spread)):
+        raise DataError(f"{path}: holds no numbers; run the fit again")
+    return UndecidedTerms(bare.terms, tuple(names), spread)
 
 
 def load_known(folder: Path | str, robot: Robot) -> KnownRobot:

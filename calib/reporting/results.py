@@ -3,7 +3,8 @@
 `result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
 calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
 `nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
-to the last digits. Its uncertainty comes from `covariance.csv`. What files get that hold less is there, too
+to the last digits. Its uncertainty comes from `covariance.csv`, and of terms that `--terms auto`
+left undecided from `undecided_terms.csv`. What files get that hold less is there, too
 (`calib.reporting.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not read back
 as a calibrated robot (`calib.reporting.result_reading`), unless that is forced; then the files say so. Nor is
 `calibrated.urdf` written where it is worse than the nominal robot, unless that is forced.
@@ -38,17 +39,27 @@ from calib.judging.reasons import Verdict
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
 from calib.reporting.files_held import VALUES, files_of, name_of_values
-from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, residual_places, residual_sets, to_dict
+from calib.reporting.result_content import (
+    NOMINAL_URDF,
+    NOMINAL_YAML,
+    UNDECIDED,
+    residual_places,
+    residual_sets,
+    to_dict,
+)
 from calib.robots.description import description_yaml
 from calib.robots.held import Holds
+from calib.robots.robot import Robot
 from calib.robots.urdf.text import UrdfText, apply_edits
+from calib.rows.prediction import UndecidedTerms
 from calib.rows.rows import Rows
 
 _URDF = "calibrated.urdf"
 _PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _PAGES = ("report.html", "viewer.html")
-_NOT_ALWAYS = (_URDF, *_PAGES, *(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance")))
+_OF_FILES = tuple(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance"))
+_NOT_ALWAYS = (_URDF, *_PAGES, UNDECIDED, *_OF_FILES)
 """Files that must not stay beside a new result that has none."""
 _ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
@@ -87,6 +98,8 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         "residuals.csv": _residual_table(fit).encode(),
         **nominal,
     }
+    if fit.undecided is not None:
+        files[UNDECIDED] = _undecided_table(fit.robot, fit.undecided).encode()
     files |= _values_of_files(fit, remark)
     if force or not (failed or why_no_origins(fit)):
         files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
@@ -223,3 +236,16 @@ def _covariance_table(fit: Fit) -> str:
         *((estimate.name, column) for estimate, column in zip(free, shown.T, strict=True)),
     ]
     return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))
+
+
+def _undecided_table(robot: Robot, undecided: UndecidedTerms) -> str:
+    """Return CSV: how parameters change together by joint terms that are undecided, in their display units."""
+    whole = {p.name: p for p in undecided.added_to(robot).parameters}
+    names = [name for name in undecided.names if name in whole]
+    changes = undecided.of_parameters(names) * np.array([whole[name].per_si for name in names])[:, None]
+    columns: list[tuple[str, list[str] | FloatArray]] = [
+        ("parameter", names),
+        ("unit", [whole[name].unit for name in names]),
+        *((f"direction_{k + 1}", column) for k, column in enumerate(changes.T)),
+    ]
+    return format_table(columns, ("one standard deviation in each of independent directions; terms: see result.json",))

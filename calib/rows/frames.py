@@ -89,16 +89,19 @@ class Frame(ReadOnlyArrays):
 
     def _predicted(self, q: FloatArray, context: Context) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, their covariance, and that of turns."""
-        configurations, uncertainty = self.robot.assemble(q, context=context), self.known.uncertainty
+        uncertainty = self.known.uncertainty
         if uncertainty is None:
-            positions = target_poses(self.robot, configurations)[0]
+            positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
             unknown = np.full((*positions.shape, 3), np.nan)
             return positions, unknown, unknown
-        linear = linearise(self.robot, configurations, turns=True)
-        jacobian = linear.jacobian[..., uncertainty.free][..., self.counts]
-        covariance = uncertainty.covariance[np.ix_(self.counts, self.counts)]
+        linear = uncertainty.linearised(self.robot, q, context)
+        counts = uncertainty.counting(self.robot, self.counts)
+        jacobian = linear.jacobian[..., counts]
+        covariance = uncertainty.covariance_of(self.robot)[np.ix_(counts, counts)]
         if self.motion is not None:
-            jacobian = jacobian - self.motion.columns(*target_poses(self.robot, configurations)) @ self._following
+            jacobian = (
+                jacobian - self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+            )
         spread, turned = (carried(jacobian[:, :, rows], covariance) for rows in (slice(3), slice(3, 6)))
         return linear.positions, spread, turned
 
@@ -126,8 +129,9 @@ class Frame(ReadOnlyArrays):
         """How common motion follows the parameters that count, (k, n)."""
         assert self.motion is not None
         assert self.known.uncertainty is not None
-        linear = linearise(self.robot, self.robot.assemble(self.motion.joints), turns=True)
-        return self.motion.following(linear.jacobian[..., self.known.uncertainty.free][..., self.counts])
+        joints, uncertainty = self.motion.joints, self.known.uncertainty
+        linear = uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
+        return self.motion.following(linear.jacobian[..., uncertainty.counting(self.robot, self.counts)])
 
 
 def as_described(robot: Robot) -> Robot:

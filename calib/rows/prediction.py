@@ -8,12 +8,15 @@ Directions of C that no measurement determined (redundant or prior-held paramete
 so a position can be known to micrometres although no single parameter is. Only noise is counted: what the model leaves
 out, and what the robot does not repeat, come on top.
 
+Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
+(`UndecidedTerms`). They stand beside the free parameters, in C and in B, and the free parameters follow them.
+
 Reference: jcgm100 (GUM), section 5.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +25,8 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.units import millimetres
 from calib.base.words import listed
-from calib.joint_terms.term import Context
+from calib.joint_terms.term import Context, TermSection
+from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 
@@ -209,18 +213,127 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class UndecidedTerms(ReadOnlyArrays):
+    """Joint terms that a robot does not have, and that its data do not exclude.
+
+    Attributes:
+        terms: Their entries.
+        names: Parameters that are uncertain by them: free ones of the robot, and their own coefficients, (n,).
+        spread: S, one standard deviation in each of k independent directions, (n, k) [SI]; their covariance is S S^T.
+    """
+
+    terms: tuple[TermSection, ...]
+    names: tuple[str, ...]
+    spread: FloatArray
+
+    @staticmethod
+    def of(terms: tuple[TermSection, ...], kinds: Sequence[Mapping[str, FloatArray]]) -> UndecidedTerms:
+        """Return them from the directions of each kind, (k,) of each parameter, by its name [SI]."""
+        names = tuple(dict.fromkeys(name for kind in kinds for name in kind))
+        blocks = []
+        for kind in kinds:
+            nothing = np.zeros_like(next(iter(kind.values())))
+            blocks.append(np.stack([kind.get(name, nothing) for name in names]))
+        return UndecidedTerms(terms, names, np.concatenate(blocks, axis=1))
+
+    def added_to(self, robot: Robot) -> Robot:
+        """Return a robot with these terms beside its own, coefficients zero."""
+        return robot.with_terms((*robot.description.terms, *self.terms))
+
+    def of_parameters(self, names: Sequence[str]) -> FloatArray:
+        """Return S of some parameters, (n, k), 0 of those that do not depend on the terms."""
+        place = {name: k for k, name in enumerate(self.names)}
+        rows = np.vstack([self.spread, np.zeros((1, self.spread.shape[1]))])
+        return rows[[place.get(name, -1) for name in names]]
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainLinear(ReadOnlyArrays):
+    """A robot linearised at poses by all that is uncertain of it.
+
+    Attributes:
+        robot: The robot, with joint terms that are undecided, coefficients zero.
+        configurations: Its poses, loops closed.
+        positions: (n_poses, n_targets, 3) [m].
+        jacobian: Of positions and small turns, (n_poses, n_targets, 6, n_uncertain): by the free parameters, then by
+            coefficients of undecided terms.
+    """
+
+    robot: Robot
+    configurations: Configurations
+    positions: FloatArray
+    jacobian: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class ParameterUncertainty(ReadOnlyArrays):
     """How well the parameters of a calibrated robot are known.
 
     Attributes:
         free: Which of them were found, (n_parameters,); the others are taken as they are.
-        covariance: Of these, (n_free, n_free) [m, rad].
+        covariance: Of these, if it has no other joint terms, (n_free, n_free) [m, rad].
         coverage_factor: How many standard deviations make half a 95 % interval.
+        undecided: Joint terms that it may have, too; None if a choice left none undecided.
     """
 
     free: BoolArray
     covariance: FloatArray
     coverage_factor: float
+    undecided: UndecidedTerms | None = None
+
+    def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
+        """Return which of all that is uncertain counts, (n_uncertain,): coefficients of undecided terms do.
+
+        Args:
+            robot: The calibrated robot.
+            counts: Which of the free parameters do, (n_free,).
+        """
+        return np.append(counts, np.ones(len(self._more(robot)), dtype=bool))
+
+    def covariance_of(self, robot: Robot) -> FloatArray:
+        """Return the covariance of all that is uncertain, (n_uncertain, n_uncertain) [SI].
+
+        Args:
+            robot: The calibrated robot.
+        """
+        if self.undecided is None:
+            return self.covariance
+        names = self._free_names(robot)
+        spread = self.undecided.of_parameters([*names, *self._more(robot)])
+        total = spread @ spread.T
+        total[: len(names), : len(names)] += self.covariance
+        return total
+
+    def linearised(
+        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None
+    ) -> UncertainLinear:
+        """Linearise positions and turns of all targets by all that is uncertain.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        whole, index = robot, np.flatnonzero(self.free)
+        if self.undecided is not None:
+            whole = self.undecided.added_to(robot)
+            place = {p.name: k for k, p in enumerate(whole.parameters)}
+            index = np.array([place[name] for name in (*self._free_names(robot), *self._more(robot))], dtype=np.intp)
+        configurations = whole.assemble(q, near, context=context)
+        linear = linearise(whole, configurations, turns=True)
+        return UncertainLinear(whole, configurations, linear.positions, linear.jacobian[..., index])
+
+    def _free_names(self, robot: Robot) -> list[str]:
+        return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
+
+    def _more(self, robot: Robot) -> tuple[str, ...]:
+        """Names of the coefficients of undecided terms."""
+        has = {p.name for p in robot.parameters}
+        return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 
     def at(
         self, robot: Robot, q: FloatArray, context: Context | None = None, near: FloatArray | None = None
@@ -237,14 +350,13 @@ class ParameterUncertainty(ReadOnlyArrays):
             UnreachablePoseError: A loop stays open.
         """
         context = Context.neutral(*q.shape) if context is None else context
+        known = self.covariance_of(robot)
         positions, spread, turned = [], [], []
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
-            seed = None if near is None else near[some]
-            linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
+            linear = self.linearised(robot, q[some], context.at(some), None if near is None else near[some])
             positions.append(linear.positions)
-            jacobian = linear.jacobian[..., self.free]
-            spread.append(carried(jacobian[:, :, :3], self.covariance))
-            turned.append(carried(jacobian[:, :, 3:], self.covariance))
+            spread.append(carried(linear.jacobian[:, :, :3], known))
+            turned.append(carried(linear.jacobian[:, :, 3:], known))
         points, covariance, turn_covariance = (np.concatenate(part) for part in (positions, spread, turned))
         return PositionUncertainty(points, covariance, self.coverage_factor, turn_covariance, robot.left_out)

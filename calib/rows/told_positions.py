@@ -23,7 +23,6 @@ from calib.joint_terms.term import Context
 from calib.robots.robot import Robot
 from calib.rows.common_motion import CommonMotion, Loose, target_poses
 from calib.rows.frames import poses_of_agreement
-from calib.rows.jacobian import linearise
 from calib.rows.known_robot import KnownRobot
 from calib.rows.prediction import CHUNK, ParameterUncertainty, PositionUncertainty, carried
 
@@ -82,23 +81,27 @@ class ToldPositions(ReadOnlyArrays):
         if self.motion is None:
             return measured
         context = Context.neutral(*q.shape) if context is None else context
-        spread = []
+        known, spread = self.uncertainty.covariance_of(self.robot), []
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
             seed = None if near is None else near[some]
-            configurations = self.robot.assemble(q[some], seed, context=context.at(some))
-            jacobian = linearise(self.robot, configurations, turns=True).jacobian[..., self.uncertainty.free]
-            jacobian = jacobian - self.motion.columns(*target_poses(self.robot, configurations)) @ self._following
-            spread.append([carried(jacobian[:, :, rows], self.uncertainty.covariance) for rows in _ROWS])
+            linear = self.uncertainty.linearised(self.robot, q[some], context.at(some), seed)
+            jacobian = (
+                linear.jacobian
+                - self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+            )
+            spread.append([carried(jacobian[:, :, rows], known) for rows in _ROWS])
         covariance, turned = (np.concatenate(part) for part in zip(*spread, strict=True))
         return replace(measured, covariance=covariance, turn_covariance=turned, frame=OWN_FRAME, measured=measured)
 
     @cached_property
     def _following(self) -> FloatArray:
-        """How common motion follows the free parameters, (k, n_free)."""
+        """How common motion follows what is uncertain, (k, n_uncertain)."""
         assert self.motion is not None
-        linear = linearise(self.robot, self.robot.assemble(self.motion.joints), turns=True)
-        return self.motion.following(linear.jacobian[..., self.uncertainty.free])
+        joints = self.motion.joints
+        return self.motion.following(
+            self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape)).jacobian
+        )
 
 
 _ROWS = (slice(3), slice(3, 6))  # of positions and of turns

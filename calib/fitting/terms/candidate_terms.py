@@ -16,6 +16,7 @@ from calib.joint_terms.term import COLUMNS, Condition, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
 from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
+from calib.rows.prediction import UndecidedTerms
 
 _OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
 _SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
@@ -99,11 +100,13 @@ class TermChoice:
         asked: `auto`, `none`, or the list that was asked for.
         sections: The entries that it has.
         tried: Of `auto`, what was found about each kind of term, those that were added first.
+        undecided: Of `auto`, what terms that were not added leave uncertain; None if nothing.
     """
 
     asked: str
     sections: tuple[TermSection, ...]
     tried: tuple[TriedTerm, ...] = ()
+    undecided: UndecidedTerms | None = None
 
 
 def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:

@@ -30,7 +30,8 @@ costs, both mean squares of positions:
 Where a group costs more, its likeliest kind is tried alone. Terms that are added later may tell the kinds of a group
 apart; then the others leave it. A kind is called proven only if it was added alone and every other one is told from it,
 whether that one would earn the place or not; else the others are named.
-What is added is then fitted as any robot is, without linearising.
+What is added is then fitted as any robot is, without linearising. What is left out may be there all the same, too small
+to be proven: intervals count it by its evidence (`calib.numerics.undecided`).
 
 When it fails. Errors that no candidate describes stay. Blocks of a small part of joint space are neighbours of each
 other: what predicts them need not hold elsewhere (`calib.judging.rules_reach`).
@@ -52,6 +53,7 @@ from calib.fitting.terms.candidate_terms import Candidate, TermChoice, TriedTerm
 from calib.fitting.terms.term_trials import BLOCKS, Trial, Trials
 from calib.fitting.validation import stretches
 from calib.joint_terms.term import TermSection
+from calib.rows.prediction import UndecidedTerms
 
 ADDED_BY_CHANCE = 0.02
 """Chance that some term rises in evidence by as much as is asked where there is none."""
@@ -101,7 +103,7 @@ def choose_terms(fit: Fit) -> TermChoice:
     ]
     sections = (*fit.robot.description.terms, *added)
     tried_terms = sorted((search.outcome(candidate, groups) for candidate in kinds), key=lambda term: not term.added)
-    return TermChoice("auto", sections, tuple(tried_terms))
+    return TermChoice("auto", sections, tuple(tried_terms), search.undecided(chosen))
 
 
 class _Search:
@@ -214,6 +216,15 @@ class _Search:
             f"the data cannot tell it from {listed(alike)}, and its cost is larger than its gain: at other combinations"
             f" of measured joint values, positions are known to {known:.3g} mm with, to {otherwise:.3g} mm without it"
         )
+
+    def undecided(self, chosen: Trial) -> UndecidedTerms | None:
+        """Return what terms that were not added leave uncertain beside those of a trial; None if nothing."""
+        others = [candidate for candidate in self.tried if not candidate.doubt and candidate.term not in chosen.terms]
+        by_term = self.trials.undecided(chosen.terms, [candidate.term for candidate in others])
+        if not by_term:
+            return None
+        sections = tuple(section for candidate in others if candidate.term in by_term for section in candidate.sections)
+        return UndecidedTerms.of(sections, list(by_term.values()))
 
     def instead(self, term: str, trial: Trial) -> dict[str, Trial]:
         """Return the trials with each of the other kinds in the place of one."""

@@ -16,7 +16,7 @@ Reference: mackay1992; roberts2017.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -32,6 +32,7 @@ from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import reduced
 from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
+from calib.numerics.undecided import averaged
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe
 from calib.rows.prediction import beside_common_motion, other_combinations
@@ -43,6 +44,7 @@ BLOCKS = 8
 _COMBINATIONS = 200
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
 _NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
+_LITTLE = 0.01  # chance that a kind is there below which it is left out of what is uncertain
 _LOST = 1e-9  # part of a place's information below which only the poses that are left out see it
 
 
@@ -203,6 +205,7 @@ class Trials:
         ).weighted(fit.weights)
         rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
         self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
+        self._unknowns = unknowns
         self._residuals = {name: block.residuals for name, block in observed.items()}
         self._by_column = {
             name: self._design.columns(block.by(unknowns.index) * unknowns.scales) for name, block in observed.items()
@@ -243,6 +246,53 @@ class Trials:
         if key not in self._known:
             self._known[key] = self._computed(key)
         return self._known[key]
+
+    def undecided(self, terms: tuple[str, ...], others: Sequence[str]) -> dict[str, dict[str, FloatArray]]:
+        """Return what other terms, one at a time beside some, leave uncertain (`calib.numerics.undecided`).
+
+        Terms of which each joint has a size of its own have too many coefficients, and are not among them.
+
+        Args:
+            terms: Those that were chosen.
+            others: Those that were not.
+
+        Returns:
+            Of each of the others that may well be there, changes of parameters by name: one standard deviation in each
+            of some independent directions, (n,) [SI]. Nothing where no noise is left.
+        """
+        design, (use, model) = self._design, self._model(terms)
+        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
+        if np.any(scales <= EXACT):
+            return {}
+        solved, n = model.solved(scales, sizes), len(use)
+        factor, step = solved.factor[:, None], solved.factor * solved.step
+        columns, follows, seen = {}, {}, {}
+        for term in others:
+            own = np.array([k for k, owner in enumerate(design.owner) if owner == term], dtype=np.intp)
+            if design.label[own[0]] != term:
+                continue
+            columns[term] = np.concatenate([use, own])
+            gram, pull = self._all.products(columns[term]).weighed(scales)
+            shared = gram[:n, n:]
+            follows[term] = -factor * (solved.root @ (solved.root.T @ (factor * shared)))
+            seen[term] = gram[n:, n:] + shared.T @ follows[term], pull[n:] + shared.T @ step
+        known = dict(zip(seen, averaged(list(seen.values())), strict=True))
+        return {
+            term: self._parameters(columns[term], np.vstack([follows[term] @ one.spread, one.spread]))
+            for term, one in known.items()
+            if one.chance > _LITTLE
+        }
+
+    def _parameters(self, use: IntArray, steps: FloatArray) -> dict[str, FloatArray]:
+        """Return changes of parameters, (k,) each [SI], by name, from those of some columns, (n_used, k)."""
+        of_columns = np.zeros((len(self._design.owner), steps.shape[1]))
+        of_columns[use] = steps
+        changes, start = np.zeros((len(self._unknowns), steps.shape[1])), 0
+        for members, part in self._design.parts:
+            changes[members] += part @ of_columns[start : start + part.shape[1]]
+            start += part.shape[1]
+        changes *= self._unknowns.scales[:, None]
+        return {name: change for name, change in zip(self._unknowns.names, changes, strict=True) if np.any(change)}
 
     def _model(self, terms: tuple[str, ...]) -> tuple[IntArray, FamilyModel]:
         """The columns with some terms, (n_used,), and their model."""

@@ -140,7 +140,7 @@ def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
             type=click.IntRange(min=1),
             default=os.cpu_count() or 1,
             show_default="all cores",
-            help="Processes to share the draws; the numbers do not depend on it.",
+            help="Number of processes for the draws; results do not depend on it.",
         ),
         click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all draws."),
     )

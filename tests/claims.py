@@ -177,7 +177,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the table into docs/verdict.md")
     options = parser.parse_args()
     lines = [
-        "| robot | poses used, and judging | before [mm] | unused [mm] | claimed [mm] | ratio | grade | first reason |",
+        "| robot | poses used; judged by | before [mm] | unused [mm] | claimed [mm] | ratio | grade | first reason |",
         "|---|---|---:|---:|---:|---:|---|---|",
     ]
     right, n_splits, ratios, elsewhere = [0, 0], [0, 0], [], []

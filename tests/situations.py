@@ -597,7 +597,7 @@ def _(shop):
     near = q[:1] + 0.05 * (q - q[:1])
     there = calib.fit(shop.prior, noisy(shop.prior, near, SIGMA, 1), sigma=SIGMA)
     return Situation(
-        there, shop.good_prior, r"more than ([\d.]+) % of its limits", (100 * np.ptp(near, axis=0).max() / 6,), 0.03
+        there, shop.good_prior, r"more than ([\d.]+) % of its range", (100 * np.ptp(near, axis=0).max() / 6,), 0.03
     )
 
 

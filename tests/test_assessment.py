@@ -65,7 +65,7 @@ def test_where_nothing_measures_lengths_observability_is_in_noise(tmp_path):
     expected = np.sqrt(20) * np.pi / 180 / 1e-4
     assert assessment.raw["O3"] == pytest.approx(expected)
     assert assessment.scaled["O3"] == pytest.approx(np.sqrt(20) * 5e-3 / 1e-4)
-    assert "raw, noise per deg" in text_report(assessment, "", verbose=True)
+    assert "not scaled, noise per deg" in text_report(assessment, "", verbose=True)
     candidates = as_poses(robot, joints(40))
     selection = calib.select(robot, candidates, 20, index="O3")
     assert selection.raw["O3"] == pytest.approx(expected)

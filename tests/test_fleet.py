@@ -193,7 +193,7 @@ def test_the_answer_fits_on_a_screen_and_the_rest_comes_with_verbose(results):
     away = np.abs(fleet.mean - fleet.nominal) / fleet.mean_std
     surest = {p.name for p in np.array(fleet.parameters, dtype=object)[np.argsort(-away)[:12]]}
     assert {name for name in names if f"\n{name} " in shown} == surest
-    assert f"{len(names) - 12} more parameters are less surely off nominal: --verbose prints them" in shown
+    assert f"{len(names) - 12} more parameters differ less clearly from nominal: --verbose prints them" in shown
     many = replace(fleet, members=fleet.members[1:] * 8 + fleet.members[:1])  # the one that is unlike comes last
     assert len(many.report().splitlines()) <= 40
     assert f"{fleet.members[0].name} " in many.report()

@@ -212,7 +212,7 @@ def test_the_plan_says_for_every_pose_what_reads_and_what_is_touched(planned):
     assert n["probe"] > 2
     assert set(table.text("remark")) == {"as it was"}
     plan = read_plan(folder / "plan.csv", robot)
-    assert {name: len(item) for name, item in plan.wanted.items()} == n
+    assert {name: len(item) for name, item in plan.planned.items()} == n
 
 
 def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):

@@ -223,7 +223,7 @@ def test_an_elevation_beyond_straight_up_is_none(lab):
     east = lab[1].instrument("east")
     cells = east.cells(data.readings["east"].values)
     cells["east_elevation"] = np.where(np.arange(len(data)) == 2, np.radians(100), 0.0)
-    with pytest.raises(calib.DataError, match="'east', reading 3: no elevation is 100 deg"):
+    with pytest.raises(calib.DataError, match="'east', reading 3: elevation of 100 deg is impossible"):
         east.values(cells)
 
 

@@ -199,7 +199,7 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
     """Return the option --jobs.
 
     Args:
-        shared: What the processes share.
+        shared: The work that they share.
         default: How many of them, if not told.
     """
     return click.option(
@@ -208,7 +208,7 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
         type=click.IntRange(min=1),
         default=default,
         show_default="all cores" if default > 1 else True,
-        help=f"Processes to share {shared}; the numbers do not depend on it.",
+        help=f"Number of processes for {shared}; results do not depend on it.",
     )
 
 
@@ -293,8 +293,8 @@ def different_poses(poses: Poses) -> Poses:
     first = np.unique(numbers, return_index=True)[1]
     setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
     same_setup = setups == setups[first][numbers]
-    plan = {name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()}
-    return replace(poses.subset(first), wanted=plan)
+    plan = {name: _once(readings, numbers, same_setup) for name, readings in poses.planned.items()}
+    return replace(poses.subset(first), planned=plan)
 
 
 def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:

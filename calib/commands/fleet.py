@@ -18,7 +18,9 @@ from calib.reporting.fleet import fleet, urdf_beside
     help="YAML file to write: the next robot, with its prior; its URDF is written beside it.",
 )
 @click.option(
-    "--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and which robots are unlike."
+    "--html",
+    metavar="FILE",
+    help="Write one page: parameters of all robots side by side, and which robots are unlike the others.",
 )
 @click.option(
     "-v",
@@ -30,7 +32,7 @@ from calib.reporting.fleet import fleet, urdf_beside
 def command(results: tuple[str, ...], out: str | None, html: str | None, verbose: bool, output: Output) -> None:
     """Make the prior of the next robot of a model, from results of others.
 
-    Each DIR is the result of `calib fit` for another robot, with the same URDF and parameters. Poses, instruments and
+    Each DIR is the result of `calib fit` for one robot, all with the same URDF and parameters. Poses, instruments and
     places may differ. The mean and spread of every parameter become the prior of the next robot, so that a few poses
     calibrate it. A robot that is unlike the others is named, and left out.
     """

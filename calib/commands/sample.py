@@ -60,7 +60,7 @@ def command(
     with output.working(f"looking for {count} poses"):
         poses = sample(model, count, seed, within=ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
-    output.write(out, format_measurements(model, measurements(poses, poses.wanted), comments))
+    output.write(out, format_measurements(model, measurements(poses, poses.planned), comments))
     output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
     if (few := little_seen(model, poses)) is not None:
         output.note(f"note: {few}")

@@ -45,8 +45,8 @@ class Poses(ReadOnlyArrays):
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
-        wanted: What is to be read at these visits, as far as stated, by instrument: visits, pairs and details,
-            no values.
+        planned: Readings that a plan asks for, without values, by instrument. It says nothing of instruments that are
+            not named.
         robot: Whose joints they are, as it was when they were made; None: not stated.
     """
 
@@ -62,7 +62,7 @@ class Poses(ReadOnlyArrays):
     context: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
     approach: FloatArray | None = field(default=None, kw_only=True)
     setups: IntArray | None = field(default=None, kw_only=True)
-    wanted: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
+    planned: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
     robot: Robot | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
@@ -138,7 +138,7 @@ class Poses(ReadOnlyArrays):
             context={key: values[index] for key, values in self.context.items()},
             approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],
-            wanted={name: of_visits(looks, index) for name, looks in self.wanted.items()},
+            planned={name: of_visits(looks, index) for name, looks in self.planned.items()},
         )
 
     @cached_property
@@ -319,7 +319,7 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
         context=poses.context,
         approach=poses.approach,
         setups=poses.setups,
-        wanted=poses.wanted,
+        planned=poses.planned,
         robot=poses.robot,
     )
 

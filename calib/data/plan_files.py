@@ -56,7 +56,7 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
     stated = {name: looks for name, looks in plan.items() if looks is not None}
     if len(stated) == len(robot.instruments) and not any(len(looks) for looks in stated.values()):
         raise DataError(f"{table.path}: no row names anything to read; fill in its columns of instruments")
-    return replace(poses, wanted=stated)
+    return replace(poses, planned=stated)
 
 
 def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:

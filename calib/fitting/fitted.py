@@ -292,7 +292,7 @@ class Fit(ReadOnlyArrays):
 
     @property
     def offsets(self) -> dict[str, FloatArray]:
-        """Error that all readings of an instrument at a pose share, by their weights, (n_rows,) [SI], by name."""
+        """Size of the error that readings of one pose share, as the weights assume, (n_rows,) [SI] by instrument."""
         instruments = self.robot.instruments
         sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
         ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]

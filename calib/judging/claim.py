@@ -92,7 +92,7 @@ class Claim:
         broken: Those of them that the claim does not hold for.
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
-        narrow: Joints that moved through less than half of their limits at these poses, and how far.
+        narrow: Joints that moved through less than half of their range at these poses, and how far.
         known: Root mean square to which positions are known at these poses [m]; NaN where it is not about positions.
     """
 
@@ -126,7 +126,7 @@ class Claim:
         if np.isfinite(told.before):
             off += f"{'; before' if np.isfinite(told.limit95) else '. Before'}: {told.shown(told.before)}"
         shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
-        narrow = f" Joints that moved through less than half of their limits: {listed(self.narrow)}."
+        narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
         return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
 
     def to_dict(self) -> dict[str, object]:
@@ -205,7 +205,7 @@ def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
 
 
 def _narrow(fit: Fit) -> tuple[str, ...]:
-    """Joints that moved through less than half of their limits, and the part that they moved through."""
+    """Joints that moved through less than half of their range, and the part that they moved through."""
     robot = fit.nominal
     lower, upper = robot.urdf.limits(robot.joint_names)
     parts = np.ptp(fit.identification.data.joints, axis=0) / (upper - lower)

@@ -41,7 +41,7 @@ def one_corner(fit: Fit) -> Iterator[Reason]:
     part = np.max(reach[known] / allowed[known], initial=0.0)
     if np.all(known) and 0 < part < CORNER:
         yield Code.ONE_CORNER.says(
-            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its range, and"
             " elsewhere the robot is not calibrated: measure poses all over the space where it will work"
         )
 

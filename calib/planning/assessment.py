@@ -71,8 +71,9 @@ class Assessment(ReadOnlyArrays):
         groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
-        scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table; where
-            nothing measures lengths, in noise of a reading and in that per unit.
+        scaled: O1 to O5 of the free parameters, on columns scaled by sigma [m]; if no lengths are measured, in units of
+            the noise of a reading.
+        raw: The same on columns that are not scaled, in mm (or noise) per unit of the table.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
         position_errors: The same at each of them, of the targets in `RobotData.located`, (n_task, n_located) [m].

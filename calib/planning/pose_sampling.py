@@ -88,7 +88,7 @@ def sample(
         name: Readings(readings.visits, readings.pairs, np.zeros((len(readings), 0)), None, readings.details)
         for name, readings in kept.items()
     }
-    return replace(_poses(robot, commands[met[:count]]), wanted=said)
+    return replace(_poses(robot, commands[met[:count]]), planned=said)
 
 
 def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:

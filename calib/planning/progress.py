@@ -62,12 +62,12 @@ class Progress(ReadOnlyArrays):
         robot: The nominal robot.
         goal: Root mean square position error to reach [m].
         n_poses: Poses measured.
-        n_candidates: Poses that the goal is about, and to choose from, as far as the robot can be assembled there.
-        fit: The calibration of all of them; None where they do not suffice yet.
+        n_candidates: Poses that the goal is about and of which the next one is chosen, without those out of reach.
+        fit: The calibration from all measured poses; None while they do not suffice.
         obstacle: Why there is no fit yet.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
-        unseen: Error at the last poses, each predicted by a fit of the poses before it; with noise of the readings.
-            Without measured positions: what the errors of readings show of it.
+        unseen: Error at the last poses, each predicted by a fit of the poses before it; noise of the readings included.
+            If no positions are measured, it is estimated from the errors of the readings.
         n_unseen: Number of these poses.
         n_settled: How many of them were predicted by fits whose predicted error met the goal.
         next_pose: Where to measure next; None where all candidates are measured.

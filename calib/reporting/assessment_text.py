@@ -135,9 +135,9 @@ def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
 def _observability(a: Assessment) -> Table:
     table = text_table(("columns", *INDICES), ("columns",), "Observability of the free parameters, poses alone")
     units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
-    scaled, raw = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
-    table.add_row(f"scaled by sigma, {scaled}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
-    table.add_row(f"raw, {raw} per {units}", *(f"{a.raw[name]:.4g}" for name in INDICES))
+    per_sigma, per_unit = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
+    table.add_row(f"scaled by sigma, {per_sigma}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
+    table.add_row(f"not scaled, {per_unit} per {units}", *(f"{a.raw[name]:.4g}" for name in INDICES))
     return table
 
 
@@ -186,8 +186,8 @@ def _accuracy(a: Assessment) -> list[str]:
     many = a.position_errors.size >= _MANY_POSITIONS
     if many and a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
-            "Most of it moves all positions as one body, as an unknown place of the base does. Without that part,"
-            f" positions are known to {millimetres(a.beside_common):.4f} mm RMS."
+            "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
+            f" part, positions are known to {millimetres(a.beside_common):.4f} mm RMS."
         )
     return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 

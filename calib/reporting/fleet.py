@@ -73,7 +73,7 @@ class Fleet(ReadOnlyArrays):
     """Robots of one model.
 
     Attributes:
-        robot: The first one, nominal, with the prior of one more robot in its description.
+        robot: The first one, nominal, with the prior of the next robot in its description.
         members: The robots.
         parameters: What they share, with the sigmas of the description.
         nominal: Nominal values, (n,) [SI].
@@ -112,7 +112,9 @@ class Fleet(ReadOnlyArrays):
             verbose: All of them; otherwise, of more than fit on a screen, the robots that are least like the others,
                 and the parameters whose mean is most surely off nominal.
         """
-        robots = text_table(("robot", "verdict", "poses", "off", "p", "said"), ("robot", "verdict", "said"), plain=True)
+        robots = text_table(
+            ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
+        )
         some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
         if not verbose:
             some = _first(np.nan_to_num([member.p_value for member in self.members], nan=2.0), odd)
@@ -121,14 +123,14 @@ class Fleet(ReadOnlyArrays):
             chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
         others = _hidden(len(self.members) - len(some), "robot", "are more like the others")
-        heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "shown by")
+        heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "robots showing it")
         table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
         shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
         for k in shown:
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
             cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
             table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
-        less = _hidden(len(away) - len(shown), "parameter", "are less surely off nominal")
+        less = _hidden(len(away) - len(shown), "parameter", "differ less clearly from nominal")
         said = ("\n" + self.conclusion(), *self.notes)
         return plain_text([robots, *others, "", table, *less, *said], _WIDTH, wrap=True)
 
@@ -139,7 +141,7 @@ class Fleet(ReadOnlyArrays):
         left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
         return (
             f"{counted(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
-            f" differ from robot to robot by {spread:.2g} of what the description expects (median).{left}"
+            f" differ from robot to robot by {spread:.2g} times what the description expects (median).{left}"
         )
 
     def to_dict(self) -> dict[str, object]:
@@ -363,7 +365,7 @@ def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
         if names:
             notes.append(f"Verdict {grade}: {listed(names)}; {why}")
     if len(folders) - len(odd) < 5:
-        notes.append("Spreads of fewer than five robots are uncertain, so the prior of one more is wide.")
+        notes.append("Spreads of fewer than five robots are uncertain, so the prior of the next robot is wide.")
     if len(folders) == 2:
         notes.append("With two robots, neither can be recognised as unlike the fleet.")
     return notes

@@ -182,7 +182,7 @@ def _indices(s: Selection) -> Printed:
         rows.insert(0, ("measured alone", s.measured_only))
     if s.off_grid:
         rows.append(("off the grid", s.after))
-    rows.append((f"chosen, raw: {'noise' if s.sigma == WHITENED else 'mm'} per unit", s.raw))
+    rows.append((f"chosen, not scaled: {'noise' if s.sigma == WHITENED else 'mm'} per unit", s.raw))
     for label, values in rows:
         table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
     return table

@@ -267,13 +267,13 @@ def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
 
 def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
     """Return the instruments that touch, and of which poses do not say what."""
-    said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    said = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
     return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in said]
 
 
 def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
-    if instrument.name in poses.wanted:
-        return poses.wanted[instrument.name]
+    if instrument.name in poses.planned:
+        return poses.planned[instrument.name]
     if isinstance(poses, Measurements) and instrument.touches:
         index = np.arange(len(poses))
         touches = (

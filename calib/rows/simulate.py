@@ -94,7 +94,7 @@ def simulate(
             readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
     noise = "noise as the description states it" if sigma is None else _said(sigma)
     said = (f"simulated measurements of {robot.name}", noise)
-    return replace(measurements(poses, readings), joints=commands, comments=said, wanted={})
+    return replace(measurements(poses, readings), joints=commands, comments=said, planned={})
 
 
 def noisy_readings(

@@ -78,8 +78,8 @@ class Compensation(ReadOnlyArrays):
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or the uncertainty of the robot is not known.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
-        before_angle, expected_angle, low95_angle, high95_angle: The same of the orientation where the pose is kept, and
-            of the z axis where that is, (n,) [rad]; NaN where only the position is.
+        before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
+            for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
         scale: What one radian of each joint is compared with, (n_actuated,).
         frame: The frame of the goals and errors, in words.
         nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be

@@ -97,9 +97,9 @@ def solve(
         calibrated: The robot, with nominal or calibrated parameters; or its description or URDF. With a fit or a
             loaded result, errors to expect are known too; if its verdict finds nothing to correct, the nominal robot is
             used, with base and targets where they agree best.
-        goals: Goals of the target; or positions of the first target alone, (n, 3) [m], with
-            NaN throughout for a coordinate that is not asked for; or poses as `robot.forward` gives them for that
-            target, (n, 4, 4) or (4, 4). `Goals` may differ in that from row to row.
+        goals: `Goals`, in which each row may ask for something else; or positions of the first target, (n, 3) [m], with
+            NaN in every row for a coordinate that is free; or poses of that target as `robot.forward` gives them,
+            (n, 4, 4) or (4, 4).
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 

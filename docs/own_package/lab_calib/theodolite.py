@@ -2,8 +2,8 @@
 
     azimuth = atan2(y, x)        elevation = atan2(z, sqrt(x^2 + y^2))        (x, y, z) = p_ab
 
-Frame a is the station, its z axis up; frame b is the target. When it fails: angles say nothing of a target straight
-above the station, and of lengths only what the robot's own are known to.
+Frame a is the station, its z axis up; frame b is the target. When it fails: a target straight above the
+station has no azimuth. Angles show no scale: it comes from the lengths of the robot.
 """
 
 from collections.abc import Mapping
@@ -65,12 +65,14 @@ class Theodolite(FrameInstrument):
         return tuple(Column(f"{self.name}_{axis}", "angle") for axis in self.parts[0].axes)
 
     def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the angles, (n, 2) [rad]; an elevation beyond straight up is none."""
+        """Return the angles, (n, 2) [rad]; refuse an elevation beyond 90 degrees."""
         angles = super().values(columns)
         beyond = np.flatnonzero(np.abs(angles[:, 1]) > np.pi / 2)
         if len(beyond):
             degrees = np.degrees(angles[beyond[0], 1])
-            raise DataError(f"instrument '{self.name}', reading {beyond[0] + 1}: no elevation is {degrees:.4g} deg")
+            raise DataError(
+                f"instrument '{self.name}', reading {beyond[0] + 1}: elevation of {degrees:.4g} deg is impossible"
+            )
         return angles
 
     def predict(self, view: View, unknowns: np.ndarray, details: np.ndarray) -> np.ndarray:

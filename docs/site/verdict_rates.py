@@ -86,7 +86,7 @@ def calibrate(run: Run) -> Outcome:
     try:
         data, validation = trial.data, trial.validation
         if scenario.validate and validation is None:
-            data, validation = data.split(scenario.validate, seed=run.seed)
+            data, validation = data.split(validation=scenario.validate, seed=run.seed)
         robot = lab.nominal if scenario.stated else _without_noise(lab.nominal)
         verdict = calib.fit(robot, data, validation=validation, **dict(scenario.settings)).verdict
     except CalibrationError as error:

@@ -103,7 +103,8 @@ def command(
 ) -> None:
     """Correct PROGRAM, written for the nominal ROBOT, for the calibrated one.
 
-    PROGRAM is a table (CSV), G-code, or a controller's program: URScript (.script), RAPID (.mod), KRL (.src), FANUC (.ls).
+    PROGRAM is a table (CSV), G-code, or a controller's program: URScript (.script), RAPID (.mod), KRL (.src), FANUC
+    (.ls).
 
     A table has a column for every joint; or positions, poses, or positions with an axis of a target, as for `calib
     solve`, in the measurement frame of the description. The written table has the joint values to command, and for

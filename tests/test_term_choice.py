@@ -1,6 +1,6 @@
 """Which joint terms a fit adds: what is there is found, what is not there is left out, intervals cover, real robots.
 
-`python tests/test_term_choice.py choice 200` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
+`python tests/test_term_choice.py choice 100` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
 further number is the seed.
 """
 

@@ -228,8 +228,8 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     assert (here.times, here.rms) == (pytest.approx(grown), pytest.approx(grown * told.rms))
     assert (here.times > 1.05) == further
     like = "at poses like the 60 measured"
-    end = f"{here.times:.2g} times as far as {like}, which say less of these" if further else like
-    said = f"The real tool is within {1e3 * here.limit95:.3g} mm of these positions, 95 % of the time, {end}"
+    end = f". This is {here.times:.2g} times as far as {like}" if further else f", {like}"
+    said = f"The real tool is within {1e3 * here.limit95:.3g} mm of these positions, 95 % of the time{end}"
     assert said in " ".join(run.out.split())
 
 

@@ -82,11 +82,11 @@ def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict
     if not claim or claim["part"] != "position" or None in (claim["limit95"], claim.get("known")):
         return None, ""
     here = ErrorElsewhere.of(claim["rms"], claim["limit95"], claim["known"], known["rms"])
-    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time,"
+    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"
     if here.times < _FURTHER:
-        words += f" {claim['region']}"
+        words += f", {claim['region']}"
     else:
-        words += f" {here.times:.2g} times as far as {claim['region']}, which say less of these"
+        words += f". This is {here.times:.2g} times as far as {claim['region']}"
     return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
 
 

@@ -43,6 +43,7 @@ ALWAYS = {
         "Order of measurement: travel",
         "in the candidates' order",
         "s in all,",
+        "chosen, not scaled:",
         "s for the choice",
     ],
 }

@@ -222,7 +222,7 @@ ANSWERED = {
     "t.fit.errors.max()": "fit.errors[",
     "t.fit.condition_number": "fit.rank.singular_values",
     "t.fit.plot.qq()": "fit.plot.normal()",
-    "t.fit.verdict.status": "valid: claim, grade",
+    "t.fit.verdict.status": "valid: claim, from_dict, grade",
     "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
     "calib.fit(t.robot, t.data, units='mm')": "numbers are SI",
     "calib.fit(t.robot, t.data, free=['joint_3.z'])": "also give fix='all'",

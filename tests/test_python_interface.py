@@ -7,6 +7,7 @@ from importlib.metadata import version
 from inspect import Parameter, signature
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -95,6 +96,33 @@ def test_a_number_and_the_unit_beside_it_belong_together(robot, fit, tmp_path):
     assert 430 < fit.parameters["joint_3.z"].value < 450  # a link of 440 mm
     assert 0.43 < fit.parameters["joint_3.z"].value_si < 0.45
     assert " mm " in str(fit.parameters["joint_3.z"])
+
+
+def test_a_saved_result_says_what_the_fit_said(robot, fit, tmp_path):
+    held = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)[60:]
+    short = calib.fit(robot, held, sigma="0.001 mm", folds=4)  # noise stated far too small: CHECK
+    for k, saved in enumerate((fit, short)):
+        saved.save(tmp_path / f"{k}", pages=False, force=True)
+        loaded = calib.load_result(tmp_path / f"{k}")
+        assert loaded.verdict.grade == saved.verdict.grade
+        assert [(reason.code, reason.text) for reason in loaded.verdict.reasons] == [
+            (reason.code, reason.text) for reason in saved.verdict.reasons
+        ]
+        assert loaded.verdict.claim.words == saved.verdict.claim.words
+        assert loaded.verdict.claim.holds == saved.verdict.claim.holds
+        assert loaded.verdict.not_covered == saved.verdict.not_covered
+        assert loaded.rms == pytest.approx(saved.rms, rel=1e-9)
+        assert loaded.sigma == pytest.approx(saved.sigma, rel=1e-9)
+        assert loaded.converged == saved.converged
+        assert loaded.verdict.claim.words in loaded.summary()
+    fit.export(tmp_path / "fit.urdf")
+    calib.load_result(tmp_path / "0").export(tmp_path / "loaded.urdf")
+    assert urdf_poses(tmp_path / "loaded.urdf") == pytest.approx(urdf_poses(tmp_path / "fit.urdf"), rel=1e-12)
+
+
+def urdf_poses(path):
+    origins = ElementTree.parse(path).getroot().iter("origin")
+    return [float(number) for origin in origins for key in ("xyz", "rpy") for number in origin.get(key, "").split()]
 
 
 def test_the_covariance_is_named(fit):

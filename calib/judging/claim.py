@@ -26,14 +26,16 @@ it. Poses that are copies of others foretell each other.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any, Self
 
 import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray
-from calib.base.units import ERROR_UNIT, error_scale
+from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.base.words import listed
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
@@ -135,6 +137,8 @@ class Claim:
         return {
             "part": told.part,
             "unit": ERROR_UNIT[told.dimension],
+            "dimension": told.dimension,
+            "is_position": told.is_position,
             "limit95": scale * told.limit95,
             "rms": scale * told.rms,
             "rms_before": scale * told.before if np.isfinite(told.before) else None,
@@ -143,12 +147,46 @@ class Claim:
             "region": self.region,
             "joints_moved_little": list(self.narrow),
             "not_used": [
-                {"poses": accuracy.poses.name.lower(), "n_poses": accuracy.n_poses, "rms": scale * accuracy.rms}
+                {
+                    "poses": accuracy.poses.name.lower(),
+                    "n_poses": accuracy.n_poses,
+                    "rms": scale * accuracy.rms,
+                    "holds": accuracy not in self.broken,
+                }
                 for accuracy in self.shown
             ],
             "holds": self.holds,
             "gain": self.gain.value,
         }
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> Self:
+        """Return the claim of an entry of `result.json`; what is not stored of poses that were not used is NaN.
+
+        Raises:
+            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
+        """
+        dimension: Dimension = entry["dimension"]
+        scale, is_position = error_scale(dimension), bool(entry["is_position"])
+
+        def error(number: float | None) -> float:
+            return np.nan if number is None else float(number) / scale
+
+        def seen(of: Mapping[str, Any], poses: SeenAt) -> Accuracy:
+            before, rms, limit95 = (error(of.get(key)) for key in ("rms_before", "rms", "limit95"))
+            n_poses, part = int(of["n_poses"]), str(entry["part"])
+            return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position)
+
+        shown = [(seen(other, SeenAt[other["poses"].upper()]), bool(other["holds"])) for other in entry["not_used"]]
+        return cls(
+            seen(entry, SeenAt.ONE_BY_ONE),
+            tuple(accuracy for accuracy, _ in shown),
+            tuple(accuracy for accuracy, holds in shown if not holds),
+            Gain(entry["gain"]),
+            str(entry["region"]),
+            tuple(entry["joints_moved_little"]),
+            error(entry["known"]),
+        )
 
 
 def claim_of(fit: Fit) -> Claim | None:

@@ -6,9 +6,10 @@ of `calib.judging.rules_...`; `calib.judging.verdict` asks these functions in or
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from calib.base.other_words import UnknownOptionError, Worded
 from calib.judging.claim import Claim
@@ -181,3 +182,20 @@ class Verdict(Worded):
         if self.grade == "FAIL":
             entry["forced"] = forced
         return entry
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> Self:
+        """Return the verdict of an entry of `result.json`; without the claim where an earlier version wrote it.
+
+        Raises:
+            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
+        """
+        known = {code.value: code for code in Code}
+        reasons = []
+        for text, name, grade in zip(entry["reasons"], entry["codes"], entry["grades"], strict=True):
+            code = known.get(name)  # reasons of other packages have codes of their own
+            own = Reason(grade, name, text)
+            reasons.append(own if code is None else replace(own, code=code, counted=code.counted, answer=code.answer))
+        claim = entry["claim"]
+        told = None if claim is None or "dimension" not in claim else Claim.from_dict(claim)
+        return cls(entry["grade"], tuple(reasons), tuple(entry["not_covered"]), told)

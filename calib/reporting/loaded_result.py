@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.errors import DataError
 from calib.base.other_words import worded
+from calib.base.units import error_scale
 from calib.base.words import titled_html
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
 from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.judging.promise import Promise
-from calib.judging.reasons import Code
+from calib.judging.reasons import Code, Verdict
+from calib.reporting.report_text import verdict_lines
 from calib.reporting.result_reading import joints_used, load, load_promise, load_uncertainty, read_result
 from calib.robots.held import Holds
 from calib.robots.loading import RobotLike, as_robot
@@ -49,15 +52,55 @@ class LoadedResult(ReadOnlyArrays):
     joints: FloatArray
 
     def __repr__(self) -> str:
-        return f"<result of '{self.robot.name}' in {self.path}: {self.grade}, {self.content['n_poses']} poses>"
+        grade, n_poses = self.content["verdict"]["grade"], self.content["n_poses"]
+        return f"<result of '{self.robot.name}' in {self.path}: {grade}, {n_poses} poses>"
 
     def _repr_html_(self) -> str:
         return titled_html(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
 
     @property
-    def grade(self) -> str:
-        """PASS, CHECK or FAIL."""
-        return str(self.content["verdict"]["grade"])
+    def verdict(self) -> Verdict:
+        """PASS, CHECK or FAIL, with reasons.
+
+        Raises:
+            DataError: `result.json` does not hold it.
+        """
+        try:
+            return Verdict.from_dict(self.content["verdict"])
+        except (KeyError, TypeError, ValueError):
+            raise DataError(f"{self.path}: the verdict in its result.json cannot be read; run the fit again") from None
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error after calibration [m; rad or px where no positions are measured].
+
+        At poses that were not used, if there are any; see `calib.fitting.fitted.Fit.rms`.
+        """
+        read = [
+            part
+            for block in self.content["instruments"]
+            for part in self.robot.instrument(block["name"]).parts
+            if part.name in {own["name"] for own in block["parts"]}
+        ]
+        part = next((part for part in read if part.is_position), read[0])
+        name = next(name for name in ("validation", "cross_validation", "identification") if name in self.errors)
+        shown = self.errors[name]["after"]["rms"]
+        return np.nan if shown is None else float(shown) / error_scale(part.dimension)
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        sigma = self.content["sigma"]
+        return np.nan if sigma is None else float(sigma)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended at a minimum."""
+        return bool(self.content["converged"])
+
+    def summary(self) -> str:
+        """Return the verdict with its reasons, as text."""
+        return "\n".join([f"Calibration of {self.robot.name} ({self.path})", *verdict_lines(self.verdict)])
 
     @property
     def known(self) -> KnownRobot:
@@ -107,6 +150,18 @@ class LoadedResult(ReadOnlyArrays):
         """
         robot = self.robot.held_by(holds)
         return robot, load_uncertainty(self.path, robot, holds)
+
+    def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
+        """Write the calibrated robot for another program; see `calib.export`.
+
+        Args:
+            path: File to write.
+            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
+            force: As in `calib.export`.
+        """
+        from calib.exporting.formats import export  # here: a result that is not exported loads no writers of formats
+
+        export(self.robot, path, format, force=force)
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.fitting.fitted.Fit.predict`."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, SupportsIndex, overload
 
 from calib.base.errors import ParameterError, nearest
-from calib.base.other_words import Worded
+from calib.base.other_words import Worded, way
 from calib.base.units import PER_SI, Dimension
 from calib.base.words import data_frame
 
@@ -98,4 +98,5 @@ def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameter
     for index, parameter in enumerate(parameters):
         if parameter.name == name:
             return index
-    raise ParameterError(f"{where}: no parameter '{name}'{nearest(name, [p.name for p in parameters])}")
+    meant = way(name, "names of parameters") or nearest(name, [parameter.name for parameter in parameters])
+    raise ParameterError(f"{where}: no parameter '{name}'{meant}")

@@ -33,7 +33,8 @@ def _usage(error: click.UsageError) -> str:
     hint = way(typed, "the command line") if typed else ""
     if hint:  # in place of names that are spelt alike
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
-    missing = error.param.human_readable_name if isinstance(error, click.MissingParameter) and error.param else ""
+    param = error.param if isinstance(error, click.MissingParameter) else None
+    missing = "" if param is None else param.opts[0] if isinstance(param, click.Option) else param.human_readable_name
     hint = way(missing, "missing arguments") if missing else ""
     said = _one_line(error.format_message())
     return said.rstrip(".") + hint if hint else said

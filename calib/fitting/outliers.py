@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
+from calib.base.other_words import Worded
 from calib.base.units import ERROR_UNIT, error_scale
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Instrument
@@ -61,6 +62,12 @@ class Outlier:
         what = f"{self.target} {self.looked_at}" if self.looked_at else self.target
         times = f"{self.studentised:.1f} times the noise (leverage {self.leverage:.2f})"
         return f"{what}: {self.size} off, {times}"
+
+
+class Outliers(tuple[Outlier, ...], Worded):
+    """Outliers, worst first."""
+
+    _other_words = "outliers of a fit"
 
 
 def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:

@@ -27,7 +27,7 @@ from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.fitted import Fit
-from calib.fitting.outliers import Outlier
+from calib.fitting.outliers import Outlier, Outliers
 from calib.fitting.pose_checks import likely_mistake
 from calib.joint_terms.term import Context
 from calib.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
@@ -195,12 +195,12 @@ class JudgedFit(Fit):
     @property
     def outliers(self) -> tuple[Outlier, ...]:
         """Readings that were used and lie further off than noise explains, worst first."""
-        return findings.outliers(self)
+        return Outliers(findings.outliers(self))
 
     @property
     def validation_outliers(self) -> tuple[Outlier, ...]:
         """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
-        return findings.validation_outliers(self)
+        return Outliers(findings.validation_outliers(self))
 
     @property
     def patterns(self) -> tuple[Pattern, ...]:

@@ -191,7 +191,7 @@ def angles(rotations, others):
 
 
 def of_program(trial, known, goals=None):
-    """Errors of a compensated program of joints, or of poses: after, expected, limit, before, not laid; and turns."""
+    """Errors of a compensated program: after, expected, limit, before, fixtures as drawn; and of its turns."""
     compensated = calib.compensate(known, trial.program if goals is None else goals)
     ok = compensated.ok.copy()
     ok[ok] = trial.truth.close(compensated.q[ok]).ok  # the true robot stops at the end of a passive joint
@@ -327,7 +327,7 @@ def row(cells):
 def main(robots, places, seeds):
     """Print the tables."""
     print("| robot | places | errors | program | before [mm] | after | expected | after/expected | beyond 95 % [%] |"
-          " after, not laid |", flush=True)  # fmt: skip
+          " after, fixtures as drawn |", flush=True)  # fmt: skip
     plans = []
     for name in robots:
         for where in places:

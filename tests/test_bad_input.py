@@ -251,16 +251,16 @@ def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, r
 
 
 BAD_OPTIONS = {
-    "validate fraction": (f"{FIT} --validate 1.5", "holding out 1.5 of 8 poses leaves nothing to"),
-    "validate zero": (f"{FIT} --validate 0", "holding out 0 of 8 poses leaves nothing to validate with"),
+    "validate fraction": (f"{FIT} --validate 1.5", "1.5 of 8 poses held out leave no pose to"),
+    "validate zero": (f"{FIT} --validate 0", "0 of 8 poses held out leave no pose to"),
     "validate nan": (f"{FIT} --validate nan", "nan"),
     "validate file": (f"{FIT} --validate other.csv", "other.csv: is neither a file nor a fraction"),
     "sigma text": (f"{FIT} --sigma-mm abc", "'--sigma-mm': 'abc' is not a valid float"),
-    "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a number, positive"),
-    "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be a number, positive"),
-    "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a number"),
+    "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a positive number"),
+    "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be a positive number"),
+    "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a positive number"),
     "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
-    "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
+    "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be zero or a positive number"),
     "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
     "no out": ("sample arm.yaml --count 3", "Missing option '-o' / '--out'"),
     "no data": ("fit arm.yaml --out out", "Missing argument 'DATA...'"),

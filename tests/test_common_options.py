@@ -131,9 +131,9 @@ def test_sigma_is_given_in_millimetres():
     assert sigma_in_metres(0.04) == pytest.approx(4e-5, rel=1e-15)
     assert sigma_in_metres(0.0, zero=True) == 0
     for sigma in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(InputError, match=r"--sigma-mm .*: must be a number, zero or positive"):
+        with pytest.raises(InputError, match=r"--sigma-mm .*: must be zero or a positive number"):
             sigma_in_metres(sigma, zero=True)
-        with pytest.raises(InputError, match=r"--sigma-mm .*: must be a number, positive"):
+        with pytest.raises(InputError, match=r"--sigma-mm .*: must be a positive number"):
             sigma_in_metres(sigma)
     with pytest.raises(InputError, match="positive"):
         sigma_in_metres(0.0)

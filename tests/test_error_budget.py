@@ -207,7 +207,7 @@ def test_the_report_and_the_result_show_the_same_budget(mixed):
     errors = to_dict(fit)["errors"]["validation"]["before"]
     assert table["rms_before"] == pytest.approx(errors["rms"], rel=1e-9)
     text = text_report(fit, verbose=True)
-    assert "What made the error before (poses not used)" in text
+    assert "Causes of the error before calibration (poses not used)" in text
     assert f"What is left: {fit.budget.advice}" in text
     for row in table["causes"]:
         assert row["cause"] in text

@@ -18,7 +18,7 @@ from calib.data.in_memory import as_poses
 ROOM = Path(calib.__file__).parent
 ALWAYS = {
     "verify": [
-        "times as large as expected, each direction weighted by its uncertainty; if nothing has changed,",
+        "times as large as expected, each direction weighted by its uncertainty. An unchanged robot gives",
         "in 95 of 100 cases (",
         "degrees of freedom, p =",
         "Position errors over",
@@ -129,9 +129,7 @@ def test_residuals_are_as_many_times_as_large_as_said(commands, by_hand):
     square, m = np.linalg.lstsq(by[:, :6], whitened)[1][0], len(errors) - 6
     low, high = np.sqrt(scipy.stats.f.ppf([0.025, 0.975], m, fit.statistics.freedom))
     chance = scipy.stats.f.sf(square / m, m, fit.statistics.freedom)
-    said = (
-        r"Residuals are ([\d.]+) times .* changed, ([\d.]+) to ([\d.]+) in 95 .* \((\d+) degrees of .* p = ([\de.-]+)\)"
-    )
+    said = r"are ([\d.]+) times .* robot gives ([\d.]+) to ([\d.]+) in 95 .* \((\d+) degrees of .* p = ([\de.-]+)\)"
     assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx(
         [np.sqrt(square / m), low, high, m, chance], rel=5e-3
     )

@@ -52,7 +52,7 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path):
 
 @pytest.mark.parametrize("sigma", [-1e-4, np.nan, np.inf])
 def test_a_sigma_that_cannot_be_is_an_error(tmp_path, sigma):
-    with pytest.raises(DataError, match="must be a number, zero or positive"):
+    with pytest.raises(DataError, match="must be zero or a positive number"):
         calib.simulate(small_arm(tmp_path), some_poses(3), sigma, np.random.default_rng(1))
 
 
@@ -136,7 +136,7 @@ WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
         ("", (), "states no noise (sigma) of 'unstated'; state it there, or give --sigma-mm"),
         (WIRE, (), "of 'unstated', 'wire'; state it there, as --sigma-mm speaks of positions only"),
         (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there, as --sigma-mm speaks of positions only"),
-        ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be a number, zero or positive"),
+        ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be zero or a positive number"),
     ],
 )
 def test_noise_that_nobody_states_is_asked_for_before_anything_is_written(tmp_path, run_calib, more, options, words):

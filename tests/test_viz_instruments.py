@@ -115,8 +115,8 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
 def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     html = undrawn(pose_fit)
     shown = words(html)
-    assert "Position error [mm]; for the axes" in shown
-    assert "Orientation error [mrad]; for the axes" in shown
+    assert "Position error [mm]; for each axis" in shown
+    assert "Orientation error [mrad]; for each axis" in shown
     assert all(f">{axis}</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
     turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
     row = re.findall(r"validation \(20\) after ([\d.]+) ([\d.]+)", shown)[1]
@@ -203,7 +203,7 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
     positions = fit.robot.positions(fit.identification.data.joints)[:, 0]
     np.testing.assert_allclose(points[:60], positions, atol=5e-4)  # ten times the noise
     assert picture_of(scene) != picture_of(dataclasses.replace(scene, decorations=()))
-    assert "Points: measured to" in words(undrawn(fit))
+    assert "Points: identification" in words(undrawn(fit))
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):

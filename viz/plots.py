@@ -60,9 +60,9 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
     plain_ticks(axes.xaxis)
     return finished(
         "error-budget",
-        "What made the error before",
-        f"Squares add up to that of {budget['rms_before']:.3g} {unit}; the scale is logarithmic."
-        " Lines reach one standard deviation further; a cause without a bar contributed nothing.",
+        "Causes of the error before calibration",
+        f"The squares of all bars add up to the square of {budget['rms_before']:.3g} {unit}. The scale is logarithmic."
+        " A line ends one standard deviation beyond its bar. A cause without a bar contributed nothing.",
         figure,
     )
 
@@ -178,7 +178,7 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
     return finished(
         "error-map",
         "Errors over the workspace",
-        f"What is left after calibration at {counted(count, 'pose')}, where {robot.target_names[0]} was." + note,
+        f"Error after calibration at {counted(count, 'pose')}; a point is where {robot.target_names[0]} was." + note,
         figure,
     )
 

@@ -63,7 +63,7 @@ class NotConvergedError(ComputationError):
     """The iteration stopped before it reached a solution."""
 
 
-def nearest(name: str, valid: Iterable[str]) -> str:
+def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
 
     >>> nearest("degrees", ["rad", "deg"])
@@ -76,6 +76,7 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     Args:
         name: What was given.
         valid: What would have been accepted.
+        what: The words before the list.
     """
     names = sorted({str(item) for item in valid})
     same = [item for item in names if item.casefold() == str(name).casefold()]
@@ -90,7 +91,12 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     if not names:
         return "; nothing is valid here"
     more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return f"; valid: {', '.join(names[:_LISTED])}{more}"
+    return f"; {what} {', '.join(names[:_LISTED])}{more}"
+
+
+def nearest_column(name: str, columns: Iterable[str]) -> str:
+    """Return the hint of `nearest` for a column that a file lacks; the list is what the file has."""
+    return nearest(name, columns, "the file has")
 
 
 def _alike(name: str, other: str) -> bool:

@@ -233,7 +233,7 @@ def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
         zero: Whether no noise at all is an answer.
     """
     if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
-        raise InputError(f"--sigma-mm {sigma_mm:g}: must be a number, {'zero or ' if zero else ''}positive")
+        raise InputError(f"--sigma-mm {sigma_mm:g}: must be {'zero or ' if zero else ''}a positive number")
     return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.errors import DataError, nearest
+from calib.base.errors import DataError, nearest, nearest_column
 from calib.base.units import Dimension
 from calib.data.measurement_columns import correlation_columns, std_columns
 from calib.data.measurements import in_setups
@@ -37,9 +37,9 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:
         raise DataError(
-            f"{table.path}: no column '{lacking}'{nearest(lacking, table.names)}; its beginning is a name of the robot"
-            f" description: change '{instrument.name}' there ('calib init URDF --out robot.yaml' writes one), or the"
-            " column"
+            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)}. The robot description has"
+            f" '{instrument.name}': change this name there ('calib init URDF --out robot.yaml' writes one), or change"
+            " the column"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
@@ -49,7 +49,7 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
         if name not in table.names:
-            raise DataError(f"{table.path}: no column '{name}'{nearest(name, table.names)}")
+            raise DataError(f"{table.path}: no column '{name}'{nearest_column(name, table.names)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
     belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))

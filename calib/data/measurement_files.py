@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import DataError, InputError, nearest
+from calib.base.errors import DataError, InputError, nearest, nearest_column
 from calib.base.other_words import worded
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
 from calib.data.measurement_columns import APPROACH, header, shown
@@ -214,8 +214,8 @@ def _joints_of_table(
             raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")
         if name not in table.names and sensor is None:
             raise DataError(
-                f"{table.path}: no column '{name}'{nearest(name, table.names)} (if your file has"
-                " another name for it: translate that under 'columns' in the robot description)"
+                f"{table.path}: no column '{name}'{nearest_column(name, table.names)} (if your file has"
+                " another name for it, translate that name under 'columns' in the robot description)"
             )
         if name not in table.names and sensor not in reading:
             raise DataError(

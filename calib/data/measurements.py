@@ -276,8 +276,9 @@ class Measurements(Poses):
         held: IntArray = np.array(chosen, dtype=np.intp)
         if not 0 < len(held) < len(self):
             raise DataError(
-                f"{self.path}: holding out {validation:g} of {len(self)} poses leaves nothing to"
-                f" {'validate' if len(held) == 0 else 'identify'} with; give a fraction between 0 and 1, or a file"
+                f"{self.path}: {validation:g} of {len(self)} poses held out leave no pose to"
+                f" {'fit' if len(held) or validation >= 1 else 'validate with'}; give a fraction between 0 and 1,"
+                " or a file"
             )
         return self.subset(np.setdiff1d(np.arange(len(self)), held)), self.subset(np.sort(held))
 

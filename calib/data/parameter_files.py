@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.base.errors import DataError, InputError, ParameterError, nearest
+from calib.base.errors import DataError, InputError, ParameterError, nearest_column
 from calib.base.other_words import worded
 from calib.base.parameter import index_of
 from calib.base.units import per_si
@@ -34,7 +34,7 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
     for name in COLUMNS:
         if name not in table.names:
             raise DataError(
-                f"{path}: no column '{name}'{nearest(name, table.names)}; a parameter file has the columns"
+                f"{path}: no column '{name}'{nearest_column(name, table.names)}; a parameter file has the columns"
                 f" {', '.join(COLUMNS)}"
             )
     values: dict[str, float] = {}

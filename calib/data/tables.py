@@ -27,7 +27,7 @@ from typing import Any, Protocol, TypeGuard, cast
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.base.errors import DataError, InputError, nearest
+from calib.base.errors import DataError, InputError, nearest_column
 from calib.base.files import read_lines
 from calib.base.own_files import is_mark
 from calib.base.units import Dimension, per_si, split_column
@@ -113,7 +113,7 @@ class Table:
             DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas beside points.
         """
         if name not in self.names:
-            raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
+            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
         index = self.names.index(name)
         if dimension is None and self.units[index] is not None:
             raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
@@ -148,7 +148,7 @@ class Table:
             DataError: The table has no such column.
         """
         if name not in self.names:
-            raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
+            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
         index = self.names.index(name)
         return (_read_text(cell.strip()) for cell in self._column(index))
 

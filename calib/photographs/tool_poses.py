@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray
-from calib.base.errors import DataError, nearest
+from calib.base.errors import DataError, nearest, nearest_column
 from calib.data.tables import Table, read_table
 from calib.photographs.images import SUFFIXES
 from calib.robots.robot import Robot
@@ -125,7 +125,7 @@ def _by_joints(table: Table, robot: Robot) -> FloatArray:
     """The tool by the robot's kinematics: the frame of its first target."""
     missing = next((name for name in robot.joint_names if name not in table.names), None)
     if missing is not None:
-        raise DataError(f"{table.path}: no column '{missing}'{nearest(missing, table.names)}")
+        raise DataError(f"{table.path}: no column '{missing}'{nearest_column(missing, table.names)}")
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     return robot.forward(joints)
 

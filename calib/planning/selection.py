@@ -189,8 +189,8 @@ def _run(
     fewest = min(map(len, spread))
     if fewest < request.count:
         raise InputError(
-            f"only {fewest} candidates were found that keep {millimetres(request.minimum_distance):g} mm from each"
-            f" other, and {request.count} are to be chosen; give a smaller distance or count"
+            f"only {fewest} of {request.count} poses can be chosen if they keep"
+            f" {millimetres(request.minimum_distance):g} mm from each other; give a smaller distance or count"
         )
     runs = []
     search = partial(_search, setting.problem, request.index, setting.space)

@@ -123,8 +123,9 @@ def _budget(fit: Fit) -> list[Table]:
     budget = budget_table(fit)
     if budget is None:
         return []
-    of = "poses used, corrected for their use" if budget["set"] == "identification" else "poses not used"
-    title = f"What made the error before ({of})"
+    corrected = "poses used, corrected for the noise that the fit followed"
+    of = corrected if budget["set"] == "identification" else "poses not used"
+    title = f"Causes of the error before calibration ({of})"
     unit = budget["unit"]
     table = text_table(("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"), title=title)
     for row in cast(list[dict[str, Any]], budget["causes"]):

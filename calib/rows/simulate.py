@@ -70,7 +70,7 @@ def simulate(
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
-        raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
+        raise DataError(f"sigma {sigma:g} m: must be zero or a positive number")
     rng = random_numbers(seed)
     poses = as_poses(robot, poses)
     looks = looks_at(robot, poses)

@@ -84,7 +84,7 @@ class Panel {
   verdict({ grade, reasons, next }) {
     const reasonText = (reason) => (reason.grade ? `${reason.grade}: ${reason.text}` : reason.text);
     const parts = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
-      reasons.length ? ` ${reasons[0].text}` : " nothing was found against this fit")];
+      reasons.length ? ` ${reasons[0].text}` : " this fit can be used at poses like those measured")];
     if (reasons.length > 1) {
       parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more`),
         element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));

@@ -113,7 +113,7 @@ def study(
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Calibrate a robot many times from simulated measurements, or from real ones drawn again.
+    """Calibrate a robot many times from simulated measurements, or from real ones drawn with replacement.
 
     Args:
         robot: The nominal robot, as every fit starts from it.

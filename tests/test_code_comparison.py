@@ -9,7 +9,7 @@ import pytest
 import scipy
 from code_comparison.__main__ import main
 from code_comparison.arms import Arm, Chain
-from code_comparison.codes import CODES, HERE, PLACED
+from code_comparison.codes import CHAIN, CODES, HERE, PLACED, Code
 from code_comparison.codes import OURS as ALL_OURS
 from code_comparison.data_set import MissingDataError, Rows, Split
 from code_comparison.data_sets import DATA_SETS
@@ -265,6 +265,33 @@ def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran
     again = ["--results", str(out / "results.json"), "--page", str(out / "page.md")]
     assert main(again, stand_ins[1], SHOWN) == 0
     assert (out / "page.md").read_text() == page
+
+
+def test_the_page_says_which_codes_ran_elsewhere_or_at_another_time(ran, stand_ins, tmp_path):
+    out, _ = ran
+    told = json.loads((out / "results.json").read_text())
+    machines = {row["machine"] for row in told["rows"]}
+    assert len(machines) == 1
+    assert f"\n{machines.pop()}.\n" in (out / "page.md").read_text()
+    for row in told["rows"]:
+        row["machine"] = "Last year" if row["code"] == "SciPy, priors" else "Today"
+    (tmp_path / "results.json").write_text(json.dumps(told))
+    (tmp_path / "page.md").write_text("<!-- begin results -->\n<!-- end results -->\n")
+    given = ["--results", str(tmp_path / "results.json"), "--page", str(tmp_path / "page.md")]
+    assert main(given, stand_ins[1], SHOWN) == 0
+    page = (tmp_path / "page.md").read_text()
+    assert "\nLast year: SciPy, priors.\n" in page
+    assert f"\nToday: {PLACED}, {OURS}, " in page
+
+
+def test_an_environment_that_pip_cannot_fill_goes_away(stand_ins, tmp_path):
+    folder, (points, *_) = stand_ins
+    absent = Code("absent", "scipy_origins.py", key="absent", requires=(str(tmp_path / "none.whl"),), shared=CHAIN)
+    given = [str(folder), "--results", str(tmp_path / "results.json"), "--environments", str(tmp_path), "--install"]
+    assert main(given, [points], [absent]) == 0
+    assert not (tmp_path / "absent").exists()
+    (row,) = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert row["failed"] == f"not installed ({tmp_path / 'none.whl'})"
 
 
 def test_other_files_than_those_published_are_refused(stand_ins, tmp_path, capsys):

@@ -3,6 +3,7 @@
 import argparse
 import json
 import platform
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -76,15 +77,16 @@ def _joined(
     told: dict[str, Any], new: list[dict[str, Any]], sets: Sequence[DataSet], codes: Sequence[Code]
 ) -> dict[str, Any]:
     """Results with new ones in place of those of the same code and rows, in the order of data sets and codes."""
+    machine = f"{_processor()}, one thread for each code, Python {platform.python_version()}, {date.today():%B %Y}"
     new = [row | {"errors": [float(f"{e:.4g}") for e in row["errors"]]} if "errors" in row else row for row in new]
+    new = [row | {"machine": machine} for row in new]
     done = {(row["data"], row["split"], row["code"]) for row in new}
     rows = [row for row in told["rows"] if (row["data"], row["split"], row["code"]) not in done] + new
     orders = [[entry.name for entry in ordered] for ordered in (sets, codes)]
     at = [{name: order.index(name) for name in order} for order in orders]
     splits = {split: k for k, split in enumerate(dict.fromkeys((row["data"], row["split"]) for row in rows))}
     rows.sort(key=lambda o: (at[0].get(o["data"], 99), splits[o["data"], o["split"]], at[1].get(o["code"], 99)))
-    machine = f"{_processor()}, one thread for each code, Python {platform.python_version()}, {date.today():%B %Y}"
-    return {"machine": machine, "rows": rows}
+    return {"rows": rows}
 
 
 def _processor() -> str:
@@ -100,14 +102,14 @@ def _versions(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _installed(codes: Sequence[Code], environments: Path) -> None:
-    """Make the environments that are missing."""
+    """Make the environments that are missing; one that pip cannot fill goes away, and its code is not installed."""
     for code in codes:
         here = environments / code.key
         if code.requires and not here.exists():
             subprocess.run([sys.executable, "-m", "venv", str(here)], check=True)
-            subprocess.run(
-                [str(here / "bin" / "python"), "-m", "pip", "install", "--quiet", *code.requires], check=False
-            )
+            pip = [str(here / "bin" / "python"), "-m", "pip", "install", "--quiet", *code.requires]
+            if subprocess.run(pip, check=False).returncode:
+                shutil.rmtree(here)
 
 
 if __name__ == "__main__":

@@ -35,14 +35,16 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
     for problem, title in TITLES.items():
         own = [row for row in rows if _problem(row) == problem]
         if own:
-            parts += [f"### {title}", _summary(own), _accuracy(own, *units[problem]), _missing(own)]
+            key = [] if any(part in (_KEY, _MARKS) for part in parts) else [_KEY, _MARKS]
+            tables = [_summary(own), *key[:1], _accuracy(own, *units[problem]), *key[1:], _missing(own)]
+            parts += [f"### {title}", *tables]
     parts += [
-        _KEY,
         _behind(rows, sets),
         "### The data",
         _origins(sets, rows),
         "### Where it ran",
-        f"{told['machine']}. " + "; ".join(told["versions"]) + ".",
+        "\n\n".join(f"{machine}." for machine in _machines(rows)),
+        "; ".join(told["versions"]) + ".",
     ]
     text = page.read_text(encoding="utf-8")
     body = "\n\n".join(part for part in parts if part)
@@ -52,18 +54,22 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
 _KEY = """\
 | column | meaning |
 |---|---|
+| splits | on how many splits a code gave an answer. A split is one way to part the rows of a robot into those that \
+codes fit and those that no code sees |
 | better, tie, worse | on how many splits a code predicts unseen rows better than this project (the line without \
 numbers), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of squared \
 errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or 1 in 100 (images, \
 printers) |
-| claimed / true | the error that a code states for the calibrated robot, divided by the error at unseen rows: below \
-1, the claim is too small. \\*: the code claims nothing about new poses; this is the RMS of its own residuals |
+| error | RMS of unseen rows, divided by that of this project: median over the splits. Above 1, this project is better |
+| claim | the error that a code states for the calibrated robot, divided by the error in unseen rows: median and \
+range. Below 1, the claim is too small. \\*: the code states no error of new poses; this is the RMS of its own \
+residuals |
 | verdict right | PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot, \
 otherwise another grade |
 | fit, command, memory | processor time of the fit and of the whole process, and its largest memory: medians over the \
 splits |
-| lines | those that a user writes for one problem |
-| errors | ▲ marks a code that is better, = a tie, bold the smallest of a line |"""
+| lines | those that a user writes for one problem |"""
+_MARKS = "▲ marks a code that is better than this project, = a tie, bold the smallest error of a line."
 
 
 def _problem(row: Row) -> str:
@@ -111,8 +117,8 @@ def _standing(rows: Sequence[Row]) -> str:
 def _summary(rows: Sequence[Row]) -> str:
     """One line of each code, over all splits."""
     lines = [
-        "| code | answers | better, tie, worse | RMS over this project's: median | claimed / true error: median (range)"
-        " | verdict right | fit [s] | command [s] | memory [MB] | lines |",
+        "| code | splits | better, tie, worse | error | claim | verdict right | fit [s] | command [s] | memory [MB]"
+        " | lines |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     pairs = [(own, ours) for told, own in _splits(rows) if (ours := _own(told, own))]
@@ -186,6 +192,16 @@ def _missing(rows: Sequence[Row]) -> str:
         for (code, why), data in failed.items()
     ]
     return "\n".join(["| no answer by | on | why |", "|---|---|---|", *lines]) if lines else ""
+
+
+def _machines(rows: Sequence[Row]) -> list[str]:
+    """Where and when codes ran; with their names, if not all of them ran in the same month on the same machine."""
+    codes: dict[str, dict[str, None]] = {}
+    for row in rows:
+        codes.setdefault(row["machine"], {})[row["code"]] = None
+    if len(codes) == 1:
+        return list(codes)
+    return [f"{machine}: {', '.join(names)}" for machine, names in codes.items()]
 
 
 def _origins(sets: Sequence[DataSet], rows: Sequence[Row]) -> str:

@@ -46,7 +46,7 @@ def test_core_and_ratio_are_those_of_dense_algebra(lengths):
     jacobian, root, _, block = problem(1, lengths)
     residuals = np.random.default_rng(2).standard_normal(len(block))
     core, square, mean = by_dense_algebra(jacobian, root, residuals, block)
-    spread = scatter(jacobian, root, residuals, np.full(len(block), 0.5), block, 50.0)
+    spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0)
     np.testing.assert_allclose(spread.core, core, rtol=1e-9, atol=1e-12)
     assert spread.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
 
@@ -60,7 +60,7 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
         rest = block != b
         normal = jacobian[rest].T @ jacobian[rest] + np.diag(1.0 * has_prior)
         expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
-    np.testing.assert_allclose(foretold(jacobian, root, residuals, block), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(foretold(jacobian @ root, residuals, block), expected, rtol=1e-9, atol=1e-9)
 
 
 def draws(seed, lengths, shared, n=400):
@@ -72,7 +72,7 @@ def draws(seed, lengths, shared, n=400):
         pulled = jacobian[:, has_prior] @ rng.standard_normal(int(has_prior.sum()))  # what priors say is true
         residuals, _ = fitted(jacobian, root, has_prior, errors + pulled)
         noise = np.full(len(block), np.sqrt(1.0 + shared**2))
-        results.append(scatter(jacobian, root, residuals, noise, block, 1e6))
+        results.append(scatter(jacobian @ root, residuals, noise, block, 1e6))
         solutions.append(root.T @ jacobian.T @ errors)
     return results, np.cov(np.array(solutions).T, bias=True)
 
@@ -103,7 +103,7 @@ def test_the_freedom_is_how_well_a_direction_of_the_core_is_known():
 def test_a_block_that_decides_all_by_itself_says_nothing_and_keeps_its_noise():
     jacobian, root, _, block = problem(11, [60], priors=0)
     residuals = np.random.default_rng(12).standard_normal(60)
-    spread = scatter(jacobian, root, residuals, np.full(60, 0.5), block, 53.0)
+    spread = scatter(jacobian @ root, residuals, np.full(60, 0.5), block, 53.0)
     assert np.isnan(spread.ratio)
     assert spread.chance == 1.0
     np.testing.assert_allclose(spread.core, 0.25 * np.eye(N_FREE), atol=1e-9)
@@ -113,7 +113,7 @@ def test_rows_of_no_block_are_left_aside():
     jacobian, root, _, block = problem(13, [3] * 20)
     residuals = np.random.default_rng(14).standard_normal(60)
     some = np.where(block < 15, block, -1)
-    spread = scatter(jacobian, root, residuals, np.ones(60), some, 50.0)
+    spread = scatter(jacobian @ root, residuals, np.ones(60), some, 50.0)
     rows = some >= 0
     np.testing.assert_allclose(
         spread.core, by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])[0], rtol=1e-9
@@ -128,6 +128,6 @@ def test_larger_blocks_are_judged_beside_the_poses_within():
         errors = rng.standard_normal(len(pose)) + 2.0 * rng.standard_normal(80)[pose]
         residuals, _ = fitted(jacobian, root, has_prior, errors)
         noise = np.full(len(pose), np.sqrt(5.0))
-        poses, boxes = (scatter(jacobian, root, residuals, noise, block, 1e6) for block in (pose, pose // 10))
+        poses, boxes = (scatter(jacobian @ root, residuals, noise, block, 1e6) for block in (pose, pose // 10))
         chances.append(boxes.beyond(poses)[1])
     assert np.mean(np.array(chances) < 0.05) < 0.12

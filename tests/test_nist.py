@@ -101,8 +101,9 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
     assert minimum.converged
     n = len(table)
     known, one_group = information(minimum.jacobian), np.zeros(len(y), dtype=np.intp)
-    factors = found_factors(minimum.residuals, minimum.jacobian, one_group, 1, known)
-    uncertainty = statistics(minimum.jacobian, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
+    span = minimum.jacobian @ known.root
+    factors = found_factors(minimum.residuals, span, one_group, 1)
+    uncertainty = statistics(span, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
     np.testing.assert_allclose(minimum.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)
 

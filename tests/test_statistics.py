@@ -22,7 +22,7 @@ def statistics_of(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assu
     known = information(rows / assumed, Prior(has_prior).rows)
     groups = np.zeros(len(rows), dtype=np.intp)
     return statistics(
-        rows / assumed, groups, known, factors, np.ones(n) if scales is None else scales, Prior(has_prior)
+        rows / assumed @ known.root, groups, known, factors, np.ones(n) if scales is None else scales, Prior(has_prior)
     )
 
 
@@ -31,8 +31,10 @@ def of_line(x, y):
     rows = np.column_stack([np.ones_like(x), x])
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
     known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
-    factors = found_factors(residuals, rows, groups, 1, known)
-    return statistics(rows, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))), factors.values[0]
+    factors = found_factors(residuals, rows @ known.root, groups, 1)
+    return statistics(
+        rows @ known.root, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))
+    ), factors.values[0]
 
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
@@ -106,7 +108,8 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     residuals = data - (data @ solve.T) @ rows.T
     known, groups = information(rows / sigma, Prior(has_prior).rows), np.zeros(12, dtype=np.intp)
     assert 2 < effective_parameters(known, Prior(has_prior)) < 6
-    results = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
+    span = rows / sigma @ known.root
+    results = [found_factors(r / sigma, span, groups, 1) for r in residuals]
     assert results[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
     variances = [(sigma * item.values[0]) ** 2 for item in results]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
@@ -151,16 +154,16 @@ def test_groups_of_rows_have_noise_of_their_own():
     y = sigma * RNG.normal(size=(20000, 50))
     estimate = y @ np.linalg.pinv(rows).T
     known = information(rows)
-    results = [found_factors(r, rows, groups, 2, known) for r in y - estimate @ rows.T]
+    results = [found_factors(r, rows @ known.root, groups, 2) for r in y - estimate @ rows.T]
     # a group's residuals are also off by what the other group's noise did to the parameters, so that the weights
     # 1 : 1 leave a bias where noise differs by so much; with the right weights there is none
-    weighted = information(rows / sigma[:, None])
+    weighted = rows / sigma[:, None] @ information(rows / sigma[:, None]).root
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
-    factors = [found_factors(r / sigma, rows / sigma[:, None], groups, 2, weighted) for r in y - right @ rows.T]
+    factors = [found_factors(r / sigma, weighted, groups, 2) for r in y - right @ rows.T]
     assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
     assert np.mean([item.values[1] for item in results]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
-    judged_ = statistics(rows, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
+    judged_ = statistics(rows @ known.root, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
     np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
 
 
@@ -171,8 +174,8 @@ def test_rows_that_were_not_read_count_for_nothing():
     groups = np.zeros(20, dtype=np.intp)
     groups[gaps] = -1
     kept = groups >= 0
-    factors = found_factors(residuals, rows, groups, 1, information(rows))
-    without = found_factors(residuals[kept], rows[kept], groups[kept], 1, information(rows[kept]))
+    factors = found_factors(residuals, rows @ information(rows).root, groups, 1)
+    without = found_factors(residuals[kept], rows[kept] @ information(rows[kept]).root, groups[kept], 1)
     assert factors.values[0] == pytest.approx(without.values[0], rel=1e-12)
     assert factors.freedom[0] == pytest.approx(15, rel=1e-12)
 
@@ -180,9 +183,9 @@ def test_rows_that_were_not_read_count_for_nothing():
 @pytest.mark.parametrize("n_rows", [2, 3])
 def test_without_a_degree_of_freedom_there_are_no_statistics(n_rows):
     rows, groups = np.eye(3)[:n_rows], np.zeros(n_rows, dtype=np.intp)
-    known = information(rows)
+    span = rows @ information(rows).root
     with pytest.raises(NotIdentifiableError, match="degrees of freedom"):
-        found_factors(np.zeros(n_rows), rows, groups, 1, known)
+        found_factors(np.zeros(n_rows), span, groups, 1)
 
 
 def test_chi_square_is_that_of_the_tables():

@@ -257,7 +257,7 @@ class Problem(ReadOnlyArrays):
         """
         layout, rows = self.whitening.layout, self.rows(evaluation, groups)
         pose = layout.pose_of_row
-        errors = foretold(rows.jacobian, rows.known.root, rows.residuals, pose)
+        errors = foretold(rows.jacobian @ rows.known.root, rows.residuals, pose)
         errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
         squares = (errors * self.whitening.row_scale(groups)) ** 2
         means = []

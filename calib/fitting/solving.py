@@ -39,7 +39,6 @@ from calib.fitting.starts import explore
 from calib.numerics.chances import EXACT
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.least_squares import TOLERANCE
-from calib.numerics.observability import Information
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.rows.registration import register
@@ -259,42 +258,43 @@ def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> t
     problem = solved.problem
     rows, scales = problem.rows(solved.at, solved.groups), Scales(solved.groups, problem.ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
-    factors = solved.factors or found_factors(
-        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known, problem.confirmed
-    )
-    slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
+    robust = solved.factors
+    slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
+    span = rows.jacobian @ slowed.known.root
+    factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
     bent = (
         mean_square_beyond_linear(problem, solved.at, rows, solved.groups)
         if beyond_linear is None
         else beyond_linear / unknowns.scales**2
     )
     uncertainty = statistics(
-        rows.jacobian,
+        span,
         layout.group,
         slowed.known,
         factors,
         unknowns.scales,
         unknowns.prior,
-        scatter_of_poses(rows, slowed.known, factors, solved.weights),
+        scatter_of_poses(rows, span, factors, solved.weights),
         variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
         bent,
     )
     return rows, scales, uncertainty
 
 
-def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: FloatArray | None) -> Scatter:
+def scatter_of_poses(rows: Rows, span: FloatArray, factors: Factors, weights: FloatArray | None) -> Scatter:
     """Return how the readings of each pose scatter together (`calib.numerics.clusters`).
 
     Args:
         rows: At the minimum, without the weights of a robust loss.
-        known: What they, with the slope of a robust loss, and the priors determine.
+        span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
+            (n_rows, rank).
         factors: What the residuals say about the noise.
         weights: Of each reading, (n_readings,); None without a robust loss.
     """
     layout = rows.layout
     noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
-    return scatter(rows.jacobian, known.root, pulling, noise, layout.pose_of_row, factors.total_freedom)
+    return scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
 
 
 def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:

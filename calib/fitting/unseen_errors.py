@@ -89,7 +89,7 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
     pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
     n_poses = int(pose_of_visit.max()) + 1
-    pulls, decided = pulls_without(rows.jacobian, fit.root, rows.residuals, pose_of_row, n_poses)
+    pulls, decided = pulls_without(rows.jacobian @ fit.root, rows.residuals, pose_of_row, n_poses)
     steps = (fit.unknowns.scales[:, None] * (fit.root @ pulls.T)).T
     after = {name: errors.copy() for name, errors in fit.identification.after.items()}
     for name, block in observed.items():

@@ -318,8 +318,7 @@ def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explaine
     result = chance(left)
     if result >= limit:
         return result
-    span = np.hstack([residuals.pulled, basis])
-    return chance(foretold(span, np.eye(span.shape[1]), left, pose))
+    return chance(foretold(np.hstack([residuals.pulled, basis]), left, pose))
 
 
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:

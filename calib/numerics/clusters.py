@@ -72,25 +72,21 @@ class Scatter(ReadOnlyArrays):
         return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
 
 
-def scatter(
-    jacobian: FloatArray, root: FloatArray, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
-) -> Scatter:
+def scatter(span: FloatArray, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float) -> Scatter:
     """Return how the rows of blocks scatter together.
 
     Args:
-        jacobian: J, whitened, (n_rows, n_free).
-        root: T, (n_free, k).
+        span: U = J T of whitened rows, (n_rows, k).
         residuals: r, whitened, (n_rows,).
         noise: f of each row, (n_rows,).
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom that f was found with.
     """
-    k = root.shape[1]
+    k = span.shape[1]
     core, leverage, moved, mean, squares = np.zeros((k, k)), np.zeros((k, k)), 0.0, 0.0, 0.0
     decided_parts, fourth = 0.0, 0.0
     for rows in _of_equal_length(block):
-        span = _span(jacobian, root, rows)
-        values, errors, directions = _directions(span, residuals[rows])
+        values, errors, directions = _directions(span[rows], residuals[rows])
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)
@@ -127,11 +123,6 @@ def _of_equal_length(block: IntArray) -> Iterator[IntArray]:
             yield order[starts[k : k + at_once, None] + np.arange(count)]
 
 
-def _span(jacobian: FloatArray, root: FloatArray, rows: IntArray) -> FloatArray:
-    """U of the rows of n blocks (n, m), (n, m, k): one product, so that T is read once and not for every block."""
-    return (jacobian[rows.ravel()] @ root).reshape(*rows.shape, -1)
-
-
 def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (n, d), (n, d), (n, d, k).
 
@@ -153,7 +144,7 @@ def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Fl
 
 
 def pulls_without(
-    jacobian: FloatArray, root: FloatArray, residuals: FloatArray, block: IntArray, n_blocks: int
+    span: FloatArray, residuals: FloatArray, block: IntArray, n_blocks: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return c_b = U_b^T (1 - H_b)^-1 r_b of each block, (n_blocks, k), and the largest w of it, (n_blocks,).
 
@@ -161,15 +152,14 @@ def pulls_without(
     that block alone, and c_b is not a number to rely on.
 
     Args:
-        jacobian: J, whitened, (n_rows, n_free).
-        root: T, (n_free, k).
+        span: U = J T of whitened rows, (n_rows, k).
         residuals: r, whitened, (n_rows,).
         block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none.
         n_blocks: Number of blocks, some of which may have no rows.
     """
-    pulls, largest = np.zeros((n_blocks, root.shape[1])), np.zeros(n_blocks)
+    pulls, largest = np.zeros((n_blocks, span.shape[1])), np.zeros(n_blocks)
     for rows in _of_equal_length(block):
-        values, errors, directions = _directions(_span(jacobian, root, rows), residuals[rows])
+        values, errors, directions = _directions(span[rows], residuals[rows])
         numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
         left = np.maximum(1.0 - values, _NONE)
@@ -177,29 +167,28 @@ def pulls_without(
     return pulls, largest
 
 
-def foretold(jacobian: FloatArray, root: FloatArray, residuals: FloatArray, block: IntArray) -> FloatArray:
+def foretold(span: FloatArray, residuals: FloatArray, block: IntArray) -> FloatArray:
     """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
 
     Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
 
     Args:
-        jacobian: J, whitened, (n_rows, n_free).
-        root: T, (n_free, k).
+        span: U = J T of whitened rows, (n_rows, k).
         residuals: r, whitened, (n_rows,).
         block: Block of each row, (n_rows,).
     """
     result = residuals.copy()
     for rows in _of_equal_length(block):
-        span, errors = _span(jacobian, root, rows), residuals[rows][:, :, None]
-        across = span.transpose(0, 2, 1)
-        if span.shape[1] <= span.shape[2]:
-            values, vectors = np.linalg.eigh(np.matmul(span, across))
+        own, errors = span[rows], residuals[rows][:, :, None]
+        across = own.transpose(0, 2, 1)
+        if own.shape[1] <= own.shape[2]:
+            values, vectors = np.linalg.eigh(np.matmul(own, across))
             gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
             added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
         else:
-            values, vectors = np.linalg.eigh(np.matmul(across, span))
+            values, vectors = np.linalg.eigh(np.matmul(across, own))
             gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
             pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
-            added = np.matmul(span, np.matmul(vectors, gain[:, :, None] * pulled))
+            added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))
         result[rows] += added[:, :, 0]
     return result

@@ -229,20 +229,18 @@ def effective_parameters(known: Information, prior: Prior) -> float:
 
 def found_factors(
     residuals: FloatArray,
-    jacobian: FloatArray,
+    span: FloatArray,
     groups: IntArray,
     n_groups: int,
-    known: Information,
     confirmed: FloatArray | None = None,
 ) -> Factors:
     """Return by how much the assumed noise of each group of rows is off.
 
     Args:
         residuals: Whitened, (n_rows,).
-        jacobian: Whitened, of scaled parameters, (n_rows, n_free).
+        span: J T of the whitened rows, with T of what these and the priors determine, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
         n_groups: Number of groups.
-        known: What these rows and the priors determine.
         confirmed: With how many degrees of freedom the assumed noise was confirmed before, (n_groups,); these count
             like readings whose residuals are as large as assumed.
 
@@ -250,7 +248,7 @@ def found_factors(
         NotIdentifiableError: No degrees of freedom are left.
     """
     read = groups >= 0
-    pulled = np.sum((jacobian @ known.root) ** 2, axis=1)
+    pulled = np.einsum("ij,ij->i", span, span)
     squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups).astype(float)
     freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
     if confirmed is not None:
@@ -263,7 +261,7 @@ def found_factors(
 
 
 def statistics(
-    jacobian: FloatArray,
+    span: FloatArray,
     groups: IntArray,
     known: Information,
     factors: Factors,
@@ -276,7 +274,7 @@ def statistics(
     """Return the statistics at the solution.
 
     Args:
-        jacobian: Whitened rows of scaled parameters, (n_rows, n_free).
+        span: J T of the whitened rows, with T of `known`, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
         known: What these rows (times the root of `factors.slope`) and the priors determine.
         factors: What the residuals say about the noise.
@@ -293,7 +291,7 @@ def statistics(
     if shared is not None:
         core += shared.core
     for group, factor in enumerate(factors.effective if shared is None else ()):
-        pulled = jacobian[groups == group] @ root
+        pulled = span[groups == group]
         core += (factors.slope * factor) ** 2 * (pulled.T @ pulled)
     scaled_covariance = root @ core @ root.T
     if by_sizes is not None:

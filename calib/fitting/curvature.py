@@ -54,14 +54,15 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     directions, n_held = np.hstack([held, seen]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
-    columns, jacobian, covariance = problem.unknowns.only(own), rows.jacobian.T, root @ root.T
-    here = jacobian @ rows.jacobian[:, own]
+    columns, jacobian, covariance = problem.unknowns.only(own), rows.jacobian, root @ root.T
+    here = jacobian[:, own].T @ jacobian  # in this order, products take half the time
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.moved(final.robot, rows.deviations + step * directions[:, i])
             evaluation = problem.evaluate_if_closed(moved, final)
             if evaluation is not None:
-                felt = (jacobian @ problem.rows(evaluation, groups, columns).jacobian - here) / step  # J^T H t
+                there = problem.rows(evaluation, groups, columns).jacobian.T @ jacobian
+                felt = (there - here).T / step  # J^T H t
                 bent = -(covariance @ felt) @ directions[own]
                 squares += np.sum(bent**2 * counts, axis=1)
                 mean += bent[:, i] / 2

@@ -246,9 +246,10 @@ def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArra
         own = index[(index >= first) & (index < first + phi.shape[2])] - first
         first += phi.shape[2]
         if len(own):
+            phi = phi if len(own) == phi.shape[2] else phi[:, :, own]
             moved = k + np.array(driven_by(term, robot.mechanism), dtype=np.intp)
             part = result[:, :, filled : filled + len(own)]
-            np.matmul(derivative[:, :, moved], phi[:, :, own], out=part)
+            np.matmul(derivative[:, :, moved], phi, out=part)
             filled += len(own)
     return result
 

@@ -1,6 +1,7 @@
 """Tables that other programs wrote: units in round brackets, joints by number, X, Y and Z."""
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -88,3 +89,29 @@ def test_the_command_line_tells_a_guess_in_one_line(data, tmp_path, run_calib):
     assert run.err.startswith("note: foreign.csv: took columns J1 for joint_1, J2 for joint_2")
     assert run.err.count("took columns") == 1
     assert run_calib("check", EXAMPLES / "arm.yaml", "foreign.csv", "--quiet", cwd=tmp_path).err == ""
+
+
+@pytest.mark.parametrize(
+    ("joint", "axis", "message"),
+    [
+        ("joint_{}_deg", "reflector_{} [mm]", "column 'joint_1_deg': write its unit in brackets: 'joint_1 [deg]'"),
+        ("J{} deg", "{} [mm]", "column 'J1 deg': write its unit in brackets: 'J1 [deg]'"),
+        ("J{} (grad)", "{} [mm]", "column 'J1 (grad)': unknown unit 'grad'; did you mean 'rad'?"),
+        ("J{} [deg]", "reflector_{}_mm", "column 'reflector_x_mm': write its unit in brackets: 'reflector_x [mm]'"),
+        ("J{} [deg]", "{} (in)", "column 'x (in)': unknown unit 'in'; valid: deg, m, mm"),
+    ],
+)
+def test_a_unit_that_is_written_otherwise_is_named(robot, data, joint, axis, message):
+    with pytest.raises(calib.DataError, match=re.escape(message)):
+        calib.read_measurements(renamed(data, foreign(joint, axis)), robot)
+
+
+def test_columns_that_are_not_needed_may_be_called_anything(robot, data):
+    table = renamed(data, foreign("joint_{} [deg]", "reflector_{}_mm")) | {"joint_1 (raw)": ["-"] * len(data)}
+    np.testing.assert_allclose(calib.read_poses(table, robot).joints, data.joints, atol=1e-15)
+
+
+def test_blanks_between_columns_are_named(robot, tmp_path):
+    (tmp_path / "blanks.txt").write_text("J1 J2 J3 J4 J5 J6 X Y Z\n1.0 2.0 3.0 4.0 5.0 6.0 7.0 8.0 9.0\n")
+    with pytest.raises(calib.DataError, match="blanks separate the columns; write commas, semicolons or tabs"):
+        calib.read_measurements(tmp_path / "blanks.txt", robot)

@@ -10,6 +10,7 @@ from calib.base.units import Dimension
 from calib.data.measurement_columns import correlation_columns, std_columns
 from calib.data.measurements import in_setups
 from calib.data.on_demand import Numbered, picked
+from calib.data.robot_tables import odd_unit
 from calib.data.tables import Table
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
@@ -36,6 +37,9 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     """
     lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:
+        hint = odd_unit(table, lacking)
+        if hint is not None:
+            raise DataError(f"{table.path}, {hint}")
         raise DataError(
             f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)}. The robot description has"
             f" '{instrument.name}': change this name there ('calib init URDF --out robot.yaml' writes one), or change"

@@ -39,15 +39,14 @@ _Samples = NDArray[np.float32]
 
 
 @one_blas_thread
-def picture_of(scene: Scene, pose: int = 0) -> str:
-    """Return the robot in one pose with the measured points, as the address of a PNG that a page holds itself.
+def picture_of(scene: Scene) -> str:
+    """Return the robot in its first pose with the measured points, as the address of a PNG that a page holds itself.
 
     Args:
         scene: The scene; seen as its viewer sees it first, but without perspective.
-        pose: Row of its joint values.
     """
     camera = _camera(scene)
-    triangles, colours = _triangles(scene, pose, camera[2])
+    triangles, colours = _triangles(scene, camera[2])
     points, point_colours = points_of(scene)
     seen, seen_points = triangles @ camera.T, points @ camera.T
     cells = _FINER * np.array([WIDTH, HEIGHT], dtype=float)
@@ -161,16 +160,15 @@ def _camera(scene: Scene) -> FloatArray:
     return camera
 
 
-def _triangles(scene: Scene, pose: int, towards: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _triangles(scene: Scene, towards: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Triangles of the robot and of wires (m, 3, 3) [m] in the measurement frame, and their colours (m, 3).
 
     Args:
         scene: The scene.
-        pose: Row of its joint values.
         towards: Direction of the camera, (3,).
     """
     number = {name: body for body, name in enumerate(scene.bodies.names)}
-    matrices = scene.bodies.matrices(scene.solid, pose)
+    matrices = scene.bodies.matrices(scene.solid, 0)
     triangles, colours = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
     lines = [shape for shape in scene.decorations if shape.kind == "cylinder"]  # wires; surfaces would hide the robot
     for shape in [*scene.shapes, *lines]:

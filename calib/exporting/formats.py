@@ -42,8 +42,6 @@ _UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is 
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
 _ENDINGS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf", ".xacro": "xacro", ".c": "c"}
-FORMATS = tuple(name for name in HELD if name != JOINT_TABLES)
-"""Those that are a file."""
 
 
 def format_of(path: Path | str) -> str:

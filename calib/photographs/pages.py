@@ -6,7 +6,7 @@ A page holds small copies of the images, so that it can be sent as one file; wha
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -22,8 +22,6 @@ body { font: 14px/1.4 system-ui, sans-serif; margin: 1.5em; color: #1b1b1b; back
 .set { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }
 figure { margin: 0; } svg { width: 100%; height: auto; background: #ddd; display: block; }
 figcaption { overflow-wrap: anywhere; } .off { color: #a40000; font-weight: 600; }
-table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; text-align: right; }
-th { text-align: left; }
 :root { color-scheme: light dark; }
 @media screen and (prefers-color-scheme: dark) {
   body { color: #e6e6e6; background: #16181b; } svg { background: #333; } .off { color: #ff8a80; }
@@ -62,23 +60,21 @@ def small_copy(image: GreyImage | str) -> bytes:
     return encoded(image, ".jpg")
 
 
-def page(title: str, lines: Sequence[str], pictures: Sequence[Picture], table: Mapping[str, str] | None = None) -> str:
+def page(title: str, lines: Sequence[str], pictures: Sequence[Picture]) -> str:
     """Return a page.
 
     Args:
         title: Its heading.
         lines: Paragraphs below it.
         pictures: Images in their order.
-        table: Names and values to show before the images.
     """
-    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in (table or {}).items())
     shown = "".join(f"<p>{escape(line)}</p>\n" for line in lines)
     figures = "\n".join(_figure(picture) for picture in pictures)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style></head>\n"
-        f"<body><h1>{escape(title)}</h1>\n{shown}{f'<table>{rows}</table>' if rows else ''}\n"
+        f"<body><h1>{escape(title)}</h1>\n{shown}\n"
         f'<div class="set">\n{figures}\n</div></body></html>\n'
     )
 

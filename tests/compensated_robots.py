@@ -264,7 +264,7 @@ def of_gcode(trial, known):
     moves = StraightMoves(np.vstack([corners[:1], ends[:-1]]), ends, tuple(f"move {k}" for k in range(12)))
     compensated = compensate_moves(known, moves, 2e-5)
     (did, _), (plain, meant) = (
-        driven_nominally(trial, x) for x in (np.array([way[-1] for way in compensated.told]), ends)
+        driven_nominally(trial, x) for x in (np.array([way[-1] for way in compensated.waypoints]), ends)
     )
     nothing = np.full(12, np.nan)
     return {"": (lengths(did - meant), compensated.expected, nothing, lengths(plain - meant), nothing)}

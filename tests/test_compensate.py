@@ -252,7 +252,7 @@ def test_goals_are_on_one_branch_and_tell_a_nominal_controller_what_to_be_told(t
     assert compensation.ok.all()
     assert np.abs(truth.positions(compensation.q)[:, 0] - T[:, :3, 3]).max() < 1e-9
     assert np.abs(np.diff(compensation.q, axis=0)).max() < 0.1
-    positions, rotations = compensation.told(nominal)
+    positions, rotations = compensation.controller_poses(nominal)
     again = solve(nominal, calib.Goals(positions, rotations, target="ball"), near=compensation.q)
     assert np.abs(nominal.positions(again.q)[:, 0] - nominal.positions(compensation.q)[:, 0]).max() < 1e-9
     assert np.abs(positions - nominal.positions(compensation.q)[:, 0]).max() < 1e-12

@@ -129,11 +129,11 @@ def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path)
     starts = np.array([move.start for move in program.moves]) + place
     tolerance = 2e-5
     compensated = compensate_moves(fit.robot, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
-    text = program.rewritten([way - place for way in compensated.told])
+    text = program.rewritten([way - place for way in compensated.waypoints])
     told = told_points(text, (0, 0, 0)) / 1e3 + place
-    assert len(told) - 1 == sum(len(way) for way in compensated.told) > 8
+    assert len(told) - 1 == sum(len(way) for way in compensated.waypoints) > 8
     way = between(
-        told[len(compensated.told[0]) :], 23
+        told[len(compensated.waypoints[0]) :], 23
     )  # from the first end on: before it stands where it was switched on
     corners = np.array([*ends])
     real = truth.positions(delta_joints(way))[:, 0]
@@ -161,15 +161,15 @@ def test_a_gantry_with_the_error_of_a_screw_goes_straight(tmp_path):
     starts, ends = (np.array([getattr(move, what) for move in program.moves]) for what in ("start", "end"))
     tolerance = 1e-5
     compensated = compensate_moves(truth, StraightMoves(starts, ends, tuple("abcdef")), tolerance)
-    told = told_points(program.rewritten(compensated.told), (0, 0, 0)) / 1e3
-    way = between(told[len(compensated.told[0]) :], 31)  # joints of a gantry are what its controller is told
+    told = told_points(program.rewritten(compensated.waypoints), (0, 0, 0)) / 1e3
+    way = between(told[len(compensated.waypoints[0]) :], 31)  # joints of a gantry are what its controller is told
     corners = np.array([*ends])
     assert off_the_path(truth.positions(between(corners, 31))[:, 0], corners).max() > 1e-4
     assert off_the_path(truth.positions(way)[:, 0], corners).max() < tolerance + 2e-7
     assert len(told) > 30  # a wave needs pieces; without it one for each move does
     skewed = robot.with_parameters({"y.rz": 3e-3, "z.rx": 2e-3, "x.gain": 1e-3})
     assert all(
-        len(way) == 1 for way in compensate_moves(skewed, StraightMoves(starts, ends, tuple("abcdef")), 1e-5).told
+        len(way) == 1 for way in compensate_moves(skewed, StraightMoves(starts, ends, tuple("abcdef")), 1e-5).waypoints
     )
 
 
@@ -209,7 +209,7 @@ def test_a_reflector_and_a_tracker_elsewhere_move_no_point(delta):
     ends = np.array([[0.05, 0.0, -0.45], [-0.05, 0.06, -0.4]])
     moves = StraightMoves(np.array([[np.nan] * 3, ends[0]]), ends, ("a", "b"))
     compensated = compensate_moves(moved, moves, 1e-5)
-    assert np.abs(np.concatenate(compensated.told) - ends).max() < 1e-6
+    assert np.abs(np.concatenate(compensated.waypoints) - ends).max() < 1e-6
     assert np.isnan(compensated.deviations[0])
 
 

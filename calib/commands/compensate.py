@@ -237,7 +237,7 @@ def _shown(compensation: Compensation) -> tuple[tuple[str, str, float], ...]:
 
 def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
     """What a controller with the nominal model must be told, in the program's columns."""
-    positions, rotations = compensation.told(robot)
+    positions, rotations = compensation.controller_poses(robot)
     name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
     if program.rotations is not None:

@@ -68,9 +68,9 @@ def compensate_gcode(
         done = f"left as it is for {known.robot.name}: {left_as_it_is(result)}"
     comments = (f"{done}; errors are {compensated.frame}", *said_of_failure(output, result, out))
     comments = tuple(" ".join(line.split()) for line in comments)
-    ways = None if compensated.nothing_to_correct else [way - origin for way in compensated.told]
+    ways = None if compensated.nothing_to_correct else [way - origin for way in compensated.waypoints]
     output.write(out, program.rewritten(ways, comments), GCODE_COMMENT)
-    n_pieces = sum(len(way) for way in compensated.told)
+    n_pieces = sum(len(way) for way in compensated.waypoints)
     output.json(
         {
             "n_moves": len(program.moves),
@@ -106,7 +106,7 @@ def _figures(compensated: CompensatedMoves) -> dict[str, dict[str, float]]:
 def _said(
     program: GcodeProgram, compensated: CompensatedMoves, figures: dict[str, dict[str, float]], result: str, out: str
 ) -> str:
-    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in compensated.told)
+    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in compensated.waypoints)
     before, expected, between = figures["before_mm"], figures["expected_mm"], figures["between_mm"]
     if compensated.nothing_to_correct:
         lines = [

@@ -80,7 +80,7 @@ def next_step(fit: Fit) -> NextStep:
 
 def _done(fit: Fit) -> set[Answer]:
     """What this fit has tried already, so that it would lead nowhere."""
-    by_auto = fit.terms is not None and fit.terms.asked == "auto"
+    by_auto = fit.terms is not None and fit.terms.automatic
     tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
     return {answer for answer, was in tried.items() if was}
 
@@ -89,7 +89,7 @@ def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: b
     """Return a fit with the options of this one, as far as it knows them, and another."""
     options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
     options |= {} if fit.loss == "none" else {"--loss": fit.loss}
-    options |= {} if fit.terms is None else {"--terms": fit.terms.asked}
+    options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
     options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
     options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
     options |= {words[0]: " ".join(words[1:])} if words else {}

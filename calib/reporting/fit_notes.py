@@ -90,8 +90,8 @@ def _rival(kind: str, less: float) -> str:
 
 def _terms(fit: Fit) -> list[str]:
     """What choosing joint terms found: what each brought, what was left out and why."""
-    if fit.terms is None or fit.terms.asked != "auto":
-        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.asked}"]
+    if fit.terms is None or not fit.terms.automatic:
+        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.requested}"]
     added: list[str] = []
     left: list[str] = []
     refused: list[str] = []
@@ -245,7 +245,7 @@ def outliers_left_out(fit: Fit) -> list[str]:
 
 def terms_added(fit: Fit) -> list[str]:
     """Return which joint terms were chosen, in a line; none where none were looked for."""
-    if fit.terms is None or fit.terms.asked != "auto":
+    if fit.terms is None or not fit.terms.automatic:
         return []
     added = [trial for trial in fit.terms.tried if trial.added]
     names = dict.fromkeys(" or ".join(sorted([trial.term, *trial.together])) for trial in added)

@@ -277,7 +277,7 @@ def _terms(fit: Fit) -> dict[str, object]:
     scale, choice = error_scale(part.dimension), fit.terms
     tried = [] if choice is None else choice.tried
     return {
-        "asked": None if choice is None else choice.asked,
+        "asked": None if choice is None else choice.requested,
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
         "undecided": [section.model_dump(mode="json") for section in fit.undecided.terms] if fit.undecided else [],
         "unit": ERROR_UNIT[part.dimension],

@@ -115,7 +115,7 @@ class Compensation(ReadOnlyArrays):
         """Return a phrase for every row that has no command."""
         return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
 
-    def told(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
+    def controller_poses(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
         """Return the poses to send to a controller that uses the nominal model.
 
         Args:
@@ -249,7 +249,7 @@ def _solved(
     near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     solutions = settled(robot, reach, rows, solutions, context)
-    commands = reach.told(rows, commands_for(robot, solutions.actuated, context))
+    commands = reach.with_uncommanded(rows, commands_for(robot, solutions.actuated, context))
     reach_of_rows = replace(reach, goals=task.goals.subset(rows))
     return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])
 

@@ -114,7 +114,7 @@ def solve(
     best = _searched(robot, reach, _near(robot, reach, near), conditions)
     positions, miss, angle = reach.misses(best.actuated, best.passive)
     index = np.arange(len(goals))
-    commands = reach.told(index, commands_for(robot, best.actuated, conditions))
+    commands = reach.with_uncommanded(index, commands_for(robot, best.actuated, conditions))
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)
     reached = np.flatnonzero(ok)
     columns = term_columns(robot, commands[reached], conditions.at(reached))
@@ -202,7 +202,7 @@ def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, c
         context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
-        commands = reach.told(index, commands_for(robot, solution.actuated, context))
+        commands = reach.with_uncommanded(index, commands_for(robot, solution.actuated, context))
         commands = np.where(np.isfinite(commands), commands, solution.actuated[:, : commands.shape[1]])
         driven = actual_joints(robot, commands, term_columns(robot, commands, context))
         if np.max(np.abs(driven - solution.actuated)[:, reach.held], initial=0.0) < _SETTLED:

@@ -120,7 +120,7 @@ class Reach:
         """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
-    def told(self, index: IntArray, commands: FloatArray) -> FloatArray:
+    def with_uncommanded(self, index: IntArray, commands: FloatArray) -> FloatArray:
         """Return commands (n, n_actuated) for these goals with what joints are that nobody commands."""
         commands = commands.copy()
         for name in self.goals.stands:
@@ -132,7 +132,7 @@ class Reach:
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)
-        actuated = np.hstack([self.told(index, at.actuated[:, :n]), at.actuated[:, n:]])
+        actuated = np.hstack([self.with_uncommanded(index, at.actuated[:, :n]), at.actuated[:, n:]])
         closed = loops.close(self.mechanism, self.mode, actuated, at.passive)
         passive = np.where(closed.ok[:, None], closed.passive, at.passive)
         return Configured(actuated, passive, np.full(len(index), np.inf))

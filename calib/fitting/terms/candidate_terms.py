@@ -97,16 +97,21 @@ class TermChoice:
     """Which joint terms a fit was asked for.
 
     Attributes:
-        asked: `auto`, `none`, or the list that was asked for.
+        requested: `auto`, `none`, or the list that was asked for.
         sections: The entries that it has.
         tried: Of `auto`, what was found about each kind of term, those that were added first.
         undecided: Of `auto`, what terms that were not added leave uncertain; None if nothing.
     """
 
-    asked: str
+    requested: str
     sections: tuple[TermSection, ...]
     tried: tuple[TriedTerm, ...] = ()
     undecided: UndecidedTerms | None = None
+
+    @property
+    def automatic(self) -> bool:
+        """Whether terms were chosen by what the data say of them."""
+        return self.requested == "auto"
 
 
 def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:

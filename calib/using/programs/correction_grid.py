@@ -151,8 +151,8 @@ def _corrections(
         )
     if compensation.nothing_to_correct:
         return np.zeros((len(positions), 6)), compensation
-    told, turned = compensation.told(known.robot)
+    sent, turned = compensation.controller_poses(known.robot)
     turns = np.zeros((len(positions), 3))
     if rotation is not None:
         turns = np.array([pin.log3(pose @ rotation.T) for pose in turned])
-    return np.hstack([told - positions, turns]), compensation
+    return np.hstack([sent - positions, turns]), compensation

@@ -72,7 +72,7 @@ class CompensatedMoves:
     """What to tell the controller.
 
     Attributes:
-        told: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
+        waypoints: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
         before: How far the tool is off there without compensation, (n,) [m].
         expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
             where the uncertainty of the robot is not known.
@@ -84,7 +84,7 @@ class CompensatedMoves:
             corrected.
     """
 
-    told: tuple[FloatArray, ...]
+    waypoints: tuple[FloatArray, ...]
     before: FloatArray
     expected: FloatArray
     deviations: FloatArray
@@ -95,9 +95,9 @@ class CompensatedMoves:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A move in pieces: told points and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
+    """A move in pieces: waypoints and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
 
-    told: FloatArray
+    waypoints: FloatArray
     q: FloatArray
     before: float
     expected: float
@@ -156,7 +156,7 @@ def compensate_moves(
         pieces[active] = np.maximum(needed, 2 * pieces[active])
         _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
     return CompensatedMoves(
-        tuple(ways[k].told[1:] for k in range(len(lengths))),
+        tuple(ways[k].waypoints[1:] for k in range(len(lengths))),
         np.array([ways[k].before for k in range(len(lengths))]),
         np.array([ways[k].expected for k in range(len(lengths))]),
         deviations,
@@ -189,29 +189,31 @@ def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray
             f"{counted(len(misses), 'point')} cannot be compensated: {listed(misses, '; ')}; change the program there"
         )
     at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
-    points_told = goals[fresh] if frame.nothing_to_correct else compensated.told(frame.nominal)[0]
-    parts = (points_told, compensated.q, compensated.before, compensated.expected)
-    told, q, before, expected = (np.split(part[at], cuts) for part in parts)
-    return {int(k): _Way(told[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)}
+    sent = goals[fresh] if frame.nothing_to_correct else compensated.controller_poses(frame.nominal)[0]
+    parts = (sent, compensated.q, compensated.before, compensated.expected)
+    waypoints, q, before, expected = (np.split(part[at], cuts) for part in parts)
+    return {
+        int(k): _Way(waypoints[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)
+    }
 
 
 def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tuple[FloatArray, int]:
     """The largest measured deviation of each move, (n_ways,) [m], and at how many points it was measured."""
-    told, near, meant, owner = [], [], [], []
+    sent, near, meant, owner = [], [], [], []
     for row, (k, way) in enumerate(ways.items()):
         start, end, n = moves.starts[k], moves.ends[k], len(way.q) - 1
         inside = max(_AT_LEAST, int(np.ceil(float(np.linalg.norm(end - start)) / n / _MEASURED_EVERY)))
         for j in range(n):
             spread = (_GOLDEN * (1 + np.arange(inside) + j * inside)) % 1
             share = np.append(0.5, (np.arange(inside) + spread) / inside)[:, None]
-            told.append((1 - share) * way.told[j] + share * way.told[j + 1])
+            sent.append((1 - share) * way.waypoints[j] + share * way.waypoints[j + 1])
             near.append((1 - share) * way.q[j] + share * way.q[j + 1])
             meant.append(start + (end - start) * (j + share) / n)
         owner.append(np.full(n * (inside + 1), row))
     largest = np.zeros(len(ways))
-    if not told:
+    if not sent:
         return largest, 0
-    places, rows, numbers = np.concatenate(told), np.concatenate(owner), list(ways)
+    places, rows, numbers = np.concatenate(sent), np.concatenate(owner), list(ways)
     labels = tuple(moves.labels[numbers[row]] for row in rows)
     goals, straight = (Goals(points, labels=labels) for points in (places, np.concatenate(meant)))
     at = np.concatenate(near)
@@ -225,21 +227,21 @@ def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tu
     return largest, len(places)
 
 
-def _driven(robot: Robot, nominal: Robot, told: Goals, near: FloatArray) -> FloatArray:
+def _driven(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> FloatArray:
     """Where a robot goes when a nominal controller is told positions: g, (n, 3) [m], if it is the calibrated one.
 
     Args:
         robot: The robot.
         nominal: What the controller knows.
-        told: The positions.
+        sent: The positions.
         near: Joints from which the controller comes, (n, 3) [m or rad].
     """
-    reach = problem(nominal, told)
-    start = nominal.assemble(near, labels=told.labels)
+    reach = problem(nominal, sent)
+    start = nominal.assemble(near, labels=sent.labels)
     nothing = np.full(len(near), np.inf)
     reached = descend(reach, np.arange(len(near)), Configured(start.actuated, start.passive, nothing))
     if np.any(reached.distance > TOLERANCE):
-        label = told.labels[int(np.argmax(reached.distance))]
+        label = sent.labels[int(np.argmax(reached.distance))]
         raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")
     return robot.positions(commands_for(nominal, reached.actuated))[:, robot.target_names.index(reach.target.name)]
 

@@ -71,10 +71,8 @@ def command(
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))
     truth = parameters or folder_of_values(robot, None, None) or "nominal parameters"
-    comments: tuple[str, ...] = (
-        f"simulated measurements of {model.name}; truth: {truth}",
-        f"{_noise_in_words(model, sigma_mm)}, seed {seed}",
-    )
+    simulated, noise = measured.comments
+    comments: tuple[str, ...] = (f"{simulated}; truth: {truth}", f"{noise}, seed {seed}")
     moved = np.flatnonzero(np.any(measured.joints != poses.joints, axis=1))
     if len(moved):
         comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
@@ -131,15 +129,6 @@ def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random
     return {
         f"{name}.png": encoded(photographer.photograph(pose, rng)) for name, pose in zip(data.names, poses, strict=True)
     }
-
-
-def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
-    if sigma_mm is None:
-        return "noise as the description states it"
-    words = f"normal noise, sigma {sigma_mm:g} mm per axis"
-    if sigma_mm == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
-        return words
-    return f"{words} of positions, else as the description states it"
 
 
 def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:

@@ -92,8 +92,7 @@ def simulate(
         elif len(predicted):
             zeros = np.zeros((len(predicted), instrument.n_rows))
             readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
-    noise = "noise as the description states it" if sigma is None else _said(sigma)
-    said = (f"simulated measurements of {robot.name}", noise)
+    said = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
     return replace(measurements(poses, readings), joints=commands, comments=said, planned={})
 
 
@@ -120,8 +119,13 @@ def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
     ]
 
 
-def _said(sigma: float) -> str:
-    return f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+def _noise_in_words(robot: Robot, sigma: float | None) -> str:
+    if sigma is None:
+        return "noise as the description states it"
+    words = f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+    if sigma == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
+        return words
+    return f"{words} of positions, else as the description states it"
 
 
 def _touches(

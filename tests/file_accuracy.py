@@ -1,6 +1,6 @@
 """How far off the robots in exported files are, read back by other code: the figures of docs/benchmarks.md.
 
-    python tests/file_accuracy.py [FOLDER]
+    python tests/file_accuracy.py [FOLDER] [--page docs/benchmarks.md]
 
 Simulated robots with joint terms, made by the few lines here; and with FOLDER, which has motoman_right,
 ur10_tracker and ur10 (see tests/public_data.py), real ones. Every robot is fitted with `--terms auto`, its result
@@ -10,11 +10,12 @@ the training poses, for the nominal robot and for every file alike. It takes abo
 
 import argparse
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from public_data import EXAMPLES, described, ur10_tracker
+from public_data import EXAMPLES, added, described, markdown, ur10_tracker, written
 from read_back import held_out, in_file, tip_of, urdf_links
 from scipy.spatial.transform import Rotation
 from test_denavit_hartenberg import flange_poses
@@ -94,25 +95,27 @@ def _measured(robot, q, read, n_train):
 
 
 def files_of(robot, train, test, folder):
-    """Errors of all files of a robot, fitted with `--terms auto`, by what they are called [m]; and the fit."""
+    """Errors of all files of a robot, fitted with `--terms auto`, by what they are called [m], and what was fitted."""
     fit = calib.fit(robot, train, validation=test, terms="auto")
     fit.save(folder / "result", pages=False)
     loaded, points = calib.load(folder / "result"), [(data.joints, data.points(robot)[:, 0]) for data in (train, test)]
-    whole = urdf_of_origins(without_terms(fit.robot, Holds.ORIGINS))
     errors = {
+        "poses used, not used": f"{train.n_poses}, {test.n_poses}",
+        "terms that `auto` added": added(fit),
         "nominal robot": held_out(tip_of(urdf_links(robot.urdf.source), robot), robot, *points),
-        "origins of the whole model, its terms dropped": held_out(tip_of(urdf_links(whole), robot), robot, *points),
     }
     alone = calib.fit(robot, train, validation=test, terms="none")
     errors |= {"fit of origins alone": alone.validation.rms("after"), "whole model": fit.validation.rms("after")}
+    whole = urdf_of_origins(without_terms(fit.robot, Holds.ORIGINS))
+    errors["its origins, terms dropped"] = held_out(tip_of(urdf_links(whole), robot), robot, *points)
     for name in (name for name, holds in HELD.items() if holds is not Holds.EVERYTHING):
         path = folder / f"{name}{ENDINGS.get(name, '.csv')}"
         try:
             calib.export(loaded, path, name)
-            errors[name] = held_out(in_file(robot, name, path), robot, *points)
+            errors[f"`{name}`"] = held_out(in_file(robot, name, path), robot, *points)
         except calib.CalibrationError as error:
-            errors[name] = str(error).replace(str(folder), "...")
-    return errors, fit
+            print(f"{name}: {str(error).replace(str(folder), '...')}", file=sys.stderr)
+    return errors
 
 
 def ur_description(folder):
@@ -124,16 +127,30 @@ def ur_description(folder):
     return robot, data[use == "train"], data[use == "test"]
 
 
+def table(results):
+    """A column for each robot: errors [mm] by what they are called; formats with the same errors share a row."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for name in dict.fromkeys(name for errors in results.values() for name in errors):
+        rows.setdefault(tuple(_cell(errors.get(name, "")) for errors in results.values()), []).append(name)
+    return markdown(["", *results], [[", ".join(names), *cells] for cells, names in rows.items()])
+
+
+def _cell(value):
+    return value if isinstance(value, str) else f"{1e3 * value:.4f}"
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", metavar="FOLDER", type=Path, nargs="?", help="public data; simulated robots if none")
+    parser.add_argument("--page", metavar="FILE", type=Path, help="the page to write the table into")
     options = parser.parse_args()
-    robots = [simulated_arm, simulated_five_bar]
-    robots += [motoman_right, ur10, ur_description] if options.folder else []
-    for made in robots:
+    robots = {"simulated arm": simulated_arm, "simulated five-bar": simulated_five_bar}
+    if options.folder:
+        robots = {"Motoman": motoman_right, "UR10": ur10, "UR10, `ur_description`": ur_description} | robots
+    results = {}
+    for name, made in robots.items():
         with tempfile.TemporaryDirectory() as scratch:
-            errors, fit = files_of(*made(options.folder), Path(scratch))
-        added = ", ".join(term.term for term in fit.terms.tried if term.added) or "nothing"
-        print(f"{made.__name__}: {fit.validation.data.n_poses} poses not used, auto added {added}; mm RMS")
-        for name, error in errors.items():
-            print(f"  {name}: {error if isinstance(error, str) else f'{1e3 * error:.4f}'}", flush=True)
+            results[name] = files_of(*made(options.folder), Path(scratch))
+    print(table(results))
+    if options.page is not None:
+        written(options.page, "files", table(results))

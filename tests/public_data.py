@@ -1,9 +1,9 @@
 """Real robots measured by others: how their files are read here, and the figures of docs/benchmarks.md.
 
-    python tests/public_data.py FOLDER [ur10_tracker] [motoman_right] [mukca]
+    python tests/public_data.py FOLDER [ur10_tracker] [motoman_right] [mukca] [--page docs/benchmarks.md]
 
 FOLDER holds a folder for each: ur10_tracker (robot.urdf, grid.csv with a column `use`), motoman_right (robot.urdf,
-train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of the project; docs/benchmarks.md says where
+train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of the project; docs/comparison.md says where
 they come from. Errors are of rows that the fit never saw. All together take about ten minutes.
 """
 
@@ -196,49 +196,80 @@ def held_out(fit, state="after"):
     return [round(1e3 * float(np.sqrt(np.mean(np.sum(part**2, axis=1)))), 4) for part in parts if len(part)]
 
 
-def _added(fit):
-    return "+".join(term.term for term in fit.terms.tried if term.added) or "nothing"
+def markdown(head, rows):
+    """A table as the pages have it: the first column is words, the others are numbers."""
+    lines = [f"| {' | '.join(str(cell) for cell in line)} |" for line in (head, *rows)]
+    return "\n".join([lines[0], f"|---|{'---:|' * (len(head) - 1)}", *lines[1:]])
 
 
-def print_ur10_tracker(folder):
-    """Print the tables of the UR10."""
+def written(page, name, text):
+    """Write text into a page, between the marks of that name."""
+    marks = [f"<!-- {word} {name} -->" for word in ("begin", "end")]
+    before, begin, rest = page.read_text(encoding="utf-8").partition(marks[0])
+    _, end, after = rest.partition(marks[1])
+    if not (begin and end):
+        raise SystemExit(f"{page} has no place for {name}: {' ... '.join(marks)}")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+
+
+def added(fit):
+    """The kinds of terms that `auto` added, in words."""
+    return ", ".join(term.term.replace("+", " or ") for term in fit.terms.tried if term.added) or "nothing"
+
+
+def tables_ur10_tracker(folder):
+    """The tables of the UR10."""
+    rows = []
     for full_poses in (False, True):
         robot, data, use = ur10_tracker(folder, full_poses)
         what, test = "poses" if full_poses else "positions", data[use == "test"]
-        for terms in (None, "curve", "auto"):
+        for terms, words in ((None, "all origins"), ("curve", "origins and a curve for each joint"), ("auto", "")):
             fit = calib.fit(robot, data[use == "train"], validation=test, terms=terms)
-            added = f" ({_added(fit)})" if terms == "auto" else ""
-            print(f"{what}, {terms or 'origins'}{added}:", held_out(fit, "before"), "->", held_out(fit), flush=True)
+            if terms is None:
+                rows.append([f"base and sensor placed alone, by {what}", *_errors(fit, "before")])
+            rows.append([f"{words or f'`--terms auto`: {added(fit)}'}, {what}", *_errors(fit)])
+    models = markdown(["model, fitted to", "position RMS [mm]", "orientation RMS [mrad]"], rows)
     robot, data, use = ur10_tracker(folder)
-    stretch, test = np.arange(len(use)) * 40 // len(use) % 4, use == "test"
-    for terms in (None, "curve"):
-        splits = [(stretch != k, 300, stretch == k) for k in range(4)]
-        print(f"300 poses, every fourth of 40 stretches held out, {terms or 'origins'}:", end=" ")
-        print([_drawn(robot, data, *split, terms, seed=0) for split in splits], flush=True)
-        for n in (50, 100, 200, 300, 1000):
-            errors = [_drawn(robot, data, ~test, n, test, terms, seed) for seed in range(5)]
-            print(f"{n} poses, {terms or 'origins'}:", sorted(errors), flush=True)
+    rows = []
+    for n in (50, 100, 200, 300, 1000):
+        kinds = [
+            sorted(_drawn(robot, data, use == "test", n, terms, seed) for seed in range(5)) for terms in (None, "curve")
+        ]
+        rows.append([n, *(f"{five[2]:.3f} ({five[0]:.3f} to {five[-1]:.3f})" for five in kinds)])
+    return f"{models}\n\n{markdown(['poses to fit', 'origins [mm]', 'origins and curves [mm]'], rows)}"
 
 
-def _drawn(robot, data, pool, n, test, terms, seed):
-    """Error of a fit to n random rows of the pool, on (at most 1000 of) the rows for testing."""
-    rng = np.random.default_rng(seed)
-    used, held = (rng.permutation(np.flatnonzero(some))[:most] for some, most in ((pool, n), (test, 1000)))
-    return held_out(calib.fit(robot, data[np.sort(used)], validation=data[np.sort(held)], terms=terms))[0]
+def _errors(fit, state="after"):
+    errors = held_out(fit, state)
+    return [f"{errors[0]:.3f}", *(f"{angle:.3f}" for angle in errors[1:])] + [""] * (2 - len(errors))
 
 
-def print_motoman_right(folder):
-    """Print the table of the Motoman."""
+def _drawn(robot, data, test, n, terms, seed):
+    """Error of a fit to n random rows that are not for testing, on those that are."""
+    used = np.random.default_rng(seed).permutation(np.flatnonzero(~test))[:n]
+    return held_out(calib.fit(robot, data[np.sort(used)], validation=data[test], terms=terms))[0]
+
+
+def tables_motoman_right(folder):
+    """The table of the Motoman."""
     arm = described(folder / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
     by_tracker = [calib.read_measurements(folder / f"{name}.csv", arm) for name in ("train", "test")]
+    rows = []
+    for terms in (None, "auto"):
+        fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)
+        if terms is None:
+            rows.append(["base and reflector placed alone", f"{held_out(fit, 'before')[0]:.3f}", ""])
+        words = f"tracker, `--terms auto`: {added(fit)}" if terms else "tracker"
+        rows.append([words, f"{held_out(fit)[0]:.3f}", fit.verdict.grade])
     for tracker, turned in ((True, False), (True, True), (False, False), (False, True)):
         robot, train, test = motoman_cameras(folder, tracker, turned)
         fit = calib.fit(robot, train, validation=test if tracker else None)
-        error = held_out(fit) if tracker else _placed_error(fit, arm, by_tracker[1])
-        print(f"pixels{' turned back' * turned}{' and tracker' * tracker}: {fit.verdict.grade} {error}", flush=True)
-    for terms in (None, "auto"):
-        fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)
-        print(f"tracker, priors of the example, {terms}: {fit.verdict.grade} {held_out(fit)}", flush=True)
+        error = held_out(fit)[0] if tracker else _placed_error(fit, arm, by_tracker[1])
+        words = (
+            f"{'tracker and pixels' if tracker else 'pixels alone'}, {'turned back' if turned else 'as in the files'}"
+        )
+        rows.append([words, f"{error:.3f}", fit.verdict.grade])
+    return markdown(["fitted to", "RMS, 53 poses by the tracker [mm]", "verdict"], rows)
 
 
 def _placed_error(fit, arm, data):
@@ -249,40 +280,51 @@ def _placed_error(fit, arm, data):
     return round(1e3 * float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))), 4)
 
 
-def print_mukca(folder):
-    """Print the tables of the arms that touched two sockets; with masses, too, if packages that know them are there."""
-    for arm, masses in [(name, known) for name in PLACES for known in (None, masses_of(name))]:
-        for held in PLACES[arm] if masses is None or masses.is_file() else ():
-            both = tuple(place for place in PLACES[arm] if place != held)
-            _print_mukca(folder, arm, both, (held,), masses)
-    for masses in (None, masses_of("panda_1")):
-        for place in PLACES["panda_1"] if masses is None or masses.is_file() else ():
-            others = tuple(other for other in PLACES["panda_1"] if other != place)
-            _print_mukca(folder, "panda_1", (place,), others, masses)
+def tables_mukca(folder):
+    """The tables of the arms that touched two sockets; needs the packages that know their masses."""
+    if absent := [str(masses_of(arm)) for arm in PLACES if not masses_of(arm).is_file()]:
+        raise SystemExit(f"mukca needs masses that are not there: {', '.join(absent)} (make ci-packages)")
+    rows = []
+    for arm, name in (("panda_1", "Panda"), ("kuka_14", "KUKA")):
+        for held in PLACES[arm]:
+            both, holes = tuple(place for place in PLACES[arm] if place != held), mukca_joints(folder, arm, held)
+            origins, light = (_fitted(folder, arm, both, None, terms) for terms in (None, "auto"))
+            *by_hand, heavy = (_fitted(folder, arm, both, masses_of(arm), terms) for terms in (*BY_HAND, "auto"))
+            robots = [origins.placed, *(fit.robot for fit in (origins, *by_hand, light, heavy))]
+            cells = [f"{from_sockets(robot, holes):.3f}" for robot in robots]
+            rows.append(
+                [
+                    f"{name}, {held}",
+                    *cells[:-2],
+                    *(f"{cell} ({added(fit)})" for cell, fit in zip(cells[-2:], (light, heavy), strict=True)),
+                ]
+            )
+    head = ["unseen place [mm]", "before", "origins", *(terms.replace(",", ", ") for terms in BY_HAND)]
+    table = markdown([*head, "`auto`, masses unknown", "`auto`"], rows)
+    front, others = PLACES["panda_1"][0], PLACES["panda_1"][1:]
+    rows = [["the authors", "0.168", "0.347"]]
+    for terms, words in ((None, "origins"), ("compliance,bending", "compliance, bending"), ("auto", "`auto`")):
+        fit = _fitted(folder, "panda_1", (front,), masses_of("panda_1"), terms)
+        own, *means = (f"{from_means(fit.robot, mukca_joints(folder, 'panda_1', at)):.3f}" for at in (front, *others))
+        rows.append([f"{words}{f': {added(fit)}' if terms == 'auto' else ''}", own, " and ".join(means)])
+    return f"{table}\n\n{markdown(['distance from the mean [mm]', f'{front} (fitted)', ' and '.join(others)], rows)}"
 
 
-def _print_mukca(folder, arm, places, held, masses):
-    robot, data = mukca(folder, arm, places, masses)
-    for terms in (None, "gain", *(BY_HAND if masses else ()), "auto"):
-        fit = calib.fit(robot, data, terms=terms)
-        added = f" ({_added(fit)})" if terms == "auto" else ""
-        print(f"{arm}{' with masses' * bool(masses)}, {' and '.join(places)}, {terms or 'origins'}{added}:", end=" ")
-        for place in (*places, *held):
-            holes = mukca_joints(folder, arm, place)
-            errors = [judge(robot, holes) for judge in (from_sockets, from_means) for robot in (fit.placed, fit.robot)]
-            print("{}: {:.2f} -> {:.3f} (from means {:.2f} -> {:.3f})".format(place, *errors), end="; ")
-        print(flush=True)
+def _fitted(folder, arm, places, masses, terms):
+    return calib.fit(*mukca(folder, arm, places, masses), terms=terms)
 
 
 if __name__ == "__main__":
-    printers = {
-        name.removeprefix("print_"): function for name, function in globals().items() if name.startswith("print_")
-    }
+    tables = {name.removeprefix("tables_"): made for name, made in globals().items() if name.startswith("tables_")}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", metavar="FOLDER", type=Path)
-    parser.add_argument("robots", metavar="ROBOT", nargs="*", help=f"of {', '.join(printers)}; all if none are named")
+    parser.add_argument("robots", metavar="ROBOT", nargs="*", help=f"of {', '.join(tables)}; all if none are named")
+    parser.add_argument("--page", metavar="FILE", type=Path, help="the page to write the tables into")
     options = parser.parse_args()
-    for name in options.robots or printers:
-        if name not in printers:
-            parser.error(f"no robot {name}; there are {', '.join(printers)}")
-        printers[name](options.folder / name)
+    for name in options.robots or tables:
+        if name not in tables:
+            parser.error(f"no robot {name}; there are {', '.join(tables)}")
+        made = tables[name](options.folder / name)
+        print(f"{name}\n\n{made}\n", flush=True)
+        if options.page is not None:
+            written(options.page, name, made)

@@ -1,9 +1,10 @@
-"""The numbers of this project on the comparison page; skipped where the real measurements are absent."""
+"""The pages of public data: their tables have makers, and numbers of this project are found again where data are."""
 
 import re
 
+import public_data
 import pytest
-from public_data import EXAMPLES, described
+from public_data import EXAMPLES, described, markdown, written
 from snippets import DOCS, ROOT
 
 import calib
@@ -33,3 +34,18 @@ def test_the_tests_that_the_page_names_exist():
     assert len(named) > 5
     for name in named:
         assert (ROOT / "tests" / name).is_file(), name
+
+
+def test_tables_of_public_data_are_written_between_their_marks(tmp_path):
+    page = DOCS / "benchmarks.md"
+    makers = {name.removeprefix("tables_") for name in vars(public_data) if name.startswith("tables_")}
+    assert set(re.findall(r"<!-- begin (\w+) -->", page.read_text())) == makers | {"files"}
+    copy = tmp_path / "page.md"
+    copy.write_text("Before.\n<!-- begin arm -->\nold\n<!-- end arm -->\nAfter.\n")
+    for _ in range(2):  # written again, it stays as it is
+        written(copy, "arm", markdown(["", "mm"], [["origins", 0.5]]))
+        assert copy.read_text() == (
+            "Before.\n<!-- begin arm -->\n\n|  | mm |\n|---|---:|\n| origins | 0.5 |\n\n<!-- end arm -->\nAfter.\n"
+        )
+    with pytest.raises(SystemExit, match="has no place for leg"):
+        written(copy, "leg", "")

@@ -308,7 +308,7 @@ def test_command_plans_before_anything_is_measured(folder, tmp_path):
     assert outcome.exit_code == 0, outcome.output
     content = json.loads(target.read_text())
     assert 3 < content["poses_needed"] <= 20
-    assert "show joint_3.ry=0.02 deg with a chance of 90%" in outcome.stdout
+    assert "show joint_3.ry=0.02 deg with a chance of 90 %" in outcome.stdout
 
 
 JOINTS = ",".join(f"joint_{k}" for k in range(1, 7))

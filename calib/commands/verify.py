@@ -89,9 +89,11 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
         needed = poses_needed(promise, poses, name, size, same_setup=same_setup)
         content |= {"change": name, "poses_needed": needed}
         if needed is not None:
-            lines.append(f"The first {counted(needed, 'pose')} show {change} with a chance of {POWER:.0%}")
+            lines.append(f"The first {counted(needed, 'pose')} show {change} with a chance of {100 * POWER:.0f} %")
         elif any(known.name == name for known in changes):
-            lines.append(f"All {len(poses)} poses are too few to show {change} with a chance of {POWER:.0%}; add poses")
+            lines.append(
+                f"All {len(poses)} poses are too few to show {change} with a chance of {100 * POWER:.0f} %; add poses"
+            )
         else:
             anew = "" if same_setup else ", or only as on where base and targets are, which is found anew"
             lines.append(f"No number of such poses shows a change of {name}: readings do not depend on it{anew}")

@@ -105,9 +105,9 @@ def report(result: HandEye, frames: Frames) -> str:
     lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
     if judgement.grade != "FAIL":
         lines.append(
-            f"On the board, points of new images like these are {_MM * rms(result.left.board):.3f} mm off (RMS"
-            f" of images left out in turn; with a chance of 95 %, as many new images stay below"
-            f" {_MM * result.limit:.3f} mm), {rms(result.left.pixels):.3f} px in the image"
+            f"Points of new images like these are {_MM * rms(result.left.board):.3f} mm off on the board,"
+            f" {rms(result.left.pixels):.3f} px in the image (RMS of images left out in turn). The RMS of as many new"
+            f" images is below {_MM * result.limit:.3f} mm with a chance of 95 %"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
     lines.append(
@@ -147,7 +147,7 @@ def report(result: HandEye, frames: Frames) -> str:
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
         f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
-        " errors of the robot that follow its pose included"
+        " with errors of the robot that follow its pose"
         for title, key, pose in (
             (f"Camera in {parents(result, frames)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {parents(result, frames)[1]}", "board", transform(fitted.placed.board)),

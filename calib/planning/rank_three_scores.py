@@ -23,19 +23,36 @@ _UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes
 
 
 @dataclass(frozen=True, eq=False)
-class Determinant:
-    """log det K, by rank-three updates.
+class _Gathered:
+    """The information of chosen candidates.
 
     Attributes:
         problem: The candidates.
         gathered: K, (r, r).
+    """
+
+    problem: SelectionProblem
+    gathered: FloatArray
+
+    def spares(self, candidate: int) -> bool:
+        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
+        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.gathered)
+
+
+@dataclass(frozen=True, eq=False)
+class Determinant(_Gathered):
+    """log det K, by rank-three updates.
+
+    Attributes:
         inverse: K^-1, (r, r).
         seen: G of every candidate, (k, k, n_candidates): the last, so that sums run through memory.
         age: Moves since `seen` was computed anew.
     """
 
-    problem: SelectionProblem
-    gathered: FloatArray
     inverse: FloatArray
     seen: FloatArray
     age: int
@@ -77,14 +94,6 @@ class Determinant:
         seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
         return Determinant(self.problem, gathered, inverse, seen, self.age + 1)
 
-    def spares(self, candidate: int) -> bool:
-        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
-        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
-
-    @cached_property
-    def _sparing(self) -> Sparing:
-        return Sparing.of(self.gathered)
-
 
 def _root(matrix: FloatArray) -> FloatArray:
     """Return C with C C^T = matrix (r, r), which rounding may have made a little indefinite."""
@@ -114,16 +123,8 @@ def _determinants(seen: FloatArray, sign: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """Minus trace(W K^-1), the square of the task index, by changes of rank three.
-
-    Attributes:
-        problem: The candidates.
-        gathered: K, (r, r).
-    """
-
-    problem: SelectionProblem
-    gathered: FloatArray
+class Task(_Gathered):
+    """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
 
     @cached_property
     def value(self) -> float:
@@ -165,11 +166,3 @@ class Task:
         """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
         rows = self.problem.rows[candidate]
         return Task(self.problem, self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
-
-    def spares(self, candidate: int) -> bool:
-        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
-        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
-
-    @cached_property
-    def _sparing(self) -> Sparing:
-        return Sparing.of(self.gathered)

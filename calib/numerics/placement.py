@@ -40,7 +40,7 @@ _OPEN = 1e-6  # singular values below this part of the largest leave a rotation 
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
 _STILL = 1e-11  # step below which a descent has ended [rad]
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
-_NOISE_FOUND, _EXACT = 1e-2, 1e-12  # part of the noise, and noise [m], to which it is found
+_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise below which it is found: as a part of it, and in m
 _SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
 
 
@@ -99,7 +99,7 @@ def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, f
         moved = _reduced(system, noise).moved(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
-        if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_NOISE_FOUND * estimate, _EXACT):
+        if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_RELATIVE * estimate, _ABSOLUTE):
             break
         noise = estimate
     result = np.array([point.guess for point in points], dtype=float)

@@ -12,7 +12,7 @@ from small_robots import ARM_URDF
 from urdf_trees import urdf_of
 
 import calib
-from calib.robots.description import Description
+from calib.robots.description import Description, schema_text
 
 ODD_NAMES = [
     "a, b",
@@ -240,6 +240,19 @@ def test_a_way_to_measure_gives_a_description_that_loads_and_a_file_that_reads(t
     data = calib.read_measurements(sheet, robot)
     assert data.n_readings == 1
     assert data.ignored == ()
+
+
+@pytest.mark.parametrize("measure", ["tracker", "touch", "camera", "ballbar", "rosbag"])
+def test_the_schema_takes_the_description_of_every_way_to_measure(tmp_path, run_calib, measure):
+    jsonschema = pytest.importorskip("jsonschema")
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    assert run_calib("init", "arm.urdf", "--measure", measure, "--out", "arm.yaml", cwd=tmp_path).code == 0
+    validator, text = jsonschema.Draft202012Validator(json.loads(schema_text())), (tmp_path / "arm.yaml").read_text()
+    assert list(validator.iter_errors(yaml.safe_load(text))) == []
+    if measure == "camera":
+        short = text.replace("arm_board.yaml", "chessboard:9x6:25mm")
+        assert list(validator.iter_errors(yaml.safe_load(short))) == []
+        assert list(validator.iter_errors(yaml.safe_load(text.replace('"arm_board.yaml"', "9"))))
 
 
 def test_the_schema_takes_what_descriptions_say_and_refuses_a_misspelt_key(tmp_path, run_calib):

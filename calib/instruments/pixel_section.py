@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import read_text
@@ -22,6 +22,24 @@ from calib.instruments.kind import InstrumentSection
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[_Number, Field(gt=0)]
 _COLUMNS = ("point", "x", "y", "z")
+
+
+def _folder(info: ValidationInfo) -> Path:
+    """Folder of the description, beside which the files are that it names."""
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder
+
+
+def _board(given: Any, info: ValidationInfo) -> Any:
+    """The board of a mapping, of a file, or of its short form."""
+    if given is None or isinstance(given, Board):
+        return given
+    try:
+        if isinstance(given, str):
+            return read_board(given, f"board: {given}", _folder(info))
+        return checked_board(given, "board")
+    except DescriptionError as error:
+        raise ValueError(str(error).removeprefix("board: ")) from None
 
 
 class CameraSection(PosedSection):
@@ -83,7 +101,7 @@ class PixelSection(InstrumentSection):
     unknown_intrinsics: UnknownIntrinsicsSection | None = None
     points: dict[str, tuple[Length, Length, Length]] = Field(default_factory=dict)
     points_file: str | None = None
-    board: Board | None = None
+    board: Annotated[Board | None, BeforeValidator(_board, json_schema_input_type=Board | str | None)] = None
     image: tuple[_Positive, _Positive] | None = None
     focus: tuple[PositiveLength, PositiveLength] | None = None
     columns: str | None = None
@@ -95,19 +113,15 @@ class PixelSection(InstrumentSection):
         """Read the points of a file, so that it does not matter where they came from."""
         if not isinstance(value, dict):
             return value
-        folder = (info.context or {}).get("folder", Path())
         sources = [key for key in ("points", "points_file", "board") if value.get(key)]
         if len(sources) > 1:
             raise ValueError(f"has {sources[0]} and {sources[1]}; leave one of them out")
+        file = value.get("points_file")
+        if not isinstance(file, str):
+            return value
+        rest = {key: entry for key, entry in value.items() if key != "points_file"}
         try:
-            if value.get("board"):
-                board = _board(value["board"], folder)
-                return {**value, "board": board.model_dump(exclude_none=True)}
-            file = value.get("points_file")
-            if not isinstance(file, str):
-                return value
-            rest = {key: entry for key, entry in value.items() if key != "points_file"}
-            return {**rest, "points": read_points(folder / file)}
+            return {**rest, "points": read_points(_folder(info) / file)}
         except DescriptionError as error:
             raise ValueError(str(error)) from None
 
@@ -118,13 +132,6 @@ class PixelSection(InstrumentSection):
         if self.focus is not None and not self.focus[0] < self.focus[1]:
             raise ValueError("focus: needs the smaller distance first, such as [250 mm, 900 mm]")
         return self
-
-
-def _board(given: Any, folder: Path) -> Board:
-    """The board of a mapping, of a file, or of its short form."""
-    if not isinstance(given, str):
-        return checked_board(given, "board")
-    return read_board(given, f"board: {given}", folder)
 
 
 def read_points(path: Path) -> dict[str, tuple[float, float, float]]:

@@ -54,6 +54,8 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
 _KEY = """\
 | column | meaning |
 |---|---|
+| code | "placed": only base and target are fitted. "auto": with `--terms auto`; "this project" alone fits joint \
+origins. "priors": with the sizes of errors that this project gets |
 | splits | on how many splits a code gave an answer. A split is one way to part the rows of a robot into those that \
 codes fit and those that no code sees |
 | better, tie, worse | on how many splits a code predicts unseen rows better than this project (the line without \

@@ -141,3 +141,14 @@ def test_shells_complete_commands(spawn_calib, monkeypatch, shell):
     monkeypatch.setenv("COMP_WORDS", "calib wat")
     monkeypatch.setenv("COMP_CWORD", "wat" if shell == "fish" else "1")
     assert "watch" in spawn_calib().out
+
+
+def test_a_tracker_that_moved_half_way_is_not_answered_by_joint_terms(robot, data):
+    rows = {name: np.array(values) for name, values in data.to_dict().items()}
+    (x,) = (name for name in rows if name.startswith("reflector_x"))
+    rows[x] = rows[x].astype(float) + 0.5 * (np.arange(len(data)) >= 40)  # mm
+    moved = calib.fit(robot, rows)
+    first = moved.verdict.reasons[0]
+    assert (first.grade, "a base that moved" in first.text or "or base that moved" in first.text) == ("CHECK", True)
+    assert "describe setups" in first.text
+    assert "--terms" not in after_fit(moved, "a.yaml", ["b.csv"], "out")

@@ -57,6 +57,8 @@ KINDS: tuple[Kind, ...] = tuple(kind for family in FAMILIES for kind in family)
 """All kinds."""
 IN_COURSE: tuple[Kind, ...] = ("drift", "turning", "growth", "slip", "zero")
 """Kinds that change in the course of the measurement, and go on changing after it."""
+MOVED: tuple[Kind, ...] = ("drift", "turning", "slip")
+"""Kinds of what moved beside the robot: its base, an instrument or a target."""
 FOLLOW_JOINTS: tuple[Kind, ...] = ("joint", "coupling")
 """Kinds that follow the values of joints: at poses like those measured they stay as they are."""
 ORDERS = range(1, 121)

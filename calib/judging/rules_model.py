@@ -17,7 +17,7 @@ from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain
-from calib.judging.effects import IN_COURSE
+from calib.judging.effects import IN_COURSE, MOVED
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.residual_patterns import describe
 from calib.judging.rules_noise import impossible, in_words
@@ -290,12 +290,15 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
     for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
         if kinds:
-            largest = max(pattern.size for pattern in kinds)
+            worst = max(kinds, key=lambda pattern: pattern.size)
+            moved = worst.kind in MOVED
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
-                " intervals do not include it",
-                counted=kinds is not changing or (largest < AT_END * left and grows < AFTER * left),
+                " intervals do not include it"
+                + ("; if something moved, use the rows before or after that, or describe setups" if moved else ""),
+                answer=Answer.CORRECT if moved else None,
+                counted=kinds is not changing or (worst.size < AT_END * left and grows < AFTER * left),
             )
 
 

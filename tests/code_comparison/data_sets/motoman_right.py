@@ -51,7 +51,7 @@ DATA = Arm(
         " 8 % over all",
         "second half of a file unseen": "79 rows of one region do not show what another region is like. With priors"
         " from a third to ten times as wide, fits leave 0.062 to 0.067 mm in these rows, and 0.12 to 0.14 mm in the"
-        " others; FIGAROH with the same priors leaves 0.143 mm there. The fitted rows do not show which priors are"
-        " better, so they stay as stated for all data",
+        " others; FIGAROH's `map`, with the same priors, leaves 0.144 mm there. The fitted rows do not show which"
+        " priors are better, so they stay as stated for all data",
     },
 )

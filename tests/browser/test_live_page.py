@@ -165,6 +165,11 @@ def test_the_cockpit_stands_above_the_picture_another_fit_replaces_it_and_both_o
     cockpit, pane = tab.page.locator("#cockpit").bounding_box(), tab.page.locator("#pane").bounding_box()
     assert cockpit["y"] + cockpit["height"] <= pane["y"] + 1  # nothing over the robot
     assert pane["height"] > 400
+    usual = tab.page.viewport_size
+    for width in (1600, 1400, 1200, 1000):
+        tab.page.set_viewport_size({"width": width, "height": 900})
+        assert tab.page.locator("#told").bounding_box()["width"] > 300  # sentences, no column of single words
+    tab.page.set_viewport_size(usual)
     signal = tab.page.locator("#signal")
     assert signal.inner_text() == "GO"
     assert signal.bounding_box()["height"] > 80  # [px]: letters of 2 cm on a usual screen

@@ -111,6 +111,21 @@ def test_no_spinner_where_nobody_watches(run):
     assert run(function, "do") == (0, "", "")
 
 
+def test_long_work_tells_a_file_how_far_it_is_unless_quiet(run, monkeypatch):
+    def function(output):
+        with output.working("thinking") as progress:
+            progress(1, 3)
+            clock[0] += 59.0
+            progress(2, 3)
+            clock[0] += 2.0
+            progress(3, 3)
+
+    clock = [0.0]
+    monkeypatch.setattr("calib.commands.common.time.monotonic", lambda: clock[0])
+    assert run(function, "do") == (0, "", "thinking: 3 of 3\n")
+    assert run(function, "do", "--quiet") == (0, "", "")
+
+
 def test_usage_errors_name_the_command_and_its_help(run):
     assert run(print, "do", "--jso", "x")[2] == (
         "tool do: No such option '--jso'. Did you mean '--json'? (see tool do --help)\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import logging
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -40,6 +41,7 @@ SIGMA_HELP = (
 FORCED = "Also replace files that this program did not write, or that this command reads."
 """What --force does, in every command."""
 _REMARKS = 5
+_LINE_EVERY = 60.0  # [s] between lines on how far long work is, where no terminal shows it
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,32 @@ class Output:
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:
-        """Show a spinner on a terminal while something takes its time; tell what is given how far it is."""
+        """Show a spinner on a terminal while something takes its time; tell what is given how far it is.
+
+        Where standard error is a file, it gets a line a minute.
+        """
         console = Console(stderr=True)
-        if self.quiet or not console.is_terminal:
+        if self.quiet:
             yield lambda done, total: None
+            return
+        if not console.is_terminal:
+            yield _line_now_and_then(what)
             return
         with console.status(what) as status:
             yield lambda done, total: status.update(f"{what}: {done} of {total}")
+
+
+def _line_now_and_then(what: str) -> Progress:
+    """Return what tells standard error how far the work is, once in a while."""
+    last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY:
+            last = time.monotonic()
+            click.echo(f"{what}: {done} of {total}", err=True)
+
+    return tell
 
 
 def shared_options(

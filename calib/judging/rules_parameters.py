@@ -82,11 +82,15 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     lengths = scale(setting)
     if fit.computed or not np.any(lengths):
         return
-    scaled, part = _cost_with(fit, lengths, is_scale=True)
+    turned = gains(setting)
+    linear, k = findings.linear(fit), 1 + turned.shape[1]
+    columns = [lengths, turned, linear.rows.jacobian, linear.rows.residuals[:, None]]
+    measured = reduced(np.hstack(columns)) / linear.factor  # once: any of these columns have the same products
+    scaled, part = _cost_with(fit, measured[:, :1], measured[:, k:], is_scale=True)
     if abs(part) <= SCALED:
         return
-    alone, _ = _cost_with(fit, lengths[:, :0])
-    geared, _ = _cost_with(fit, gains(setting))
+    alone, _ = _cost_with(fit, measured[:, :0], measured[:, k:])
+    geared, _ = _cost_with(fit, measured[:, 1:k], measured[:, k:])
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
@@ -96,12 +100,18 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def _cost_with(fit: Fit, columns: FloatArray, *, is_scale: bool = False) -> tuple[float, float]:
-    """Return the least cost if whitened `columns` (n_rows, k) are tried beside the parameters, and the first's size."""
-    linear, inside = findings.linear(fit), ~fit.unknowns.placement
-    k = columns.shape[1]
-    measured = reduced(np.hstack([columns, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor)
-    priors = np.hstack([np.zeros((len(inside), k)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
+def _cost_with(fit: Fit, columns: FloatArray, measured: FloatArray, *, is_scale: bool = False) -> tuple[float, float]:
+    """Return the least cost if columns (n, k) are tried beside the parameters, and the first's size.
+
+    Args:
+        fit: The fit.
+        columns: What is tried, over the noise found.
+        measured: Derivatives by the parameters, and residuals, reduced together with the columns, (n, n_free + 1).
+        is_scale: Whether the column scales all lengths, and noise with them.
+    """
+    inside, deviations = ~fit.unknowns.placement, fit.rows.deviations
+    k, measured = columns.shape[1], np.hstack([columns, measured])
+    priors = np.hstack([np.zeros((len(inside), k)), np.eye(len(inside)), deviations[:, None]])[inside]
     matrix, right = np.split(np.vstack([measured, priors]), [-1], axis=1)
     size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1.0

@@ -213,9 +213,9 @@ def main() -> None:
     if elsewhere:
         near = [sum(0.75 <= ratio <= 1.33 for ratio in ratios) for ratios in zip(*elsewhere, strict=True)]
         words += (
-            f" Of {len(elsewhere)} fits that claim positions, {near[0]} have errors within 0.75 to 1.33 times the claim"
-            f" at poses like those measured; {near[1]} have errors within 0.75 to 1.33 times the claim for the"
-            " validation poses."
+            f" {len(elsewhere)} fits claim positions. In {near[0]} of them, errors at the validation poses are 0.75 to"
+            f" 1.33 times the claim of the verdict, which is for poses like those measured. In {near[1]},"
+            " they are 0.75 to 1.33 times the error that is expected at the validation poses themselves."
         )
     print(words)
     if options.page:

@@ -172,8 +172,8 @@ def page(folder, rounds, draws):
     yield """# Performance
 
 For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. What is
-compared ran alternately in one run, with one thread of linear algebra; figures are the shortest of 15 runs.
-`python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
+compared ran in turn, with one thread of linear algebra. Kinematics and fits are the shortest of 15 runs, whole commands
+of 3. `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
 [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 
 ## Kinematics through closed loops
@@ -191,7 +191,7 @@ once use it, and so does code under `with calib.robots.acceleration.compiled():`
     for row in rows:
         yield f"| {' | '.join(row)} |"
     yield """
-Closing, positions and columns, what every step of a fit needs, of 420 poses of each robot:
+Three robots with loops, 420 poses each: the work that is called *both* above, after a smaller step of the parameters:
 
 | robot | parameters | over Pinocchio's loop | with `fast` |
 |---|---:|---:|---:|"""
@@ -229,7 +229,8 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 
 From one prompt to the next, with simulated measurements, modules compiled to byte code, and kinematics by numba. The
 unit is a program that only imports the libraries that a fit with pages needs; times are those of the machine that made
-this page. Many rows ran once. Alone: `python tests/benchmarks/whole_commands.py`.
+this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. Alone:
+`python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """

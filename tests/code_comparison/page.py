@@ -58,10 +58,10 @@ _KEY = """\
 origins. "priors": with the sizes of errors that this project gets |
 | splits | on how many splits a code gave an answer. A split is one way to part the rows of a robot into those that \
 codes fit and those that no code sees |
-| better, tie, worse | on how many splits a code predicts unseen rows better than this project (the line without \
-numbers), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of squared \
-errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or 1 in 100 (images, \
-printers) |
+| better, tie, worse | on how many splits a code predicts unseen rows better than this project (for arms, its \
+line `auto`), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of \
+squared errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or \
+1 in 100 (images, printers) |
 | error | RMS of unseen rows, divided by that of this project: median over the splits. Above 1, this project is better |
 | claim | the error that a code states for the calibrated robot, divided by the error in unseen rows: median and \
 range. Below 1, the claim is too small. \\*: the code states no error of new poses; this is the RMS of its own \
@@ -106,10 +106,14 @@ def _best(own: dict[str, Row]) -> Row:
 def _standing(rows: Sequence[Row]) -> str:
     pairs = [(ours, _best(own)) for told, own in _splits(rows) if (ours := _own(told, own)) and len(own) > 1]
     even = sum(best["code"] == ours["code"] or best.get("compared") == "tie" for ours, best in pairs)
-    behind = [ours["rms"] / best["rms"] - 1 for ours, best in pairs if ours["rms"] > BEHIND * best["rms"]]
+    far = [(ours, best) for ours, best in pairs if ours["rms"] > BEHIND * best["rms"]]
+    ties = sum(best.get("compared") == "tie" for _, best in far)
     words = "It is nowhere more than 3 % behind the best."
-    if behind:
-        words = f"On {len(behind)} it is more than 3 % behind the best, by up to {100 * max(behind):.0f} %."
+    if far:
+        most = max(ours["rms"] / best["rms"] - 1 for ours, best in far)
+        words = (
+            f"On {len(far)} it is more than 3 % behind the best ({ties} ties among them), by up to {100 * most:.0f} %."
+        )
     return (
         f"On {even} of {len(pairs)} splits this project predicts unseen rows best, or in a tie with the best (arms:"
         f" with `--terms auto`). {words}"

@@ -113,7 +113,7 @@ def report_page(
             only_positions=all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
-            uncounted=fit.identification_uncertainty.remark(),
+            counted=f"{fit.uncertainty.counted}{fit.identification_uncertainty.remark()}",
             sources=sources(fit),
             versions=versions(),
             program=PROGRAM,

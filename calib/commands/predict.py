@@ -21,7 +21,6 @@ from calib.data.measurements import Poses
 from calib.judging.claim import ErrorElsewhere
 from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
 from calib.robots.configurations import near_singularities
-from calib.robots.robot import Robot
 from calib.rows.told_positions import ToldPositions
 
 _FURTHER = 1.05
@@ -51,7 +50,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
     content["near_singular"] = remarks
     if result:
-        text, summary, remark = _with_uncertainty(model, poses, result, comment)
+        known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
+        text, summary, remark = _with_uncertainty(known, poses, comment)
         content["position_uncertainty"] = summary
         content["claim"] = claim = read_result(result)["verdict"].get("claim")
         content["expected"], expected = _expected(claim, summary)
@@ -67,7 +67,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
             output.say(expected)
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}), without what the model leaves out{remark}"
+            f" (pose {summary['worst_pose']}), {known.uncertainty.counted}{remark}"
         )
     output.json(content)
 
@@ -90,12 +90,9 @@ def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict
     return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
 
 
-def _with_uncertainty(
-    model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
-) -> tuple[str, dict[str, Any], str]:
+def _with_uncertainty(known: ToldPositions, poses: Poses, comment: tuple[str, ...]) -> tuple[str, dict[str, Any], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
     predicted = known.at(poses.joints, poses.conditions)
     measured = predicted.measured or predicted  # what is written is where the instruments see it
-    text = format_positions(model, poses, measured.positions, comment, measured.std)
+    text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
     return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

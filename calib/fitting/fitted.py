@@ -20,6 +20,7 @@ from calib.fitting.outliers import Outlier
 from calib.fitting.regions import Regions, disagreeing
 from calib.fitting.starts import Starts
 from calib.fitting.terms.candidate_terms import TermChoice
+from calib.fitting.unexplained import unexplained_joint_error
 from calib.joint_terms.term import Context
 from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import Rank
@@ -349,7 +350,22 @@ class Fit(ReadOnlyArrays):
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
         factor = self.statistics.coverage_factor
-        return ParameterUncertainty(self.free, self.covariance.values, factor, self.undecided)
+        return ParameterUncertainty(self.free, self.covariance.values, factor, self.undecided, self.joint_error)
+
+    @cached_property
+    def joint_error(self) -> float:
+        """Error of each joint that residuals show beside noise, another one at each pose.
+
+        In rad, of a joint that slides in characteristic lengths; 0 where there is none.
+        """
+        if self.computed:
+            return 0.0
+        observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
+        scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
+        by_joint = self.whitening.joint_columns(observed)[:, : len(scale)] * scale
+        root = np.sqrt(self.weights)[layout.reading]
+        residuals = self.whitening.flatten({name: part.residuals for name, part in observed.items()})
+        return unexplained_joint_error(layout, root * residuals, root[:, None] * by_joint, self.statistics)
 
     @property
     def undecided(self) -> UndecidedTerms | None:

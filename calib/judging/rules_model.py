@@ -295,7 +295,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
-                " intervals do not include it"
+                " intervals of parameters do not include it"
                 + ("; if something moved, use the rows before or after that, or describe setups" if moved else ""),
                 answer=Answer.CORRECT if moved else None,
                 counted=kinds is not changing or (worst.size < AT_END * left and grows < AFTER * left),

@@ -212,8 +212,9 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     if better or no_worse:
         outcome = "get better beyond chance" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers; intervals do not"
-            " include it. State the noise of robot and sensor together (--sigma-mm)"
+            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers: the"
+            " uncertainty of positions counts it as errors of the joints. State the noise of robot and sensor together"
+            " (--sigma-mm)"
         )
         return Code.NOISE.says(text)
     text += (

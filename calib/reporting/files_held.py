@@ -108,6 +108,7 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
                 "formats": formats_that_hold(holds, fit.nominal),
                 "values": name_of_values(files, holds) or None,
                 "interval_degrees_of_freedom": reduced[holds].statistics.interval_freedom if holds in reduced else None,
+                "joint_error": reduced[holds].joint_error if holds in reduced else None,
                 "poses": accuracy.poses.name.lower(),
                 "n_poses": accuracy.n_poses,
                 "part": accuracy.part,

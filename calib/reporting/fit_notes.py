@@ -168,8 +168,8 @@ def _positions(fit: Fit) -> list[str]:
         summary = uncertainty.summary()
         lines.append(
             f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {errors.data.names[uncertainty.worst]}), over the {name}, without what the model leaves"
-            f" out{uncertainty.remark()}"
+            f" (pose {errors.data.names[uncertainty.worst]}), over the {name},"
+            f" {fit.uncertainty.counted}{uncertainty.remark()}"
         )
     return lines
 

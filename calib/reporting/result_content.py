@@ -76,6 +76,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
             "interval_degrees_of_freedom": fit.statistics.interval_freedom,
             "widened": fit.widened,
+            "joint_error": fit.joint_error,
             "shared": None if fit.statistics.shared is None else fit.statistics.shared.ratio,
             "repeatability": repeatability(fit.identification)[0],
             "repeats": repeat_table(fit.identification),

@@ -94,6 +94,7 @@ class _Result(_Part):
     degrees_of_freedom: Annotated[_Number, Field(gt=0)]
     interval_degrees_of_freedom: _Number | None
     widened: Annotated[_Number, Field(ge=1)] = 1.0
+    joint_error: Annotated[_Number, Field(ge=0)] = 0.0
     shared: Annotated[_Number, Field(gt=0)] | None
     parameters: list[_Parameter]
     errors: dict[str, _States]

@@ -196,12 +196,15 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
         covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
-    freedom = (entry if entry.get("values") else content).get("interval_degrees_of_freedom")
-    if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
+    own = entry if entry.get("values") else content
+    freedom, joint_error = own.get("interval_degrees_of_freedom"), own.get("joint_error", 0.0)
+    numbers = np.all(np.isfinite(covariance)) and isinstance(freedom, (int, float)) and 0 < freedom < _MOST_FREEDOM
+    if not numbers or not isinstance(joint_error, (int, float)) or joint_error < 0:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
     undecided = None if entry.get("values") else _undecided_terms(folder, content, robot)
-    return ParameterUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)), undecided)
+    factor = float(scipy.special.stdtrit(freedom, 0.975))
+    return ParameterUncertainty(free, covariance, factor, undecided, float(joint_error))
 
 
 def _undecided_terms(folder: Path | str, content: dict[str, Any], robot: Robot) -> UndecidedTerms | None:

@@ -131,7 +131,8 @@ class Frame(ReadOnlyArrays):
         assert self.known.uncertainty is not None
         joints, uncertainty = self.motion.joints, self.known.uncertainty
         linear = uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
-        return self.motion.following(linear.jacobian[..., uncertainty.counting(self.robot, self.counts)])
+        counts = uncertainty.counting(self.robot, self.counts)
+        return self.motion.following(linear.jacobian[..., counts]) * uncertainty.lasting(self.robot)[counts]
 
 
 def as_described(robot: Robot) -> Robot:

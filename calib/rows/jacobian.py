@@ -41,21 +41,26 @@ class Linearisation:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
         jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
             for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
+        by_joint: The same by the actuated joints, where they were asked for.
     """
 
     positions: FloatArray
     jacobian: FloatArray
+    by_joint: FloatArray | None = None
 
 
-def linearise(robot: Robot, configurations: Configurations, *, turns: bool = False) -> Linearisation:
+def linearise(
+    robot: Robot, configurations: Configurations, *, turns: bool = False, joints: bool = False
+) -> Linearisation:
     """Positions of all targets and their derivative by every parameter, at the robot's current values.
 
     Args:
         robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
         turns: Whether the derivative of the targets' orientations is wanted too.
+        joints: Whether derivatives by the actuated joints are wanted too.
     """
-    if not robot.terms:
+    if not robot.terms and not joints:
         twists = parameter_twists(robot)
         return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
     twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
@@ -63,7 +68,9 @@ def linearise(robot: Robot, configurations: Configurations, *, turns: bool = Fal
     n, n_targets, n_rows, width = both.shape
     every = np.arange(len(robot.parameters))
     jacobian = by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
-    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1))
+    first = robot.coefficients.start
+    by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
+    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1), by_joint)
 
 
 @one_blas_thread

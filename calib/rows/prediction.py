@@ -5,8 +5,13 @@
 and in the same way that of a target's orientation, as a small turn about the axes of the measurement frame.
 
 Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
-so a position can be known to micrometres although no single parameter is. Only noise is counted: what the model leaves
-out, and what the robot does not repeat, come on top.
+so a position can be known to micrometres although no single parameter is. What the model leaves out counts as an error
+of each joint that is another one at each pose, as large as residuals show it (`calib.fitting.unexplained`):
+
+    covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
+
+Where the noise of the readings is not known, it does not show, and comes on top. So does what the robot does not
+repeat.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They stand beside the free parameters, in C and in B, and the free parameters follow them.
@@ -255,8 +260,8 @@ class UncertainLinear(ReadOnlyArrays):
         robot: The robot, with joint terms that are undecided, coefficients zero.
         configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
-        jacobian: Of positions and small turns, (n_poses, n_targets, 6, n_uncertain): by the free parameters, then by
-            coefficients of undecided terms.
+        jacobian: Of positions and small turns, (n_poses, n_targets, 6, n_uncertain): by the free parameters, by
+            coefficients of undecided terms, then by the joints that are off.
     """
 
     robot: Robot
@@ -274,21 +279,37 @@ class ParameterUncertainty(ReadOnlyArrays):
         covariance: Of these, if it has no other joint terms, (n_free, n_free) [m, rad].
         coverage_factor: How many standard deviations make half a 95 % interval.
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
+        joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
+            in characteristic lengths].
     """
 
     free: BoolArray
     covariance: FloatArray
     coverage_factor: float
     undecided: UndecidedTerms | None = None
+    joint_error: float = 0.0
+
+    @property
+    def counted(self) -> str:
+        """Say of positions whether they count what the model leaves out."""
+        if self.joint_error == 0.0:
+            return "without what the model leaves out"
+        return f"with joints {1e3 * self.joint_error:.2g} mrad off by what the model leaves out"
+
+    def lasting(self, robot: Robot) -> BoolArray:
+        """Return what of all that is uncertain is the same at every pose, (n_uncertain,)."""
+        n_changing = self._n_off(robot)
+        n_lasting = int(np.sum(self.free)) + len(self._more(robot))
+        return np.arange(n_lasting + n_changing) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
-        """Return which of all that is uncertain counts, (n_uncertain,): coefficients of undecided terms do.
+        """Return which of all that is uncertain counts, (n_uncertain,): beside free parameters all of it.
 
         Args:
             robot: The calibrated robot.
             counts: Which of the free parameters do, (n_free,).
         """
-        return np.append(counts, np.ones(len(self._more(robot)), dtype=bool))
+        return np.append(counts, np.ones(len(self._more(robot)) + self._n_off(robot), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all that is uncertain, (n_uncertain, n_uncertain) [SI].
@@ -296,12 +317,15 @@ class ParameterUncertainty(ReadOnlyArrays):
         Args:
             robot: The calibrated robot.
         """
-        if self.undecided is None:
+        if self.undecided is None and self.joint_error == 0.0:
             return self.covariance
-        names = self._free_names(robot)
-        spread = self.undecided.of_parameters([*names, *self._more(robot)])
-        total = spread @ spread.T
-        total[: len(names), : len(names)] += self.covariance
+        total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
+        names = [*self._free_names(robot), *self._more(robot)]
+        if self.undecided is not None:
+            spread = self.undecided.of_parameters(names)
+            total[: len(names), : len(names)] += spread @ spread.T
+        n_free = len(self.covariance)
+        total[:n_free, :n_free] += self.covariance
         return total
 
     def linearised(
@@ -324,11 +348,18 @@ class ParameterUncertainty(ReadOnlyArrays):
             place = {p.name: k for k, p in enumerate(whole.parameters)}
             index = np.array([place[name] for name in (*self._free_names(robot), *self._more(robot))], dtype=np.intp)
         configurations = whole.assemble(q, near, context=context)
-        linear = linearise(whole, configurations, turns=True)
-        return UncertainLinear(whole, configurations, linear.positions, linear.jacobian[..., index])
+        linear = linearise(whole, configurations, turns=True, joints=self.joint_error > 0.0)
+        jacobian = linear.jacobian[..., index]
+        if linear.by_joint is not None:
+            jacobian = np.concatenate([jacobian, linear.by_joint * whole.mechanism.joint_scale], axis=-1)
+        return UncertainLinear(whole, configurations, linear.positions, jacobian)
 
     def _free_names(self, robot: Robot) -> list[str]:
         return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
+
+    def _n_off(self, robot: Robot) -> int:
+        """Number of joints that are off."""
+        return len(robot.joint_names) if self.joint_error > 0.0 else 0
 
     def _more(self, robot: Robot) -> tuple[str, ...]:
         """Names of the coefficients of undecided terms."""

@@ -99,9 +99,8 @@ class ToldPositions(ReadOnlyArrays):
         """How common motion follows what is uncertain, (k, n_uncertain)."""
         assert self.motion is not None
         joints = self.motion.joints
-        return self.motion.following(
-            self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape)).jacobian
-        )
+        linear = self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
+        return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
 
 
 _ROWS = (slice(3), slice(3, 6))  # of positions and of turns

@@ -20,7 +20,9 @@ from calib.rows.frames import Frame
 from calib.rows.prediction import length95, rms_length
 from calib.using.goals import Goals
 
-COUNTED = "expected errors include measurement noise and the priors, not what the model leaves out"
+COUNTED = (
+    "expected errors include measurement noise, the priors, and what residuals show beyond the noise that is known"
+)
 """What an expected error counts."""
 
 

@@ -105,7 +105,7 @@ class Panel {
     }
     if (predicted) {
       lines.push(element("p", { id: "predicted" }, `Predicted positions are known to ${millimetres(predicted[0])} mm on average over all poses, ${millimetres(predicted[1])} mm`
-        + " at worst (1\u03c3, without what the model leaves out)"));
+        + " at worst (1\u03c3)"));
     }
     return lines;
   }

@@ -229,7 +229,7 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 
 From one prompt to the next, with simulated measurements, modules compiled to byte code, and kinematics by numba. The
 unit is a program that only imports the libraries that a fit with pages needs; times are those of the machine that made
-this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. Alone:
+this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. This table alone:
 `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
@@ -237,7 +237,7 @@ this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. A
 ## Evaluations
 
 Evaluations of a fit as the stated noise shrinks from 1 mm to 1 um and the data stay the same; * would mark a fit that
-did not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
+did not converge. This table alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
 """
     yield from evaluations.table(robots)
     yield """
@@ -245,14 +245,14 @@ did not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
 
 Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, 67 of each sort, from the same
 start, with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are
-fewer fits, rows that do not determine the robot were refused. Alone:
+fewer fits, rows that do not determine the robot were refused. This table alone:
 `python tests/benchmarks/evaluations.py --subsets 67 --data FOLDER`.
 """
     yield from evaluations.subset_table(evaluations.clustered(folder), SUBSETS)
     yield """
 ## Growth
 
-Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. Alone:
+Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. This table alone:
 `python tests/benchmarks/growth.py --data FOLDER`.
 """
     yield from growth.table(folder, max(rounds // 5, 1))

@@ -54,10 +54,11 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
 _KEY = """\
 | column | meaning |
 |---|---|
-| code | "placed": only base and target are fitted. "auto": with `--terms auto`; "this project" alone fits joint \
-origins. "priors": with the sizes of errors that this project gets |
+| code | "placed": only base and target are fitted. "auto": with `--terms auto`; "this project" without "auto" fits \
+only joint origins. "priors": with the sizes of errors that this project gets |
 | splits | on how many splits a code gave an answer. A split is one way to part the rows of a robot into those that \
-codes fit and those that no code sees |
+codes fit and those that no code sees. A code that answered nowhere (such as "no priors": origins without priors) has \
+no line here |
 | better, tie, worse | on how many splits a code predicts unseen rows better than this project (for arms, its \
 line `auto`), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of \
 squared errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or \
@@ -67,7 +68,7 @@ squared errors, row by row, gives a chance below 1 in 1000 (arms, whose rows fol
 range. Below 1, the claim is too small. \\*: the code states no error of new poses; this is the RMS of its own \
 residuals |
 | verdict right | PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot, \
-otherwise another grade |
+otherwise another grade. Counted are the splits on which an RMS error is claimed |
 | fit, command, memory | processor time of the fit and of the whole process, and its largest memory: medians over the \
 splits |
 | lines | those that a user writes for one problem |"""

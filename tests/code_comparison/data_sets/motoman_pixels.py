@@ -91,7 +91,8 @@ def _splits(folder: Path) -> Iterator[Split]:
 DATA = Watched(
     name="Motoman, pixels",
     robot=motoman_right.DATA.robot,
-    instrument="two cameras; unseen by a laser tracker, base and reflector laid through its points",
+    instrument="two cameras for the fitted rows; a laser tracker for the unseen rows, whose points also place base and"
+    " reflector",
     origin="https://github.com/ctu-vras/multirobot-calibration (same poses as above)",
     licence=motoman_right.DATA.licence,
     columns="camera/poses.csv: pose, joints [rad], x y z [m] by the tracker, use; pixels.csv: pose, camera, marker, u v"

@@ -69,7 +69,7 @@ def _splits(folder: Path) -> Iterator[Split]:
 DATA = Stations(
     name="Tilting base",
     robot="arm on a column on tracks (Trailblazer), its column as one joint",
-    instrument="total station; placed at each height by the points for that",
+    instrument="total station, whose stationing points place the base at each height of the column",
     origin="https://github.com/Hilti-Research/construction_robot_stationing_datasets",
     licence="CC BY-NC-SA 3.0",
     columns="flat.csv, pallet.csv, outdoor.csv: pose, S or E, height [m], configuration of the arm, id, time [s],"

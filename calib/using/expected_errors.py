@@ -21,7 +21,8 @@ from calib.rows.prediction import length95, rms_length
 from calib.using.goals import Goals
 
 COUNTED = (
-    "expected errors include measurement noise, the priors, and what residuals show beyond the noise that is known"
+    "expected errors include measurement noise and the priors,"
+    " and what the model leaves out only where the noise is known"
 )
 """What an expected error counts."""
 

@@ -32,6 +32,7 @@ from calib.pictures import Plots
 from calib.planning.studies.study import study
 from calib.planning.studies.study_result import Study
 from calib.reporting.accuracy import error_sets
+from calib.reporting.loaded_result import CalibratedRobot
 from calib.reporting.report_text import summary, text_report, verdict_lines
 from calib.reporting.result_content import to_dict
 from calib.reporting.results import save
@@ -40,7 +41,7 @@ from calib.robots.robot import Robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration(JudgedFit):
+class Calibration(JudgedFit, CalibratedRobot):
     """A finished fit for users: see `calib.fitting.fitted.Fit` for what it holds, `JudgedFit` for what it is worth."""
 
     _made_by = "calib.fit(robot, data)"
@@ -156,19 +157,6 @@ class Calibration(JudgedFit):
             executor=executor,
             progress=progress,
         )
-
-    @worded
-    def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
-        """Write the calibrated robot for another program; see `calib.export`.
-
-        Args:
-            path: File to write.
-            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
-            force: As in `calib.export`.
-        """
-        from calib.exporting.formats import export  # here: a fit that is not exported loads no writers of formats
-
-        export(self.robot, path, format, force=force)
 
     @worded
     def save(

@@ -28,8 +28,27 @@ from calib.rows.known_robot import KnownRobot
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
 
 
+class CalibratedRobot:
+    """What has a calibrated robot, and writes it for other programs: a fit, and a loaded result."""
+
+    robot: Robot
+
+    @worded
+    def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
+        """Write the calibrated robot for another program; see `calib.export`.
+
+        Args:
+            path: File to write.
+            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
+            force: As in `calib.export`.
+        """
+        from calib.exporting.formats import export  # here: what is not exported loads no writers of formats
+
+        export(self.robot, path, format, force=force)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedResult(ReadOnlyArrays):
+class LoadedResult(ReadOnlyArrays, CalibratedRobot):
     """A fit that was saved.
 
     Attributes:
@@ -150,18 +169,6 @@ class LoadedResult(ReadOnlyArrays):
         """
         robot = self.robot.held_by(holds)
         return robot, load_uncertainty(self.path, robot, holds)
-
-    def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
-        """Write the calibrated robot for another program; see `calib.export`.
-
-        Args:
-            path: File to write.
-            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
-            force: As in `calib.export`.
-        """
-        from calib.exporting.formats import export  # here: a result that is not exported loads no writers of formats
-
-        export(self.robot, path, format, force=force)
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.fitting.fitted.Fit.predict`."""

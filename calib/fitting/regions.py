@@ -19,14 +19,13 @@ import numpy as np
 from calib.base.arrays import IntArray
 from calib.data.measurements import Measurements
 from calib.data.pose_groups import boxes
-from calib.numerics.chances import UNLIKELY
+from calib.numerics.chances import HARDLY, UNLIKELY
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.statistics import Statistics
 from calib.rows.rows import Rows
 
 BLOCKS = 8
 """Number of boxes of joint space that are left out in turn."""
-_HARDLY = 0.05  # chance, shared by all ways of cutting, below which what parameters move by counts
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def disagreeing(data: Measurements, rows: Rows, statistics: Statistics) -> Regio
     apart = [
         Regions(name, ratio, chance < UNLIKELY / len(cuts))
         for name, (ratio, chance) in ratios.items()
-        if chance < _HARDLY / len(cuts) and ratio > 1.0
+        if chance < HARDLY / len(cuts) and ratio > 1.0
     ]
     return max(apart, key=lambda regions: regions.ratio, default=None)
 

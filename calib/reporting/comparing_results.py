@@ -41,7 +41,8 @@ from calib.base.parameter import Parameter, index_of
 from calib.base.words import counted, distinct_names
 from calib.data.tables import read_table
 from calib.fitting.fitted import Fit
-from calib.reporting.result_comparison import REAL_BELOW, Difference, Pair, ResultComparison
+from calib.numerics.chances import HARDLY
+from calib.reporting.result_comparison import Difference, Pair, ResultComparison
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
 from calib.robots import loading
@@ -119,7 +120,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     corrected = holm(raw.ravel()).reshape(raw.shape)
     together = holm(np.array([of_all for _, of_all in tested]))
     places = {p.name for result in loaded for p in result.robot.parameters if p.placement}
-    real = [{name for name, p in zip(names, p_values, strict=True) if p < REAL_BELOW} for p_values in corrected]
+    real = [{name for name, p in zip(names, p_values, strict=True) if p < HARDLY} for p_values in corrected]
     rows = [{row["name"]: row for row in result.content["parameters"]} for result in loaded]
     errors, unit, where, sizes = _errors(loaded)
     return ResultComparison(

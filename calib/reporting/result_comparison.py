@@ -13,9 +13,8 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.other_words import Worded
 from calib.base.words import as_data, counted, listed, plain_text, text_table
+from calib.numerics.chances import HARDLY
 
-REAL_BELOW = 0.05
-"""Chance that anything is called real that is not."""
 _SHOWN = 20
 _LIKELIEST = 5  # parameters to show where none differs
 _WIDTH = 118
@@ -39,7 +38,7 @@ class Difference:
     @property
     def real(self) -> tuple[bool, ...]:
         """Whether each of the other results differs from the first."""
-        return tuple(p < REAL_BELOW for p in self.p_values)
+        return tuple(p < HARDLY for p in self.p_values)
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Pair:
         if self.real:
             outcome = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
             outcome += f", {listed(self.real)}"
-        elif self.together < REAL_BELOW:
+        elif self.together < HARDLY:
             outcome = "the robot differs, but no single parameter is proven to"
         else:
             outcome = "no parameter of the robot differs"
@@ -159,7 +158,7 @@ class ResultComparison(Worded):
 
     def conclusion(self) -> str:
         """Return which differences are real: a line for each two results, and one that says what is marked."""
-        key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {REAL_BELOW:g}."
+        key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {HARDLY:g}."
         return "\n".join([*(pair.sentence() for pair in self.pairs), key])
 
     def to_dict(self) -> dict[str, object]:
@@ -193,7 +192,7 @@ class ResultComparison(Worded):
                     {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": pair.together}
                     for pair in self.pairs
                 ],
-                "chance": REAL_BELOW,
+                "chance": HARDLY,
                 "notes": self.notes,
             }
         )

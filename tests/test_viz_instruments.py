@@ -12,7 +12,9 @@ from viz_examples import undrawn
 
 import calib
 from calib.data.in_memory import as_poses, measurements
-from calib.instruments.kind import Readings
+from calib.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
+from calib.instruments.kinds import KINDS
+from calib.instruments.noise import Noise, PartNoise
 from calib.rows.observed import predicted_readings
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
@@ -306,7 +308,7 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         np.testing.assert_allclose(place("probe/a", pose), [0.5, 0.2, 0.1], atol=1e-12)
         np.testing.assert_allclose(place("probe/b", pose), [0.5, 0.4, 0.1], atol=1e-12)
         np.testing.assert_allclose(place("table/top", pose), [0, 0, 0.04], atol=1e-12)
-        np.testing.assert_allclose(place("wire/end", pose), [1, 0, 0], atol=1e-12)
+        np.testing.assert_allclose(place("wire/wire_end", pose), [1, 0, 0], atol=1e-12)
         np.testing.assert_allclose(place("ball/ball", pose), robot.positions(q)[pose, 0], atol=1e-9)
         np.testing.assert_allclose(place("second/p", pose), robot.positions(q)[pose, 1], atol=1e-9)
     ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
@@ -318,6 +320,51 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         edge.T_body_shape[:3, 2] / edge.T_body_shape[2, 2]
     )  # in the camera's frame, to the first corner of the image
     np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
+
+
+class RopeSection(InstrumentSection):
+    target: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Rope(FrameInstrument):
+    """A distance of another package: the square of how far the target is from a hub."""
+
+    section = RopeSection
+    parts = (Part("square", ("square",), "length", is_distance=True),)
+    hub: Place
+
+    @classmethod
+    def of(cls, name, section):
+        return cls(name, section.target, Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0)), noise=Noise((PartNoise(1e-4),)))
+
+    def places(self):
+        return (self.hub,)
+
+    def pairs(self, base):
+        return ((self.hub.name, self.target),)
+
+    def columns(self):
+        return (Column(f"{self.name}_square", "length"),)
+
+    def predict(self, view, unknowns, details):
+        return np.sum(view.translation**2, axis=1, keepdims=True)
+
+    def compare(self, view, unknowns, readings):
+        by_twist = np.pad(2 * view.translation, ((0, 0), (0, 3)))[:, None]
+        off = self.predict(view, unknowns, readings.details) - readings.values
+        return Comparison(off, by_twist, np.zeros((len(readings), 1, 0)))
+
+
+def test_a_distance_of_another_package_has_a_wire_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(KINDS, "_given", {"rope": Rope})
+    robot = arm(tmp_path, "instruments: {wire: {kind: rope, target: second}}\n")
+    scene = build_scene(robot, None, from_poses(robot, joints(3)))
+    assert {"wire/wire_hub", "second/ball"} <= {shape.name for shape in scene.shapes}
+    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
+    for rope, end in zip(ropes, robot.positions(scene.poses.joints[scene.shown])[:, 1], strict=True):
+        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0.5, 0]], axis=0), atol=1e-9)
+        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0.5, 0]))
 
 
 def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_path):

@@ -13,8 +13,7 @@ import numpy as np
 
 from calib import Robot
 from calib.base.arrays import FloatArray
-from calib.instruments.distance import Distance
-from calib.instruments.kind import Instrument
+from calib.instruments.kind import FrameInstrument, Instrument
 from calib.instruments.pixel import Pixel
 from calib.instruments.touch import Touch
 from viz.bodies import Bodies, PosedRobot
@@ -41,13 +40,16 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
     poses = np.unique(np.linspace(0, len(solid.values) - 1, _WIRES).astype(int))
     placed = [bodies.poses(solid, int(pose)) for pose in poses]
     for instrument in robot.instruments:
-        if isinstance(instrument, Distance):
-            start = bodies.base if instrument.end is None else bodies.names.index(_body(instrument.end.name))
-            end = bodies.names.index(_body(instrument.target))
-            for pose, T in zip(poses, placed, strict=True):
-                name = f"{instrument.name}/wire{pose}"
-                shapes += _rod(name, None, T[start, :3, 3], T[end, :3, 3], 0.001 * robot.mechanism.length, _WIRE)
+        pairs = robot.pairs(instrument) if _tells_distances(instrument) else ()
+        of_first_setup = pairs[: len(pairs) // max(1, len(robot.description.setups))]
+        for k, (pair, T) in enumerate(itertools.product(of_first_setup, placed)):
+            rod = T[pair.a, :3, 3], T[pair.b, :3, 3], 0.001 * robot.mechanism.length
+            shapes += _rod(f"{instrument.name}/wire{k}", None, *rod, _WIRE)
     return tuple(shapes)
+
+
+def _tells_distances(instrument: Instrument) -> bool:
+    return any(part.is_distance for part in instrument.parts)
 
 
 def _body(place: str) -> str:
@@ -59,6 +61,16 @@ def _body(place: str) -> str:
 def _shapes_of(instrument: Instrument, size: float) -> list[Shape]:
     """Shapes of an instrument beside a robot of this size [m]; none of what is no more than its target."""
     return []
+
+
+@_shapes_of.register
+def _(instrument: FrameInstrument, size: float) -> list[Shape]:
+    balls = [_ball(instrument.target, 0.008 * size)] if _tells_distances(instrument) else []
+    places = [
+        primitive(f"{instrument.name}/{place.name}", _body(place.name), "sphere", (0.01 * size,), np.eye(4), _BRASS)
+        for place in instrument.places()
+    ]
+    return balls + places
 
 
 @_shapes_of.register
@@ -79,16 +91,6 @@ def _(touch: Touch, size: float) -> list[Shape]:
     if touch.points_of_artefact:
         for k, (start, end) in enumerate(itertools.pairwise(inside)):
             shapes += _rod(f"{touch.name}/bar{k}", _body(touch.own[0].name), start, end, 0.002 * size, DARK)
-    return shapes
-
-
-@_shapes_of.register
-def _(distance: Distance, size: float) -> list[Shape]:
-    shapes = [_ball(distance.target, 0.008 * size)]
-    if distance.end is not None:
-        shapes.append(
-            primitive(f"{distance.name}/end", _body(distance.end.name), "sphere", (0.01 * size,), np.eye(4), _BRASS)
-        )
     return shapes
 
 

@@ -46,7 +46,7 @@ from calib.instruments.kind import (
 from calib.instruments.noise import Noise, PartNoise
 from calib.numerics.rigid import centre, common_offset
 
-DISTANCE = Part("distance", ("distance",), "length")
+DISTANCE = Part("distance", ("distance",), "length", is_distance=True)
 _NOTHING = 1e-6  # distance that has no direction [m]
 
 

@@ -41,6 +41,7 @@ class Part:
         largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
         is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
             is told in them, and the noise of positions is theirs.
+        is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Part:
     usual: float = float("inf")
     largest: float = float("inf")
     is_position: bool = False
+    is_distance: bool = False
 
 
 @dataclass(frozen=True)

@@ -75,8 +75,8 @@ def demo_command(out: str, output: Output) -> None:
     after, before = (float(str(result.errors["validation"][state]["rms"])) for state in ("after", "before"))
     used, held = len(result.identification.data), len(data) - len(result.identification.data)
     output.say(
-        f"{used} of the {len(data)} simulated poses were used. At the other {held} the tool is off by {after:.3f} mm"
-        f" (root mean square) where it was off by {before:.2f} mm.\n"
+        f"{used} of the {len(data)} simulated poses were used. At the other {held}, the RMS error of the tool"
+        f" fell from {before:.2f} mm to {after:.3f} mm.\n"
         f"Open {Path(out) / 'report.html'} for the report, and {Path(out) / 'viewer.html'} to look at the robot.\n"
         "With a robot of your own: calib init YOUR.urdf --out robot.yaml"
     )
@@ -184,8 +184,8 @@ def experiment_command(
 ) -> None:
     """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8.
 
-    Beside the paper's model, one with the robot's full geometry and the errors of its rail is identified from poses
-    that are approached from both sides.
+    A second model has the robot's full geometry and the errors of its rail. It is identified from poses that are
+    approached from both sides.
     """
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded

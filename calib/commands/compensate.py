@@ -119,8 +119,8 @@ def command(
     Other moves are refused. All other lines stay.
 
     In a controller's program, only the numbers of the targets change. Targets that it computes at run time are listed
-    with their lines. Poses count from link `base` to link `tool0` if the URDF has them, else from the description's
-    base to the link of its target; --base-link and --flange-link choose others.
+    with their lines. Poses are those of link `tool0` in link `base` if the URDF has them, else those of the target's
+    link in the description's base; --base-link and --flange-link choose others.
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)

@@ -72,7 +72,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     type=click.Choice(["uniform", "random"]),
     default="uniform",
     show_default=True,
-    help="First start of the exchange.",
+    help="How the exchange starts.",
 )
 @click.option(
     "--starts", type=int, default=1, show_default=True, help="Number of starts; all but the first are random."

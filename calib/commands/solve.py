@@ -1,4 +1,4 @@
-"""`calib solve`: joint commands that reach the targets."""
+"""`calib solve`: joint commands that reach goals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from calib.using.inverse import Solution, solve
 @click.argument("robot")
 @click.argument("targets")
 @values_options
-@click.option("--skip-unreachable", is_flag=True, help="List targets that are out of reach, and write the others.")
+@click.option("--skip-unreachable", is_flag=True, help="List goals that are out of reach, and write the others.")
 @click.option(
     "-o", "--out", required=True, metavar="FILE", help="CSV file to write: joint values and positions reached."
 )
@@ -44,7 +44,7 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Find joint values that bring a target of ROBOT to the places in TARGETS (CSV), through the closed loops.
+    """Find joint values that bring a target of ROBOT to the goals in TARGETS (CSV), through the closed loops.
 
     TARGETS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
     TARGET_rx, _ry, _rz (such as 'tool_rx [deg]'; roll, pitch, yaw about fixed axes, as URDF's rpy) to ask for the
@@ -52,11 +52,11 @@ def command(
     Leave empty the cells of a coordinate that the robot cannot choose, such as z if it moves in the plane of x and y.
 
     A column 'pose' names the rows. Columns 'load', 'temperature', 'time', 'setup', 'approach_JOINT' and those of
-    gravity have the conditions at each target, on which joint terms may depend. If inclinometers measure joints, each
+    gravity have the conditions at each goal, on which joint terms may depend. If inclinometers measure joints, each
     row also has the columns of these joints or of their sensors. Joint limits and the home's assembly mode are kept;
     free coordinates stay near home.
 
-    With a result, the written file says how far the real robot is expected to be off at each target, in the measurement
+    With a result, the written file says how far the real robot is expected to be off at each goal, in the measurement
     frame. If the verdict of the calibration finds nothing to correct, the nominal robot is used, with base and targets
     where it agrees best with the calibrated one.
     """
@@ -64,7 +64,7 @@ def command(
     model = with_values(nominal, parameters, result)
     goals = read_goals(targets, model)
     output.check(out)
-    with output.working(f"solving {len(goals)} targets"):
+    with output.working(f"solving {len(goals)} goals"):
         solution = solve(load_known(folder, nominal) if folder else model, goals)
     misses = solution.misses()
     reached = np.flatnonzero(solution.ok)
@@ -94,7 +94,7 @@ def command(
         }
     )
     lines = [
-        f"{len(reached)} of {len(goals)} targets reached ({goals.asks_for}), largest miss"
+        f"{len(reached)} of {len(goals)} goals reached ({goals.asks_for}), largest miss"
         f" {micrometres(float(np.max(solution.miss_position[reached]))):.1e} um; written to {out}"
     ]
     if folder:
@@ -120,7 +120,7 @@ def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
-    """CSV text of the targets that are reached, with the conditions under which they are."""
+    """CSV text of the goals that are reached, with the conditions under which they are."""
     reached = np.flatnonzero(solution.ok)
     reached_goals = goals.subset(reached)
     columns: dict[str, list[object]] = {"pose": list(reached_goals.names)}

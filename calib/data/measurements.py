@@ -232,7 +232,7 @@ class Measurements(Poses):
         )
 
     def read_visits(self) -> Self:
-        """Return the visits at which something was read, of which a camera that saw nothing has none."""
+        """Return the visits at which something was read; at others, a camera may have seen nothing."""
         visits = np.unique(
             np.concatenate([np.zeros(0, dtype=np.intp), *(readings.visits for readings in self.readings.values())])
         )

@@ -207,7 +207,7 @@ class Fit(ReadOnlyArrays):
     def covariance(self) -> Covariance:
         """Covariance of the free parameters of the robot with its joint terms, by name.
 
-        As wide as their intervals, but for terms that `--terms auto` left undecided, which intervals include.
+        Intervals of parameters also include terms that `--terms auto` left undecided.
         """
         return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
 

@@ -77,6 +77,6 @@ def unordered(poses: Poses) -> tuple[str, ...]:
     stated = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
     unseen = "a drift or a slip" if stated else "a drift, a slip or a backlash"
     return (
-        f"the rows seem to be in random order and have no time: {unseen} shows only if this is the order of"
-        " measurement; if it is not, sort them, or add a column 'time'",
+        f"the rows have no time and seem to be in random order. If they were not measured in this order, {unseen} does"
+        " not show: sort them, or add a column 'time'",
     )

@@ -335,7 +335,7 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         return f"lengths that are all read {PARTS_PER_MILLION * pattern.amount:+.0f} ppm too long ({size})"
     if pattern.kind == "slip":
         moved = f"{millimetres(pattern.amount):.3g} mm"
-        return f"target {pattern.name} sits {moved} elsewhere on its link {pattern.detail} ({size})"
+        return f"{pattern.detail}, target {pattern.name} sits {moved} elsewhere on its link ({size})"
     said = {
         "turn": "a turn of the measurement frame",
         "drift": "a shift in the course of the measurement, as of a tracker or base that moved",
@@ -353,5 +353,5 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     unit = DISPLAY_UNIT[dimensions[pattern.name]]
     amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
     if pattern.kind == "wave":
-        return f"an error of joint {pattern.name} that repeats {pattern.detail}, amplitude {amount:.2g} {unit} ({size})"
+        return f"an error of joint {pattern.name} with {pattern.detail}, amplitude {amount:.2g} {unit} ({size})"
     return f"joint {pattern.name} differs by {2 * amount:.2g} {unit} with the direction of approach ({size})"

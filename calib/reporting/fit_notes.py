@@ -249,4 +249,4 @@ def terms_added(fit: Fit) -> list[str]:
         return []
     added = [trial for trial in fit.terms.tried if trial.added]
     names = dict.fromkeys(" or ".join(sorted([trial.term, *trial.together])) for trial in added)
-    return [f"Joint terms added: {', '.join(names) or 'none improves the prediction of poses left out'}"]
+    return [f"Joint terms added: {', '.join(names) or 'none, because none improves the prediction of poses left out'}"]

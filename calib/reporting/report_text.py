@@ -60,12 +60,10 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
     reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
     not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
     if most is not None:
-        hidden, limits = max(len(reasons) - most, 0), len(not_covered)
+        hidden, errors = max(len(reasons) - most, 0), len(not_covered)
         more = [counted(hidden, "more reason")] if hidden else []
-        more += [counted(limits, "limit") + " of this verdict"] if limits else []
-        reasons = reasons[:most]
-        not_covered = [f"  {' and '.join(more)}: --verbose prints {'it' if hidden + limits == 1 else 'them'}"]
-        not_covered = not_covered if more else []
+        more += [counted(errors, "possible error") + " that this verdict does not cover"] if errors else []
+        reasons, not_covered = reasons[:most], [f"  --verbose prints {', and '.join(more)}"] if more else []
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
 
 
@@ -103,7 +101,7 @@ def _worth(fit: Fit) -> list[str]:
         return []
     withheld = {True: " (withheld)", False: ""}
     lines = [f"{line.holds} {line.rms:.4f}{withheld[line.formats.startswith('withheld')]}" for line in worth.lines]
-    return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {', '.join(lines)}"]
+    return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {'; '.join(lines)}"]
 
 
 def _files(fit: Fit) -> list[Table]:

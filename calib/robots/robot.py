@@ -264,7 +264,7 @@ class Robot(RobotData):
 
         Args:
             count: How many.
-            seed: Of the random numbers; or where they come from.
+            seed: Seed, or a generator of random numbers.
             within: Ranges to stay in, inside the joint limits: by name [SI], or joint values that span them,
                 (n, n_actuated) [m or rad].
 

@@ -21,8 +21,8 @@ from calib.rows.prediction import length95, rms_length
 from calib.using.goals import Goals
 
 COUNTED = (
-    "expected errors include measurement noise and the priors,"
-    " and what the model leaves out only where the noise is known"
+    "expected errors include measurement noise and the priors; if the noise is known, they also include what the model"
+    " leaves out"
 )
 """What an expected error counts."""
 

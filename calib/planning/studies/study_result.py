@@ -85,7 +85,7 @@ class DrawSums(ReadOnlyArrays):
         variance: Sum of the squares of claimed standard deviations, (n_free,).
         sigma: Sum of the noise found, (n_groups,) [SI].
         chi_square: Sum of chi-square over its degrees of freedom.
-        chi_square_refused: How many of these a test at 5 % refuses; NaN where no noise is stated.
+        chi_square_refused: How many of these a test at 5 % rejects; NaN where no noise is stated.
         outliers: How many name an outlier.
         squares: Sum of squared distances of predicted from true positions elsewhere, (n_poses, n_targets) [m^2].
         positions_held: How many 95 % intervals hold each true coordinate elsewhere, (n_poses, n_targets, 3).
@@ -234,7 +234,7 @@ class Study(ReadOnlyArrays):
 
     @property
     def chi_square_refused(self) -> float:
-        """Part of the draws that a test of chi-square at 5 % refuses; NaN where no noise is stated."""
+        """Part of the draws that a test of chi-square at 5 % rejects; NaN where no noise is stated."""
         return self.sums.chi_square_refused / self.sums.answered
 
     @property

@@ -42,7 +42,7 @@ from calib.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(JudgedFit, CalibratedRobot):
-    """A finished fit for users: see `calib.fitting.fitted.Fit` for what it holds, `JudgedFit` for what it is worth."""
+    """A finished fit, with verdict, reports and files; `calib.fitting.fitted.Fit` lists what it holds."""
 
     _made_by = "calib.fit(robot, data)"
 

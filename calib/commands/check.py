@@ -17,7 +17,7 @@ from calib.commands.common import (
     values_options,
     with_values,
 )
-from calib.commands.next_steps import after_check
+from calib.commands.next_steps import after_check, typed_options
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.data.plan_files import read_pose_files
@@ -97,5 +97,5 @@ def command(
     output.say(text_report(assessment, source, verbose=verbose))
     if plots is not None:
         output.say(f"Figures written to {plots}")
-    output.say(after_check(assessment, robot, pose_set, data))
+    output.say(after_check(assessment, robot, pose_set, data, typed_options()))
     output.json({"robot": model.path, "poses": source} | to_dict(assessment))

@@ -12,7 +12,7 @@ from calib.base.files import image_address
 from calib.base.words import counted
 from calib.calibration import fit
 from calib.commands.common import SIGMA_HELP, Output, jobs_option, loaded, loss_option, shared_options, sigma_in_metres
-from calib.commands.next_steps import after_fit
+from calib.commands.next_steps import after_fit, typed_options
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.judging.rules_model import why_no_origins
@@ -144,7 +144,8 @@ def command(
     withheld = "" if out is None or failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
-    output.say(after_fit(result, robot, data, _FOLDER if out is None else out, written=out is not None))
+    folder = _FOLDER if out is None else out
+    output.say(after_fit(result, robot, data, folder, typed_options(), written=out is not None))
     if output.json_target is not None:
         output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
@@ -21,9 +22,36 @@ _MEANINGS = {
     "CHECK": ("yellow", "read the reasons above before you use this fit; intervals may be too narrow"),
     "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
 }
+_NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
+_NOISE = ("--sigma-mm",)
+_POSES = ("--sigma-mm", "--parameters", "--result", "--task")
+"""Options that mean the same in all commands: of those that know a noise, and of those that weigh poses."""
 
 
-def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str, *, written: bool = True) -> str:
+def typed_options() -> dict[str, tuple[str, ...]]:
+    """Return the options of the running command that were typed, with their values, by their long name.
+
+    Without those that say where to write and how much to print.
+    """
+    context = click.get_current_context()
+    typed: dict[str, tuple[str, ...]] = {}
+    for option in context.command.params:
+        if option.name is None or context.get_parameter_source(option.name) is not ParameterSource.COMMANDLINE:
+            continue
+        name = max(option.opts, key=len)
+        if isinstance(option, click.Option) and name not in _NOT_AGAIN:
+            typed[name] = () if option.is_flag else (str(context.params[option.name]),)
+    return typed
+
+
+def _some(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[str]:
+    """The words of those of these options that were typed."""
+    return [word for name in names if name in typed for word in (name, *typed[name])]
+
+
+def after_fit(
+    fit: Fit, robot: str, data: Sequence[str], out: str, typed: Mapping[str, Sequence[str]], *, written: bool = True
+) -> str:
     """Return what the grade means, and what to do next.
 
     Args:
@@ -31,17 +59,22 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str, *, written: b
         robot: ROBOT, as it was typed.
         data: DATA, likewise.
         out: Where the result is.
+        typed: Options, as `typed_options` has them.
         written: Whether it is there, and is not only a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)
     colour, meaning = _MEANINGS[grade]
-    words = step.typed(robot, data, out)
+    noise = {name: typed[name] for name in _NOISE if name in typed}
+    kept = {"fit": typed, "check": noise}.get(step.command.split()[1], {})
+    words = step.typed(robot, data, out, kept)
     if step.needs_folder and not written:
         words = f"fit again with --out {shlex.quote(out)}, then {words}"
     return f"{click.style(grade, fg=colour, bold=True)}: {meaning}\nNext: {words}"
 
 
-def after_check(assessment: Assessment, robot: str, poses: object, data: Sequence[str]) -> str:
+def after_check(
+    assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
+) -> str:
     """Return what to do about what poses determine.
 
     Args:
@@ -49,26 +82,30 @@ def after_check(assessment: Assessment, robot: str, poses: object, data: Sequenc
         robot: ROBOT, as it was typed.
         poses: What was looked at.
         data: DATA, likewise; nothing where poses were sampled.
+        typed: Options, as `typed_options` has them.
     """
     if not data:
         words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
         return f"Next: write poses to choose from: {shlex.join(words)}"
     if assessment.determination.missing:
         hold = "hold parameters that are named above (`held` in the description), or add poses, and check again"
-        return f"Next: {hold}: {shlex.join(('calib', 'check', robot, *data))}"
+        return f"Next: {hold}: {shlex.join(('calib', 'check', robot, *data, *_some(typed, tuple(typed))))}"
     if isinstance(poses, Measurements):
-        words = ("calib", "fit", robot, *data, "--validate", "0.25", "--out", "out/robot")
+        options = (*_some(typed, _NOISE), "--validate", "0.25", "--out", "out/robot")
+        words = ("calib", "fit", robot, *data, *options)
         return f"Next: fit these measurements: {shlex.join(words)}"
-    words = ("calib", "select", robot, *data, "--count", "40", "--out", "chosen.csv")
+    words = ("calib", "select", robot, *data, "--count", "40", *_some(typed, _POSES), "--out", "chosen.csv")
     return f"Next: choose the poses to measure: {shlex.join(words)}"
 
 
-def after_select(robot: str, out: str) -> str:
+def after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
     """Return what to do with chosen poses.
 
     Args:
         robot: ROBOT, as it was typed.
         out: The file with the chosen poses.
+        typed: Options, as `typed_options` has them.
     """
-    words = ("calib", "watch", robot, "measured.csv", "--goal", "0.1mm", "--candidates", out)
+    options = ("--goal", "0.1mm", "--candidates", out, *_some(typed, _NOISE))
+    words = ("calib", "watch", robot, "measured.csv", *options)
     return f"Next: measure them, and follow the measurement: {shlex.join(words)}"

@@ -20,7 +20,7 @@ from calib.commands.common import (
     values_options,
     with_values,
 )
-from calib.commands.next_steps import after_select
+from calib.commands.next_steps import after_select, typed_options
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import plan_of_table, read_pose_files
@@ -160,7 +160,7 @@ def command(
         write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
-    output.say(after_select(robot, out))
+    output.say(after_select(robot, out, typed_options()))
     output.json({"robot": model.path} | to_dict(selection, poses))
 
 

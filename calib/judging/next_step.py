@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from calib.base.units import millimetres
@@ -34,10 +34,12 @@ class NextStep:
     Attributes:
         aim: What it is for, in words that begin with a verb.
         command: What to type, in words; `ROBOT`, `DATA` and `DIR` stand for files.
+        without: Options of the fit that are not to be given again.
     """
 
     aim: str
     command: str
+    without: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.aim}: {self.command}"
@@ -47,12 +49,20 @@ class NextStep:
         """Whether it uses the result folder, and does not write it."""
         return FOLDER in self.aim or FOLDER in self.command.removesuffix(f"--out {FOLDER}").split()
 
-    def typed(self, robot: str, data: Sequence[str], folder: str) -> str:
-        """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`."""
+    def typed(self, robot: str, data: Sequence[str], folder: str, options: Mapping[str, Sequence[str]]) -> str:
+        """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`.
+
+        Args:
+            robot, data, folder: The files.
+            options: Options that were typed, with their values, by name: those that a command like this one needs, too.
+        """
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
         files[AGAIN] = shlex.quote(f"{folder}-2")
-        words = (files.get(word, word) for word in self.command.split())
-        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(words)}"
+        words = self.command.split()
+        more = [shlex.join((name, *values)) for name, values in options.items() if name not in (*words, *self.without)]
+        end = words.index("--out") if "--out" in words else len(words)
+        said = (*words[:end], *more, *words[end:])
+        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, word) for word in said)}"
 
 
 def next_step(fit: Fit) -> NextStep:
@@ -94,7 +104,8 @@ def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: b
     options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
     options |= {words[0]: " ".join(words[1:])} if words else {}
     said = (word for option in options.items() for word in option if word)
-    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)))
+    without = () if noise_stands else ("--sigma-mm",)
+    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)), without)
 
 
 def _use(fit: Fit) -> NextStep:

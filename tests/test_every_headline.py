@@ -325,12 +325,12 @@ def test_after_a_check_the_next_step_is_what_the_poses_need(commands):
     robot, q = commands.few_free[0], joints(20, 3)
     poses, data = as_poses(robot, q), measured(robot, q, 1)
     good, bad = (commands.checked[name] for name in ("base", "still"))
-    assert "calib sample r.yaml" in after_check(good, "r.yaml", poses, ())
+    assert "calib sample r.yaml" in after_check(good, "r.yaml", poses, (), {})
     hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
-    assert after_check(bad, "r.yaml", poses, ("p.csv",)) == f"{hold}calib check r.yaml p.csv"
-    assert after_check(bad, "r.yaml", data, ("d.csv",)) == f"{hold}calib check r.yaml d.csv"
-    assert "fit these measurements: calib fit r.yaml d.csv" in after_check(good, "r.yaml", data, ("d.csv",))
-    assert "choose the poses to measure: calib select" in after_check(good, "r.yaml", poses, ("p.csv",))
+    assert after_check(bad, "r.yaml", poses, ("p.csv",), {}) == f"{hold}calib check r.yaml p.csv"
+    assert after_check(bad, "r.yaml", data, ("d.csv",), {}) == f"{hold}calib check r.yaml d.csv"
+    assert "fit these measurements: calib fit r.yaml d.csv" in after_check(good, "r.yaml", data, ("d.csv",), {})
+    assert "choose the poses to measure: calib select" in after_check(good, "r.yaml", poses, ("p.csv",), {})
 
 
 # select

@@ -197,8 +197,8 @@ def fit(
 
     Args:
         robot: The nominal robot; or its description or URDF.
-        data: Measurements to identify with; or files or data frames of them, as `read_measurements` reads them; or,
-            with `readings`, joint values (n, n_actuated) [m or rad].
+        data: Measurements to identify with; a file or a data frame of them, as `read_measurements` reads it; or a list
+            of these. Or, with `readings`, joint values (n, n_actuated) [m or rad].
         readings: What was read at these joint values, as in `as_measurements`, such as positions (n, 3) [m].
         validation: Measurements to validate the result with, likewise; or the part of the poses to hold out for that,
             between 0 and 1.

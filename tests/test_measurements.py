@@ -1,6 +1,7 @@
 """Measurements: columns by name, units, rows that stay rows, gaps, several files, and mistakes refused at the door."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -258,6 +259,49 @@ def test_files_of_two_sessions_follow_one_another(tmp_path):
     (tmp_path / "two.csv").write_text("turn,slide,wrist,arm_x,arm_y,arm_z,approach_turn\n0.5,0,0,7,8,9,1\n")
     text = complaint(read_measurements, [tmp_path / "one.csv", tmp_path / "two.csv"], robot)
     assert "one.csv: states no directions of approach, but another file does" in text
+
+
+@pytest.fixture
+def sessions(tmp_path):
+    """Two sessions, in files."""
+    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
+    (tmp_path / "one.csv").write_text(BOTH.replace("wrist,", "wrist,temperature,") + "0,0,0,20,1,2,3,4,5,6\n")
+    (tmp_path / "two.csv").write_text("turn,slide,wrist,arm_x,arm_y,arm_z\n0.5,0,0,7,8,9\n0.6,0,0,7,8,9\n")
+    return robot, [tmp_path / "one.csv", tmp_path / "two.csv"]
+
+
+def test_measurements_that_were_read_follow_one_another_as_their_files_do(sessions):
+    robot, files = sessions
+    of_files = read_measurements(files, robot)
+    one, two = (read_measurements(file, robot) for file in files)
+    for parts in ([one, two], (one, files[1]), [files[0], two]):
+        data = calib.as_measurements(robot, parts)
+        assert data.names == of_files.names == ("1", "2", "3")
+        assert (data.labels, data.path, data.approach) == (of_files.labels, of_files.path, None)
+        np.testing.assert_array_equal(data.joints, of_files.joints)
+        np.testing.assert_array_equal(data.context["temperature"], of_files.context["temperature"])
+        for name, readings in of_files.readings.items():
+            np.testing.assert_array_equal(data.readings[name].visits, readings.visits)
+            np.testing.assert_array_equal(data.readings[name].values, readings.values)
+    assert calib.as_measurements(robot, [two, replace(two)]).names == ("1", "2", "1", "2")  # joint values repeat
+    moved = replace(two, setups=np.ones(2, dtype=int))
+    assert calib.as_measurements(robot, [one, moved]).setups.tolist() == [0, 1, 1]
+    parts_of_one = calib.as_measurements(robot, [of_files[:2], of_files[2:]])
+    assert not parts_of_one.states_approach
+    np.testing.assert_array_equal(parts_of_one.approach_directions, of_files.approach_directions)
+
+
+def test_measurements_are_joined_only_where_their_files_are(sessions, tmp_path):
+    robot, files = sessions
+    one, two = (read_measurements(file, robot) for file in files)
+    assert "one.csv: is given twice, so that every reading" in complaint(calib.as_measurements, robot, [one, two, one])
+    stated = replace(two, approach=np.ones((2, 3)))
+    text = complaint(calib.as_measurements, robot, [one, stated])
+    assert "one.csv: states no directions of approach, but another file does" in text
+    named = replace(two, names=("1", "b"))
+    assert "among the rows of pose '1'" in complaint(calib.as_measurements, robot, [one, named])
+    other = calib.load(Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml")
+    assert "is of 'small arm', whose joints are not those of" in complaint(calib.as_measurements, other, [one, two])
 
 
 def test_context_and_approach_are_read(read):

@@ -370,7 +370,7 @@ ANSWERED = {
     "calib.select(t.robot, n=12)": "of candidates, such as robot.sample(1000, seed=1)",
     "calib.Data(t.q, t.q)": "calib.as_measurements(robot, q, xyz)",
     "calib.concat([t.data, t.data])": 'calib.read_measurements(["a.csv", "b.csv"], robot)',
-    "t.data + t.data": "calib.fit(robot, ['a.csv', 'b.csv'])",
+    "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
     "t.data.save('copy.csv')": ".to_csv(",
     "t.data.drop(3)": "data[np.arange(len(data)) != 3]",
     "t.fit.residuals[0]": "valid: reflector",

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.other_words import worded
-from calib.data.measurement_files import read_measurements, sources
+from calib.data.measurement_files import joined, read_measurements, sources
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered
 from calib.data.plan_files import read_pose_files
@@ -25,8 +25,8 @@ from calib.robots.robot import Robot
 
 PosesLike = Poses | Source | ArrayLike
 """Poses as callers give them: with names; in a file or a data frame; or joint values alone [m or rad]."""
-MeasurementsLike = Measurements | Source | Sequence[Source]
-"""Measurements as callers give them: read; in files or data frames, one or several."""
+MeasurementsLike = Measurements | Source | Sequence[Source | Measurements]
+"""Measurements as callers give them: read; in files or data frames; one or several."""
 _SOURCE = "arrays"
 
 
@@ -65,7 +65,7 @@ def _is_table(given: object) -> bool:
 @worded
 def as_measurements(
     robot: RobotLike,
-    poses: PosesLike | Sequence[Source],
+    poses: PosesLike | Sequence[Source | Measurements],
     readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     names: Sequence[str] | None = None,
 ) -> Measurements:
@@ -74,7 +74,7 @@ def as_measurements(
     Args:
         robot: Whose joints and instruments they are.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
-            which are returned as they are; or a file or a data frame of them, or several (`read_measurements`).
+            which are returned as they are; or a file or a data frame of them (`read_measurements`); or several.
         readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.
             `Readings`, if an instrument reads several things at a pose. Words, as in a file, for an instrument that
             reads no numbers, empty where there is none. If all instruments measure positions: the positions,
@@ -114,6 +114,8 @@ def _measured(robot: Robot, given: object) -> Measurements:
     """Measurements as they are, or read."""
     if isinstance(given, Measurements):
         return given
+    if isinstance(given, (list, tuple)) and any(isinstance(part, Measurements) for part in given):
+        return joined([_measured(robot, part) for part in given], robot)
     several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(source) for source in given)
     if not _is_table(given) and not several:
         raise InputError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import cast
@@ -105,6 +106,48 @@ def read_measurements(
     check_repeats(data, robot)
     kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
     return data.subset(kept) if len(kept) < len(data) else data
+
+
+def joined(parts: Sequence[Measurements], robot: Robot) -> Measurements:
+    """Put measurements one after another, as those of several files.
+
+    Poses that are numbered from 1 in several of them are counted on, unless their joint values say that they repeat.
+
+    Raises:
+        DataError: One is given twice, or is of a robot with other joints; or as `read_measurements`.
+    """
+    for k, again in enumerate(parts):
+        if any(again is other for other in parts[:k]):
+            raise DataError(f"{again.path}: is given twice, so that every reading would count as two; give it once")
+        if again.robot is not None and again.robot.joint_names != robot.joint_names:
+            raise DataError(f"{again.path}: is of '{again.robot.name}', whose joints are not those of '{robot.name}'")
+    stated = [part.states_approach for part in parts]
+    if any(part.approach is not None for part in parts):
+        parts = [
+            replace(part, approach=None if any(stated) and not known else part.approach_directions)
+            for part, known in zip(parts, stated, strict=True)
+        ]
+    firsts = np.cumsum([0, *map(len, parts)]).tolist()
+    shifted = [
+        {name: replace(own, visits=own.visits + first) for name, own in part.readings.items()}
+        for part, first in zip(parts, firsts, strict=False)
+    ]
+    names = dict.fromkeys(name for part in parts for name in part.readings)
+    readings = {name: concatenated([own[name] for own in shifted if name in own]) for name in names}
+    data = replace(measurements(_joined(parts), readings), approach_assumed=not any(stated))
+    try:
+        check_repeats(data, robot)
+    except DataError:
+        numbered = [list(part.names) == [str(k + 1) for k in range(len(part))] for part in parts]
+        if sum(numbered) < 2:
+            raise
+        counted_on = (
+            map(str, range(first + 1, first + 1 + len(part))) for part, first in zip(parts, firsts, strict=False)
+        )
+        named = [own if known else part.names for part, own, known in zip(parts, counted_on, numbered, strict=True)]
+        data = replace(data, names=tuple(chain.from_iterable(named)))
+        check_repeats(data, robot)
+    return data
 
 
 def sources(given: Source | Sequence[Source]) -> list[Source]:
@@ -274,7 +317,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
             raise DataError(
                 f"{lacking}: has no column '{key}', but another file has it; give it in all files, or in none"
             )
-    setups = [part.setups for part in parts if part.setups is not None]
+    setups = [np.zeros(len(part), dtype=np.intp) if part.setups is None else part.setups for part in parts]
     approach = [part.approach for part in parts if part.approach is not None]
     if 0 < len(approach) < len(parts):
         silent = next(part.path for part in parts if part.approach is None)
@@ -288,7 +331,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         ", ".join(part.path for part in parts),
         tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
         comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
-        setups=np.concatenate(setups) if len(setups) == len(parts) else None,
+        setups=np.concatenate(setups) if any(part.setups is not None for part in parts) else None,
         approach=np.concatenate(approach) if approach else None,
         robot=parts[0].robot,
         context={

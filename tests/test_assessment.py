@@ -121,6 +121,14 @@ def test_priors_hold_what_poses_do_not(tmp_path):
     assert np.isfinite(assessment.accuracy.rms)
 
 
+def test_parameters_of_which_equally_little_is_known_come_in_their_own_order(tmp_path):
+    """Noise of 1000 km leaves all of every expected error, but for rounding."""
+    arm = small_arm(tmp_path)
+    assessment = check(arm, sample(arm, 30, np.random.default_rng(0)), sigma=1e6)
+    names = [name for name, _ in assessment.hardly_known()]
+    assert names == [p.name for p in assessment.free_parameters if p.prior]
+
+
 def test_a_place_that_nobody_expects_anywhere_has_no_expected_error_left():
     """The tracker's place has no prior; that of the reflector has one, and three poses hardly say more."""
     arm = calib.load(EXAMPLES / "arm.yaml")

@@ -50,6 +50,7 @@ CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
 HARDLY = 0.5
 """A parameter whose standard deviation stays above this part of its prior sigma is hardly better known than before."""
+_DIGITS = 9  # of a part that is left, beyond which it is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
 _BEYOND = (2, 4)  # how many times all poses
@@ -149,9 +150,12 @@ class Assessment(ReadOnlyArrays):
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
     def hardly_known(self) -> list[tuple[str, float]]:
-        """Return free parameters with more than `HARDLY` of their expected error left, and that part, largest first."""
+        """Return free parameters with more than `HARDLY` of their expected error left, and that part, largest first.
+
+        Those that differ by rounding alone come in the order of `free_parameters`.
+        """
         named = [(p.name, float(r)) for p, r in zip(self.free_parameters, self.part_left, strict=True) if r > HARDLY]
-        return sorted(named, key=lambda item: -item[1])
+        return sorted(named, key=lambda item: -round(item[1], _DIGITS))
 
     @property
     def part_left(self) -> FloatArray:

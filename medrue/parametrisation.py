@@ -55,13 +55,13 @@ _COORDINATES: dict[str, tuple[tuple[str, int, float], ...]] = {
     "F6_origin": (("d41", 0, 1), ("d5", 0, 1)),
     "tool_origin": (("xt", 0, 1), ("yt", 1, 1), ("zt", 2, 1)),
 }
-_ROLLS: dict[str, tuple[str, int | None]] = {  # origin: (joint offset, five-bar)
-    "q2": ("dq2", 1),
-    "q3": ("dq3", 1),
-    "q4": ("dq4", 2),
-    "q5": ("dq5", 2),
-    "q6": ("dq6", None),
+_TURNING: dict[str, tuple[str, ...]] = {
+    # origin: parameters that are added to roll, pitch and yaw
+    "base_origin": ("phi_bx", "phi_by", "phi_bz"),
+    **{f"q{k}": (f"dq{k}",) for k in range(2, 7)},
 }
+_FIVE_BARS = {"q2": 1, "q3": 1, "q4": 2, "q5": 2}
+"""Of each origin whose roll follows the direction of a five-bar's frame: that five-bar."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +99,9 @@ class MedrueParametrisation:
             ),
         )
         for name in _COORDINATES:
-            xyz, rpy = _formula(name, nominal)
             if not (
-                np.allclose(xyz, self.origins[name].xyz, rtol=0, atol=1e-12)
-                and np.allclose(rpy, self.origins[name].rpy, rtol=0, atol=1e-12)
+                np.allclose(_xyz(name, nominal), self.origins[name].xyz, rtol=0, atol=1e-12)
+                and np.allclose(_rpy(name, nominal), self.origins[name].rpy, rtol=0, atol=1e-12)
             ):
                 raise DescriptionError(
                     f"parametrisation 'medrue': the paper's 36 parameters cannot describe the origin of joint '{name}'"
@@ -111,61 +110,75 @@ class MedrueParametrisation:
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the origins at `values`, (36,) [m, rad], by joint name."""
         result = {}
-        for name in _COORDINATES:
-            xyz, rpy = self._edited(name, values)
-            result[name] = pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+        for name, (rotation, _) in self._turned.items():
+            xyz = self.origins[name].xyz + (_xyz(name, values) - self._nominal[name][0])
+            turns = name in _TURNING
+            result[name] = pin.SE3(pin.rpy.rpyToMatrix(*self._edited_rpy(name, values)) if turns else rotation, xyz)
         return result
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the twist of each origin per parameter, (6, 36), by joint name."""
-        return {
-            name: twist_of_edit(self._edited(name, values)[1], *_formula_derivative(name, values))
-            for name in _COORDINATES
+        turning = {
+            name: twist_of_edit(self._edited_rpy(name, values), _LINEAR[name][0], _rpy_derivative(name, values))
+            for name in _TURNING
         }
+        return {name: turning.get(name, twist) for name, (_, twist) in self._turned.items()}
 
     @cached_property
     def _nominal(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Xyz and rpy of each origin from the nominal parameters."""
         nominal = np.array([parameter.nominal_si for parameter in self.parameters])
-        return {name: _formula(name, nominal) for name in _COORDINATES}
+        return {name: (_xyz(name, nominal), _rpy(name, nominal)) for name in _COORDINATES}
 
-    def _edited(self, name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        xyz, rpy = _formula(name, values)
-        xyz_nominal, rpy_nominal = self._nominal[name]
-        return self.origins[name].xyz + (xyz - xyz_nominal), self.origins[name].rpy + (rpy - rpy_nominal)
+    @cached_property
+    def _turned(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Rotation matrix and twists of each origin in the URDF, which no parameter changes where it does not turn."""
+        return {
+            name: (pin.rpy.rpyToMatrix(*self.origins[name].rpy), twist_of_edit(self.origins[name].rpy, *_LINEAR[name]))
+            for name in _COORDINATES
+        }
 
-
-def _formula(name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The origin's xyz [m] and rpy [rad] from the paper's parameters."""
-    xyz, rpy = np.zeros(3), np.zeros(3)
-    for parameter, coordinate, factor in _COORDINATES.get(name, ()):
-        xyz[coordinate] += factor * values[_INDEX[parameter]]
-    if name in _ROLLS:
-        offset, five_bar = _ROLLS[name]
-        rpy[0] = values[_INDEX[offset]] + (_direction(values, five_bar) if five_bar else 0.0)
-    elif name == "base_origin":
-        rpy = np.array([values[_INDEX[angle]] for angle in ("phi_bx", "phi_by", "phi_bz")])
-    return xyz, rpy
+    def _edited_rpy(self, name: str, values: FloatArray) -> FloatArray:
+        return self.origins[name].rpy + (_rpy(name, values) - self._nominal[name][1])
 
 
-def _formula_derivative(name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """d(xyz)/d(parameters) and d(rpy)/d(parameters), (3, 36) each."""
+def _linear(name: str) -> tuple[FloatArray, FloatArray]:
+    """d(xyz)/d(parameters) and d(rpy)/d(parameters) without the direction of a five-bar, (3, 36) each."""
     d_xyz, d_rpy = np.zeros((3, len(PARAMETERS))), np.zeros((3, len(PARAMETERS)))
     for parameter, coordinate, factor in _COORDINATES[name]:
         d_xyz[coordinate, _INDEX[parameter]] += factor
-    if name in _ROLLS:
-        offset, five_bar = _ROLLS[name]
-        d_rpy[0, _INDEX[offset]] = 1.0
-        if five_bar:
-            y, z = _anchor_vector(values, five_bar)
-            squared = y * y + z * z
-            for point, sign in (("A", 1.0), ("C", -1.0)):
-                d_rpy[0, _INDEX[f"{point}{five_bar}y"]] = -sign * z / squared
-                d_rpy[0, _INDEX[f"{point}{five_bar}z"]] = sign * y / squared
-    elif name == "base_origin":
-        for row, angle in enumerate(("phi_bx", "phi_by", "phi_bz")):
-            d_rpy[row, _INDEX[angle]] = 1.0
+    for row, angle in enumerate(_TURNING.get(name, ())):
+        d_rpy[row, _INDEX[angle]] = 1.0
     return d_xyz, d_rpy
+
+
+_LINEAR = {name: _linear(name) for name in _COORDINATES}
+
+
+def _xyz(name: str, values: FloatArray) -> FloatArray:
+    """The origin's xyz from the paper's parameters, (3,) [m]."""
+    return np.asarray(_LINEAR[name][0] @ values)
+
+
+def _rpy(name: str, values: FloatArray) -> FloatArray:
+    """The origin's rpy from the paper's parameters, (3,) [rad]."""
+    rpy: FloatArray = _LINEAR[name][1] @ values
+    if name in _FIVE_BARS:
+        rpy[0] += _direction(values, _FIVE_BARS[name])
+    return rpy
+
+
+def _rpy_derivative(name: str, values: FloatArray) -> FloatArray:
+    """d(rpy)/d(parameters), (3, 36)."""
+    d_rpy = _LINEAR[name][1].copy()
+    if name in _FIVE_BARS:
+        five_bar = _FIVE_BARS[name]
+        y, z = _anchor_vector(values, five_bar)
+        squared = y * y + z * z
+        for point, sign in (("A", 1.0), ("C", -1.0)):
+            d_rpy[0, _INDEX[f"{point}{five_bar}y"]] = -sign * z / squared
+            d_rpy[0, _INDEX[f"{point}{five_bar}z"]] = sign * y / squared
+    return d_rpy
 
 
 def _anchor_vector(values: FloatArray, five_bar: int) -> tuple[float, float]:
@@ -181,7 +194,7 @@ def _direction(values: FloatArray, five_bar: int) -> float:
 
 
 def _read_parameters(origins: Mapping[str, Origin]) -> FloatArray:
-    """Invert `_formula`: the 36 values that a URDF's origins stand for."""
+    """Invert `_xyz` and `_rpy`: the 36 values that a URDF's origins stand for."""
     values = np.zeros(len(PARAMETERS))
 
     def put(parameter: str, value: float) -> None:
@@ -195,9 +208,10 @@ def _read_parameters(origins: Mapping[str, Origin]) -> FloatArray:
     put("d41", values[_INDEX["d31"]] - origins["beta"].xyz[0])
     put("d42", origins["slide"].xyz[0] - values[_INDEX["d41"]])
     put("d5", origins["F6_origin"].xyz[0] - values[_INDEX["d41"]])
-    for row, angle in enumerate(("phi_bx", "phi_by", "phi_bz")):
-        put(angle, origins["base_origin"].rpy[row])
-    for name, (offset, five_bar) in _ROLLS.items():
-        put(offset, origins[name].rpy[0] - (_direction(values, five_bar) if five_bar else 0.0))
+    for name, angles in _TURNING.items():
+        for row, angle in enumerate(angles):
+            put(angle, origins[name].rpy[row])
+    for name, five_bar in _FIVE_BARS.items():
+        values[_INDEX[_TURNING[name][0]]] -= _direction(values, five_bar)
     # differences such as 0.1668 - 0.1253 leave the last digit open: 1e-15 m is far below any drawing
     return np.round(values, 15) + 0.0  # no negative zeros

@@ -178,8 +178,9 @@ of 3. `python tests/benchmarks/performance.py --data FOLDER --write docs/perform
 
 ## Kinematics through closed loops
 
-MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
-`computeJointJacobians` of the URDF as users load it for each pose, called from Python, nothing read out.
+The work for MedRUE at 420 poses after a small step of the parameters, and whole fits. The unit is Pinocchio's own
+loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and without reading
+the result.
 
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
@@ -198,8 +199,8 @@ Three robots with loops, 420 poses each: the work that is called *both* above, a
     for row in with_loops(rounds):
         yield f"| {' | '.join(map(str, row))} |"
     yield f"""
-Page faults of one more step of a fit, without numba: {faults}. One kinematic regressor serves all frames, and joints
-that move none of them, or all of them alike, are not in the model.
+One more step of a fit, without numba, takes no new memory (page faults: {faults}). One kinematic regressor serves all frames,
+and joints that move none of them, or all of them alike, are not in the model.
 """
     yield """\
 ## A fit against a hand-written one

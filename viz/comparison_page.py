@@ -15,6 +15,7 @@ from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figur
 from viz.viewer_page import Page
 
 _SHOWN = 24  # parameters in the figure
+_WIDTH = 4.0  # of figures [inch]: a phone's
 _LINES = ("-", "--", ":", "-.")
 
 
@@ -80,7 +81,7 @@ def _half(row: dict[str, Any]) -> dict[str, float]:
 @styled
 def errors_on_same_rows(comparison: ResultComparison) -> Plot:
     """Part of the readings whose error is smaller than a size, for each result."""
-    figure, (axes,) = new_figure(1, 1, (8.9, 2.8))
+    figure, (axes,) = new_figure(1, 1, (_WIDTH, 2.5 + 0.2 * len(comparison.names)))
     looks = list(AXES.values())
     for k, (name, sizes) in enumerate(zip(comparison.names, comparison.sizes, strict=True)):
         part = 100 * (np.arange(len(sizes)) + 1) / len(sizes)
@@ -90,7 +91,7 @@ def errors_on_same_rows(comparison: ResultComparison) -> Plot:
         )
     axes.set(xscale="log", xlabel=f"error after calibration [{comparison.unit}]", ylabel="smaller in [% of readings]")
     plain_ticks(axes.xaxis)
-    figure.legend(loc="upper center", ncols=3)
+    figure.legend(loc="upper center")
     return finished(
         "same-rows",
         "Errors on the same readings",
@@ -109,7 +110,7 @@ def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Plot | 
     ][:_SHOWN]
     if not shown:
         return None
-    figure, (axes,) = new_figure(1, 1, (8.9, 1.0 + 0.2 * len(shown) * len(comparison.names)))
+    figure, (axes,) = new_figure(1, 1, (_WIDTH, 1.0 + 0.2 * len(shown) * len(comparison.names)))
     looks = list(AXES.values())
     for place, difference in enumerate(shown):
         halves = [_half(row) for row in difference.rows if row is not None]
@@ -122,9 +123,9 @@ def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Plot | 
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_xscale("symlog", linthresh=2.0)
     plain_ticks(axes.xaxis)
-    axes.set_yticks(range(len(shown)), [shortened(difference.name, 30) for difference in shown])
+    axes.set_yticks(range(len(shown)), [shortened(difference.name, LONGEST_ENTRY) for difference in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.set_xlabel("difference to the first result, in half widths of its 95 % interval")
+    axes.set_xlabel("difference to the first result,\nin half widths of its 95 % interval")
     return finished(
         "intervals",
         "Which differences are real",

@@ -105,8 +105,14 @@ def svg_file(figure: Figure) -> bytes:
 
 
 def svg_text(figure: Figure, name: str, title: str) -> str:
-    """Return a figure as an SVG element to put into a page; its identifiers begin with `name`, so that none clash."""
-    svg = svg_file(figure).decode()
+    """Return a figure as an SVG element to put into a page, whose background and colour of text it takes.
+
+    Its identifiers begin with `name`, so that none clash.
+    """
+    figure.patch.set_visible(False)
+    for axes in figure.axes:
+        axes.patch.set_visible(False)
+    svg = svg_file(figure).decode().replace("#000000", "currentColor")
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)

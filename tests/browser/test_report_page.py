@@ -111,6 +111,24 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals svg").count() == 1
         assert tab.page.locator("#same-rows svg").count() == 1
+        for box in tab.page.locator(".drawing").all():
+            assert box.evaluate("(e) => e.scrollWidth - e.clientWidth") == 0
+
+
+def test_drawings_take_the_colours_of_a_dark_page(report):
+    tab = report(1000, 900)
+    ink = "getComputedStyle(document.body).color"
+    texts = "[...document.querySelectorAll('.drawing text')].map((e) => getComputedStyle(e).fill)"
+    filled = """[...document.querySelectorAll('.drawing path')].filter((e) => {
+      const { fill } = getComputedStyle(e), box = e.getBoundingClientRect();
+      return fill === 'rgb(255, 255, 255)' && box.width > 50 && box.height > 50; }).length"""
+    inks = []
+    for scheme in ("dark", "light"):
+        tab.page.emulate_media(color_scheme=scheme)
+        inks.append(tab.page.evaluate(ink))
+        assert tab.page.evaluate(texts).count(inks[-1]) > 20
+        assert tab.page.evaluate(filled) == 0
+    assert inks[0] != inks[1]
 
 
 def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):

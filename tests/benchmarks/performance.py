@@ -171,16 +171,16 @@ def page(folder, rounds, draws):
     robots = evaluations.problems(folder)
     yield """# Performance
 
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. What is
-compared ran in turn, with one thread of linear algebra. Kinematics and fits are the shortest of 15 runs, whole commands
-of 3. `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with the
-[measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
+For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Things
+that are compared ran in turn, with one thread of linear algebra. Kinematics and fits are the shortest of 15 runs, whole
+commands of 3. `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with
+the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, and more.
 
 ## Kinematics through closed loops
 
-The work for MedRUE at 420 poses after a small step of the parameters, and whole fits. The unit is Pinocchio's own
-loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and without reading
-the result.
+The table has the work for MedRUE at 420 poses after a small step of the parameters, and whole fits. The unit is
+Pinocchio's own loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and
+without reading the result.
 
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at

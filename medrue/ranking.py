@@ -23,7 +23,7 @@ from medrue.result_tables import Cell, Column, ResultTable
 
 LUCK = 1e-3
 """How often luck alone may make any difference of a ranking look sure."""
-LEGEND = "Better: beyond chance, which alone says so of any pair in one ranking of a thousand"
+LEGEND = "Better: chance alone shows such a difference in one ranking of a thousand"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,9 @@ class Ranking:
             if np.any(self.better[row]):
                 winners.setdefault(self._losers(row), []).append(name)
         if not winners:
-            return "no set is better beyond chance"
+            return "no set is better by more than chance"
         clauses = [f"{_enumerated(names)} than {losers}" for losers, names in winners.items()]
-        return f"better beyond chance: {'; '.join(clauses)}; every other difference may be chance"
+        return f"better by more than chance: {'; '.join(clauses)}; every other difference may be chance"
 
     def compared(self, row: int, column: int) -> str:
         """Return `better`, `worse` or `open` for a set (by rank) against another, nothing for itself."""

@@ -108,7 +108,7 @@ def test_a_tracker_that_moved_while_measuring_is_found(arm):
     moved[50:, 0, 1] = 2e-4
     patterns = significant(fitted(arm, joints(80), shift=moved))
     assert patterns[0].kind == "drift"
-    assert "of a tracker or base that moved" in describe(patterns[0], arm.mechanism.dimensions)
+    assert "if a tracker or base had moved" in describe(patterns[0], arm.mechanism.dimensions)
 
 
 def test_a_joint_that_slipped_while_measuring_is_found(arm):
@@ -262,13 +262,13 @@ def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
 def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
     pattern = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
     assert pattern.kind == "turning"
-    assert "as of a tracker or base that turned" in describe(pattern, arm.mechanism.dimensions)
+    assert "as if a tracker or base had turned" in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_lengths_that_grow_while_measuring_are_found(arm):
     pattern = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
     assert pattern.kind == "growth"
-    assert "warms up" in describe(pattern, arm.mechanism.dimensions)
+    assert "warmed up" in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_an_error_that_follows_a_joint_is_no_sure_change_where_poses_are_sorted_by_it(arm):

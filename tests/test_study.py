@@ -86,7 +86,7 @@ def test_poses_of_o1_beat_uniform_ones(task: Task, outcome: Outcome) -> None:
     ranking = rank(("O1", "uniform"), largest)
     assert ranking.names == ("O1", "uniform")
     assert ranking.steps[0, 1] > 3
-    assert ranking.sure() == "better beyond chance: O1 than uniform; every other difference may be chance"
+    assert ranking.sure() == "better by more than chance: O1 than uniform; every other difference may be chance"
 
 
 def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
@@ -142,7 +142,7 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: St
 def test_findings_say_what_the_numbers_say(small_study: Study) -> None:
     text = " ".join(study_findings(small_study))
     assert "Without noise, 28 parameters come back" in text
-    assert "better beyond chance: O1 than uniform" in text
+    assert "better by more than chance: O1 than uniform" in text
     assert "over 40 draws of the noise" in text
     assert "over 2 actual robots" in text
     assert "nan" not in text
@@ -163,14 +163,14 @@ def test_rankings_tell_luck_from_difference() -> None:
     ranking = rank(("worse", "good", "alike"), errors)
     assert ranking.names[2] == "worse"
     assert ranking.sure() in (
-        "better beyond chance: good and alike than worse; every other difference may be chance",
-        "better beyond chance: alike and good than worse; every other difference may be chance",
+        "better by more than chance: good and alike than worse; every other difference may be chance",
+        "better by more than chance: alike and good than worse; every other difference may be chance",
     )
     two = rank(("b", "a"), np.array([[2.0, 1.0], [2.01, 1.0]]))
     assert two.steps[0, 1] > 100
-    assert str(two) == "a, b; no set is better beyond chance"  # two draws prove nothing
+    assert str(two) == "a, b; no set is better by more than chance"  # two draws prove nothing
     single = rank(("b", "a"), np.array([[2.0, 1.0]]))
-    assert str(single) == "a, b; no set is better beyond chance"
+    assert str(single) == "a, b; no set is better by more than chance"
     assert np.isnan(single.steps).all()
 
 
@@ -182,7 +182,7 @@ def test_sets_that_are_like_their_neighbours_may_still_differ() -> None:
     ranking = rank(("first", "middle", "last"), errors)
     assert ranking.compared(0, 1) == ranking.compared(1, 2) == "open"
     assert (ranking.compared(0, 2), ranking.compared(2, 0)) == ("better", "worse")
-    assert ranking.sure() == "better beyond chance: first than last; every other difference may be chance"
+    assert ranking.sure() == "better by more than chance: first than last; every other difference may be chance"
 
 
 def test_every_pair_is_tested_with_holms_correction() -> None:

@@ -98,7 +98,7 @@ def test_noise_three_times_what_was_stated_is_proven_by_poses_left_out_unasked(a
     assert fit.verdict.grade == "PASS"
     assert "times what was stated (0.1" in verdict_remark.text
     assert "where 0.04 mm was stated" in verdict_remark.text
-    assert "get better beyond chance" in verdict_remark.text
+    assert "get better by more than chance explains" in verdict_remark.text
 
 
 def test_noise_that_only_an_unfit_model_leaves_fails_without_proof(arm):
@@ -304,7 +304,7 @@ def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_
     fit = calib.fit(arm, measured(joints(80), 1), sigma=SIGMA, validation=measured(joints(30, 5), 2))
     rms = [fit.validation.table()[state]["rms"] for state in ("after", "before")]
     assert 0.5 < rms[0] / rms[1] < 0.9
-    assert "poses that were not used get better beyond chance" in remark(fit, "noise").text
+    assert "poses that were not used get better by more than chance explains" in remark(fit, "noise").text
 
 
 def test_more_noise_than_stated_of_a_robot_that_needs_no_correction_is_told(arm):

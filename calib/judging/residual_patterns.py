@@ -338,9 +338,9 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         return f"{pattern.detail}, target {pattern.name} sits {moved} elsewhere on its link ({size})"
     said = {
         "turn": "a turn of the measurement frame",
-        "drift": "a shift in the course of the measurement, as of a tracker or base that moved",
-        "turning": "a turn in the course of the measurement, as of a tracker or base that turned",
-        "growth": "lengths that change in the course of the measurement, as of a robot or instrument that warms up",
+        "drift": "a shift in the course of the measurement, as if a tracker or base had moved",
+        "turning": "a turn in the course of the measurement, as if a tracker or base had turned",
+        "growth": "lengths that change in the course of the measurement, as if robot or instrument warmed up",
         "joint": f"an error that follows joint {pattern.name}",
         "zero": f"an error of joint {pattern.name} that changes in the course of the measurement",
     }

@@ -41,8 +41,8 @@ def noise(fit: Fit) -> Iterator[Reason]:
     if sigma > LARGE_NOISE * spread:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
             f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
-            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joints"
-            " and positions belong together",
+            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joint"
+            " values and positions of each row belong together",
             answer=_first_answer(fit),
         )
     elif fit.computed:
@@ -210,7 +210,7 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
         )
         return Code.NOISE.says(text, grade="FAIL", answer=_first_answer(fit))
     if better or no_worse:
-        outcome = "get better beyond chance" if better else "get neither better nor worse"
+        outcome = "get better by more than chance explains" if better else "get neither better nor worse"
         text += (
             f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers: the"
             " uncertainty of positions counts it as errors of the joints. State the noise of robot and sensor together"

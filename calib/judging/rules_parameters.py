@@ -32,6 +32,8 @@ MOST = 0.5
 """Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: others look a bit
 like it."""
 _NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
+MANIFOLD = 0.3
+"""Scale of lengths beyond which their ratio is told, and not percent."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 LOOSE_ANGLE = 0.1
@@ -94,10 +96,16 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
-            f"all measured lengths are {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than in the"
-            " description: no robot is that far off. Look at the unit of the measurements, the scale of the"
-            " instrument and the size of the artefact"
+            f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
+            " of the measurements, the scale of the instrument and the size of the artefact"
         )
+
+
+def _scaled(part: float) -> str:
+    """Say how long measured lengths are beside those of the description, which fit once they are scaled by 1 + part."""
+    if abs(part) > MANIFOLD:
+        return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
+    return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
 def _cost_with(fit: Fit, columns: FloatArray, measured: FloatArray, *, is_scale: bool = False) -> tuple[float, float]:

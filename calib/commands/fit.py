@@ -50,8 +50,13 @@ _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
     help="Joint terms to add to those of the description. auto: those that improve the prediction of poses left out."
     " LIST: TERM for every joint or JOINT=TERM, such as curve,elbow=backlash. none: not even those of the description.",
 )
-@click.option("--fix", metavar="NAMES", help="Parameters to hold as they are, such as joint_2.y,joint_3.z.")
-@click.option("--free", metavar="NAMES", help="Parameters to fit although the description holds them.")
+@click.option(
+    "--fix",
+    metavar="NAMES",
+    help="Parameters to hold as they are, such as joint_2.y,joint_3.z. all: all but those that only say where base and"
+    " targets are.",
+)
+@click.option("--free", metavar="NAMES", help="Parameters to fit although the description or --fix all holds them.")
 @click.option(
     "--prior",
     metavar="NAME=VALUE,...",

@@ -180,7 +180,7 @@ def check(
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
             Or joint values alone, (n, n_actuated) [m or rad]. If not given: a hundred, spread over the joint limits.
         task: Poses whose accuracy counts, in the same form; `poses` if not given.
-        sigma: Noise of one reading per axis [m]; the description's if not given.
+        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
 
     Raises:
         InputError: `robot` is not a robot.

@@ -82,7 +82,7 @@ def select(
             with several.
         measured: Poses that are measured already; the chosen ones are to complement them.
         task: Poses whose accuracy counts, for the task index; the candidates if not given.
-        exclude: Candidates not to choose, by their number.
+        exclude: Candidates not to choose, by their index, counted from 0.
         minimum_distance: Least distance between the targets of two poses (root mean square over targets) [m].
         random_start: Start from a random choice instead of a uniform one.
         starts: How many starts; all but the first are random.
@@ -90,7 +90,7 @@ def select(
         off_grid: Move the chosen poses continuously afterwards; see `calib.planning.refinement` for where they may
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
-        sigma: Noise of one reading per axis [m]; the description's if not given.
+        sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
         executor: What runs the starts, and the moves off the grid; as in `calib.fit`.
         progress: Called with how many starts are done and of how many; then with how many poses have found their place
             off the grid.

@@ -106,7 +106,8 @@ def test_lengths_a_thousand_times_too_short_are_told_as_a_factor():
     fit = calib.fit(robot, calib.as_measurements(robot, data.joints, 1e-3 * data.points(robot)[:, 0]))
     text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
     factor = re.match(r"all measured lengths are ([\d.e-]+) times as long as in the description", text)
-    assert factor and float(factor[1]) == pytest.approx(1e-3, rel=0.3)  # the nominal robot's errors are scaled, too
+    assert factor
+    assert float(factor[1]) == pytest.approx(1e-3, rel=0.3)  # the nominal robot's errors are scaled, too
 
 
 def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():

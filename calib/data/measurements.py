@@ -285,7 +285,7 @@ class Measurements(Poses):
     def points(self, robot: Robot | None = None) -> FloatArray:
         """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.
 
-        Only instruments that measure points say so; of several readings of a target at a visit, the mean.
+        Only instruments that measure points count; several readings of a target at a visit give their mean.
 
         Args:
             robot: Names targets and instruments; that of the visits if not given.

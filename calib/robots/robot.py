@@ -154,7 +154,7 @@ class Robot(RobotData):
             q: Commanded joints, (n, n_actuated) [m or rad].
             seed: Passive joints to start from, (n, n_passive).
             columns: Of `term_columns`, if they are known.
-            thorough: Whether to try every way; False is faster, and may leave poses open that close.
+            thorough: Whether to try every way; False is faster, and may miss poses that close.
         """
         return close(self, q, seed, columns, thorough=thorough)
 

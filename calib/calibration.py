@@ -213,8 +213,8 @@ def fit(
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
-        fix: Parameters to leave as they are, beside those that the description holds; `all` stands for all but those
-            that only say where base and targets are.
+        fix: Parameters to leave as they are, beside those that the description holds; `all`: every
+            parameter except unknown places of base and targets.
         free: Parameters to fit although the description or `fix="all"` holds them.
         prior: How far off parameters are expected to be, one standard deviation with its unit by name, such as
             `0.1 mm`.

@@ -53,8 +53,8 @@ _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
 @click.option(
     "--fix",
     metavar="NAMES",
-    help="Parameters to hold as they are, such as joint_2.y,joint_3.z. all: all but those that only say where base and"
-    " targets are.",
+    help="Parameters to hold as they are, such as joint_2.y,joint_3.z. all: every parameter except unknown places of"
+    " base and targets.",
 )
 @click.option("--free", metavar="NAMES", help="Parameters to fit although the description or --fix all holds them.")
 @click.option(

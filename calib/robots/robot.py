@@ -60,7 +60,7 @@ class Robot(RobotData):
         """Return a robot with these parameters held, too.
 
         Args:
-            names: As arguments, or as a list. `all` stands for all but those that only say where base and targets are.
+            names: As arguments, or as a list. `all`: every parameter except unknown places of base and targets.
 
         Raises:
             ParameterError: An unknown name.

@@ -8,6 +8,8 @@ thread and 0.7 to 8 s with two, measured on two busy cores. Parallel work belong
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -17,6 +19,16 @@ R = TypeVar("R")
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function to run with one BLAS thread; the setting is restored afterwards."""
+    """Decorate a function to run with one BLAS thread; the setting is restored afterwards.
+
+    A limit holds for the libraries that are loaded when the function is called. SciPy brings a BLAS of its own, with
+    its first use, which may be inside the function: so it is loaded before.
+    """
     limited: Callable[P, R] = threadpool_limits.wrap(limits=1, user_api="blas")(function)
-    return limited
+
+    @wraps(function)
+    def with_all_loaded(*args: P.args, **options: P.kwargs) -> R:
+        import_module("scipy.linalg")
+        return limited(*args, **options)
+
+    return with_all_loaded

@@ -110,6 +110,28 @@ def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
     assert np.abs(placed.points[0] - x[6:]).max() < 2e-4  # the noise is found to 1 %
 
 
+def test_where_nothing_fits_the_lowest_of_several_minima_is_found() -> None:
+    """Readings with an axis mirrored, against a general solver from 12 starts."""
+    generator = np.random.default_rng(15)
+    for _ in range(3):
+        truth, point = some_pose(generator), generator.uniform(-0.3, 0.3, 3)
+        turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (6, 3))).as_matrix()
+        poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
+        seen = seen_from(truth, poses, point) * [1, 1, -1]
+        T = matrices(poses)
+        placed = place([MovingPoint(T, seen, point, UNKNOWN)], np.ones(6), truth)
+
+        def rows(x: Array, T: Array = T, seen: Array = seen) -> Array:
+            here = seen @ Rotation.from_rotvec(x[:3]).as_matrix().T + x[3:6]
+            return (here - T[:, :3, :3] @ x[6:] - T[:, :3, 3]).ravel()
+
+        starts = [
+            np.concatenate([turn, truth.translation, point]) for turn in Rotation.random(12, generator).as_rotvec()
+        ]
+        least = min(float(np.sum(least_squares(rows, start).fun ** 2)) for start in starts)
+        assert 6 * placed.rms**2 == pytest.approx(least, rel=1e-6)
+
+
 def test_wrong_link_poses_are_refused() -> None:
     identity, frame = np.tile(np.eye(4), (3, 1, 1)), pin.SE3.Identity()
     with pytest.raises(DataError, match="do not belong together"):

@@ -7,7 +7,7 @@ X = (R, t). With other points of the same or other links, and w_i readings each,
 
 Method. For a given R this is linear in t and all p. Solved for them, what is left is linear in the nine entries of R,
 so that all poses shrink into ten rows: a quadratic function on the rotations, whatever the mechanism is. It may have
-several minima; Levenberg-Marquardt descends from each of the 60 rotations of the icosahedron, no rotation being more
+several minima; damped Newton steps descend from each of the 60 rotations of the icosahedron, no rotation being more
 than 45 degrees away from one of them, and the lowest end is taken. Where sigma is given, the noise is found from the
 residuals.
 
@@ -221,17 +221,28 @@ def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArr
 
 
 def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
-    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return the best end (3, 3)."""
+    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return the best end (3, 3).
+
+    With R exp(w), errors e and slope J, half of the sum has the gradient J^T e and the second derivative
+
+        J^T J + (M + M^T) / 2 - tr(M) I,        M = R^T G,        G the gradient F^T e by R, as a matrix,
+
+    because the second order of exp is [w]x^2 / 2 = (w w^T - w^T w I) / 2. Where that is not positive definite, the last
+    two terms are left out.
+    """
     F, f = rows[:, :9], rows[:, 9]
     rotations = starts
     errors = rotations.reshape(-1, 9) @ F.T - f
     damping = np.full(len(starts), 1e-2)
     for _ in range(_ITERATIONS):
-        slope = _slope(F, rotations)
-        square = slope.transpose(0, 2, 1) @ slope
+        slope = _slope(F, rotations).transpose(0, 2, 1)
+        square = slope @ slope.transpose(0, 2, 1)
         size = np.trace(square, axis1=1, axis2=2)
+        twice = rotations.transpose(0, 2, 1) @ (errors @ F).reshape(-1, 3, 3)
+        bend = (twice + twice.transpose(0, 2, 1)) / 2 - np.trace(twice, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        square += np.where(_positive(square + bend)[:, None, None], bend, 0.0)
         square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
-        steps = -np.linalg.solve(square, np.einsum("nrk,nr->nk", slope, errors)[..., None])[..., 0]
+        steps = -np.linalg.solve(square, slope @ errors[..., None])[..., 0]
         tried = rotations @ scipy.spatial.transform.Rotation.from_rotvec(steps).as_matrix()
         trial_errors = tried.reshape(-1, 9) @ F.T - f
         better = np.sum(trial_errors**2, axis=1) < np.sum(errors**2, axis=1)
@@ -241,6 +252,13 @@ def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
         if np.all(np.linalg.norm(steps, axis=1) < _STILL):
             break
     return rotations[np.argmin(np.sum(errors**2, axis=1))]
+
+
+def _positive(square: FloatArray) -> BoolArray:
+    """Whether symmetric matrices (n, 3, 3) are positive definite: their leading minors are positive, (n,)."""
+    first, both = square[:, 0, 0], square[:, 0, 0] * square[:, 1, 1] - square[:, 0, 1] ** 2
+    positive: BoolArray = (first > 0) & (both > 0) & (np.linalg.det(square) > 0)
+    return positive
 
 
 def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:

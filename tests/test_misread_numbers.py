@@ -99,15 +99,15 @@ def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
     assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
 
 
-def test_lengths_a_thousand_times_too_short_are_told_as_a_factor():
-    """Nothing is 96 000 % shorter than another length."""
+def test_inches_read_as_millimetres_are_told_as_a_factor():
+    """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""
     robot = calib.load(EXAMPLES / "arm.yaml")
     data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, 1e-3 * data.points(robot)[:, 0]))
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, data.points(robot)[:, 0] / 25.4))
     text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
-    factor = re.match(r"all measured lengths are ([\d.e-]+) times as long as in the description", text)
+    factor = re.match(r"all measured lengths are ([\d.]+) times as long as in the description", text)
     assert factor
-    assert float(factor[1]) == pytest.approx(1e-3, rel=0.3)  # the nominal robot's errors are scaled, too
+    assert float(factor[1]) == pytest.approx(1 / 25.4, rel=0.1)
 
 
 def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():

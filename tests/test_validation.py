@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
@@ -5,8 +7,9 @@ from six_axis_arm import joints, noisy, six_axis_arm
 import calib
 from calib.data.in_memory import measurements as from_readings
 from calib.data.in_memory import plain_readings
-from calib.data.pose_groups import pose_labels
+from calib.data.pose_groups import apart, pose_labels
 from calib.fitting.validation import deal
+from calib.judging.claim import elsewhere, unlike_measured
 
 RNG = np.random.default_rng(0)
 
@@ -117,3 +120,32 @@ def test_before_is_with_base_and_target_placed_alone(tmp_path):
     for errors in (fit.identification, fit.validation):
         rms = errors.table()["before"]["rms"]
         assert 0.2 < rms < 5  # the robot's own 2 mrad, not the base's 700 mm
+
+
+def test_of_poses_drawn_like_those_used_one_in_twenty_lies_apart():
+    used, others = joints(300), joints(4000, 1)
+    assert 0.03 < np.mean(apart(others, used)) < 0.08  # the limit is itself drawn: +- 0.013
+    assert np.mean(apart(others + 1.5 * np.eye(6)[0], used)) > 0.25
+    assert np.all(apart(others + 6.0 * np.eye(6)[0], used))
+
+
+def test_apart_is_beyond_the_nearest_other_pose_whatever_repeats_say():
+    """Poses in steps of 0.1 along one joint, each read three times; a joint that never moved is another matter."""
+    used = np.repeat(np.column_stack([0.1 * np.arange(30), np.full(30, 0.5)]), 3, axis=0)
+    others = np.array([[0.55, 0.5], [2.98, 0.5], [3.05, 0.5], [0.5, 0.6]])
+    assert apart(others, used).tolist() == [False, False, True, True]
+    assert not np.any(apart(others, used[:54]))  # 18 poses
+
+
+def test_poses_of_a_setup_that_was_not_used_are_unlike_those_measured(arm):
+    fit = calib.fit(arm, noisy(arm, joints(40), 1e-4, 1), validation=noisy(arm, joints(30, 5), 1e-4, 2))
+    assert np.array_equal(unlike_measured(fit), apart(joints(30, 5), joints(40)))
+    assert not elsewhere(unlike_measured(fit))
+    setups = np.zeros(40, dtype=int), np.where(np.arange(30) < 3, 0, 1)
+    used, other = (
+        replace(errors, data=replace(errors.data, setups=numbers))
+        for numbers, errors in zip(setups, (fit.identification, fit.validation), strict=True)
+    )
+    moved = replace(fit, identification=used, validation=other)
+    assert np.all(unlike_measured(moved)[3:])
+    assert elsewhere(unlike_measured(moved))

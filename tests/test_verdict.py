@@ -182,6 +182,25 @@ def test_validation_poses_that_fit_worse_than_predicted_are_a_check(arm, truth):
     assert fit.verdict.grade == verdict_reason.grade == "CHECK"
 
 
+def test_where_validation_poses_lie_elsewhere_the_broken_claim_says_how_many(arm, truth):
+    """Poses of one half of the first joint, judged by others: the errors of all of them are three times as large."""
+    used, other = (q[q[:, 0] < 0.0] for q in (joints(160), joints(60, 5)))
+    there = other + 1.5 * np.eye(6)[0]
+
+    def said(q):
+        fit = calib.fit(arm, noisy(truth, used, SIGMA, 1), validation=noisy(truth, q, 3 * SIGMA, 2))
+        return reason(fit, "validation").text
+
+    unit = np.std(used, axis=0)
+    between = np.sort(np.linalg.norm((used[:, None] - used) / unit, axis=2), axis=1)[:, 1]
+    away = np.min(np.linalg.norm((there[:, None] - used) / unit, axis=2), axis=1)
+    counted = int(np.sum(away > np.sort(between)[int(0.95 * (len(used) + 1))]))
+    assert 0.3 * len(there) < counted < len(there)
+    named = re.search(r"\. (\d+) of them lie farther from all poses used than these from each other", said(there))
+    assert abs(int(named[1]) - counted) <= 1  # the limit is one of the distances beside each other
+    assert "farther" not in said(other)
+
+
 @pytest.mark.parametrize(("degrees", "metres", "grade"), [(40, 0.8, "FAIL"), (1, 0.02, "CHECK")])
 def test_a_known_base_that_stands_elsewhere_is_named_with_its_place(prior_arm, degrees, metres, grade):
     """The frame of these measurements is turned about x and shifted; all come from one file."""

@@ -1,12 +1,14 @@
-"""Which rows repeat one pose: those of one name, and those whose joint values agree."""
+"""Which rows repeat one pose (one name, or joint values that agree), and which poses lie apart from others."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray
 
+APART = 0.05
+"""Part of poses drawn like others that lie apart from these, by `apart`."""
 SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
 
@@ -52,6 +54,26 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     """
     groups = repeated_poses(joints, by_name)
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+
+
+def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
+    """Return which poses lie farther from all poses used than 95 in 100 of these from the nearest other one, (n,).
+
+    In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count once. Of
+    poses drawn like those used, about one in 20 is among them. With fewer than 19 poses used, none is.
+
+    Args:
+        joints: The poses, (n, n_actuated) [m or rad].
+        used: Those used, (n_used, n_actuated) [m or rad].
+    """
+    first = np.unique(pose_labels(used), return_index=True)[1]
+    unit = np.maximum(np.std(used, axis=0), SAME_JOINTS)
+    k = int(np.ceil((1.0 - APART) * (len(first) + 1) - 1e-9))
+    if k > len(first):
+        return np.zeros(len(joints), dtype=bool)
+    near = scipy.spatial.cKDTree(used[first] / unit)
+    limit = np.sort(near.query(used[first] / unit, k=2)[0][:, 1])[k - 1]
+    return np.asarray(near.query(joints / unit)[0] > limit)
 
 
 def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:

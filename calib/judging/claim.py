@@ -19,6 +19,10 @@ squares (`calib.rows.prediction`),
 
 and `limit95` grows in proportion. How well that holds on real robots is in docs/verdict.md.
 
+Like those measured. Poses that were not used may lie elsewhere: in a setup that was not used, or apart from all poses
+used (`calib.data.pose_groups.apart`). Are more of them apart than chance explains (one case in a thousand), errors
+there say little about the claim.
+
 When it fails. New poses unlike those measured may be worse by what the model leaves out there: in another region, under
 another load, at another place of what was touched. What changes in the course of the measurement goes on changing after
 it. Poses that are copies of others foretell each other.
@@ -34,9 +38,10 @@ from typing import Any, Self
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.base.words import listed
+from calib.data.pose_groups import APART, apart
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.unseen_errors import left_out_one_by_one, of_errors
@@ -207,6 +212,21 @@ def claim_of(fit: Fit) -> Claim | None:
     n = fit.identification.data.n_poses
     region = f"at poses like the {n} measured"
     return Claim(told, shown, broken, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+
+
+def unlike_measured(fit: Fit) -> BoolArray:
+    """Return which validation visits are unlike those measured, (n_visits,), by the module docstring."""
+    if fit.validation is None:
+        return np.zeros(0, dtype=bool)
+    used, other = fit.identification.data, fit.validation.data
+    if used.setups is None or other.setups is None:
+        return apart(other.joints, used.joints)
+    return apart(other.joints, used.joints) | ~np.isin(other.setups, used.setups)
+
+
+def elsewhere(unlike: BoolArray) -> bool:
+    """Return whether more visits are unlike those measured, (n_visits,), than chance explains."""
+    return bool(scipy.special.bdtrc(np.sum(unlike) - 1, len(unlike), APART) < UNLIKELY) if np.any(unlike) else False
 
 
 def _known(fit: Fit, told: Accuracy) -> float:

@@ -16,14 +16,14 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
-from calib.judging.claim import Claim, Gain
+from calib.judging.claim import Claim, Gain, elsewhere, unlike_measured
 from calib.judging.effects import IN_COURSE, MOVED
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.residual_patterns import describe
 from calib.judging.rules_noise import impossible, in_words
 from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.rigid import best_transform
-from calib.robots.held import Holds
+from calib.robots.held import Accuracy, Holds, SeenAt
 from calib.robots.robot_files import lost_by
 from calib.rows.registration import registration
 
@@ -159,8 +159,19 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
         else:
             yield Code.VALIDATION.says(
                 f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS;"
-                f" claimed: {claimed.shown(claimed.rms)}){further}"
+                f" claimed: {claimed.shown(claimed.rms)}){'' if moved else _where(fit, accuracy)}{further}"
             )
+
+
+def _where(fit: Fit, accuracy: Accuracy) -> str:
+    """Say so if more validation poses than chance explains are unlike those measured."""
+    unlike = unlike_measured(fit)
+    if accuracy.poses is not SeenAt.VALIDATION or fit.validation is None or not elsewhere(unlike):
+        return ""
+    setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
+    if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
+        return ". They are of a setup that was not used"
+    return f". {np.sum(unlike)} of them lie farther from all poses used than these from each other"
 
 
 def base_elsewhere(fit: Fit) -> str:

@@ -10,18 +10,20 @@ its own noise: the change is then positive, though nothing is wrong. With G = su
     E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
 
 The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
-each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. In the place of
-e, which is not known, stand the errors of the better state, where they are larger than the noise: that is what the
-model leaves out. Where poses scatter by more than independent readings would (`calib.numerics.clusters`), the mixed
-part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
+each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units
+of a noise that was itself found, with f degrees of freedom: so F stands for the chi-square, and Student's t for the
+normal distribution. In the place of e, which is not known, stand the errors of the better state, where they are larger
+than the noise: that is what the model leaves out. Where poses scatter by more than independent readings would
+(`calib.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 
 This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
 used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
 `HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
 a chance of 0.1 % by Student's t; and `better` where they are as much smaller.
 
-When it fails. What the model leaves out is no noise, and follows the poses: where the poses not used are few and alike,
-the chance is larger.
+When it fails. Both parts of the change grow with the same d: of robots that need no correction, up to 0.25 % are called
+worse instead of 0.1 %. What the model leaves out is no noise, and follows the poses: where the poses not used are few
+and alike, the chance is larger.
 
 Reference: satterthwaite1946.
 """
@@ -95,7 +97,7 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Compar
         mixed = float(np.sum((felt @ (covariance * scaled)) * felt))
     else:
         mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
-    spread = _spread(product, mixed)
+    spread = _spread(product, mixed, fit.statistics.freedom)
     return Comparison(
         name,
         errors.rms("before"),
@@ -116,15 +118,16 @@ def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     return bool(scipy.special.stdtr(n - 1, -t) < UNLIKELY)
 
 
-def _spread(product: FloatArray, mixed: float) -> float:
+def _spread(product: FloatArray, mixed: float, freedom: float) -> float:
     """Return how far above its mean T goes with `UNLIKELY`.
 
     Args:
         product: GC, (n_free, n_free).
         mixed: Variance of e^T B d.
+        freedom: Degrees of freedom that the noise was found with.
     """
     mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
     if mean <= 0:
         return 0.0
-    quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, UNLIKELY)) - mean
-    return float(np.hypot(quadratic, -2.0 * float(scipy.special.ndtri(UNLIKELY)) * np.sqrt(mixed)))
+    quadratic = mean * float(scipy.special.fdtri(mean**2 / squares, freedom, 1.0 - UNLIKELY)) - mean
+    return float(np.hypot(quadratic, -2.0 * float(scipy.special.stdtrit(freedom, UNLIKELY)) * np.sqrt(mixed)))

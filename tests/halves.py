@@ -1,0 +1,123 @@
+"""How far predictions by disjoint halves of real measurements lie apart, and how far the fits say that they do.
+
+    python tests/halves.py FOLDER [--draws N] [--only WORDS] [--page]
+
+FOLDER holds measurements by others, as `tests/public_data.py` reads them. Positions at all poses are predicted by the
+fits of two halves. What both fits leave to the same prior is off by the same in both, and does not count; nor does the
+error of the joints that differs from pose to pose. --page writes the table into docs/uncertainty.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from claims import positioner
+from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
+
+import calib
+from calib.base.arrays import FloatArray, IntArray
+from calib.data.measurements import Measurements
+from calib.data.pose_groups import boxes
+from calib.fitting.regions import BLOCKS
+
+PAGE = EXAMPLES.parent / "uncertainty.md"
+_PLACE = re.compile(r"(<!-- begin halves -->\n).*?(<!-- end halves -->)", re.DOTALL)
+WAYS = {"at random": None, "by boxes of joint space": None, "at random, terms chosen": "auto"}
+"""How a set is cut, and which joint terms the fits have."""
+_QUICK = 5  # times as many pairs of halves where no terms are chosen
+
+
+def sets(folder: Path) -> Iterator[tuple[str, calib.Robot, Measurements]]:
+    """Yield each robot with its measurements."""
+    robot, data, _ = ur10_tracker(folder / "ur10_tracker")
+    yield "UR10, 300 poses", robot, data[np.sort(np.random.default_rng(7).permutation(len(data))[:300])]
+    where = folder / "motoman_right"
+    robot = described(where / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
+    yield "Motoman", robot, calib.read_measurements(where / "train.csv", robot)
+    yield "positioner", *positioner(folder)
+    for arm, places in PLACES.items():
+        yield arm, *mukca(folder / "mukca", arm, places)
+
+
+def halves(data: Measurements, how: str, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """Cut the visits in two: at random within each setup, or into boxes of joint space."""
+    if how.startswith("by boxes"):
+        parts = boxes(data.joints, data.pose_numbers, BLOCKS)
+        first = rng.permutation(len(parts))[: len(parts) // 2]
+        chosen = np.isin(np.arange(len(data)), np.concatenate([parts[k] for k in first]))
+    else:
+        chosen = np.zeros(len(data), dtype=bool)
+        setups = np.zeros(len(data)) if data.setups is None else data.setups
+        for setup in np.unique(setups):
+            there = rng.permutation(np.flatnonzero(setups == setup))
+            chosen[there[: len(there) // 2]] = True
+    return np.flatnonzero(chosen), np.flatnonzero(~chosen)
+
+
+def predicted(fit: calib.Calibration, data: Measurements) -> tuple[FloatArray, float, float, dict[str, FloatArray]]:
+    """Return positions (n, 3), their variance by noise alone, the same as claimed, and the errors left to priors.
+
+    The variances are means over positions. The errors left to priors are columns (3 n,), one for each parameter.
+    """
+    known, robot, located = fit.uncertainty, fit.robot, fit.robot.located
+    linear, lasting = known.linearised(robot, data.joints, data.conditions), known.lasting(robot)
+    columns = linear.jacobian[:, located, :3][..., lasting].reshape(-1, int(np.sum(lasting)))
+    claimed, n = known.covariance_of(robot)[np.ix_(lasting, lasting)], len(known.covariance)
+    by_priors, prior, scales = fit.rows.prior.times(fit.root), fit.rows.prior, fit.unknowns.scales
+    left = scales[:, None] * (fit.root @ by_priors.T)  # of the covariance, left @ left.T is what priors leave open
+    claimed[:n, :n] -= fit.widened**2 * left @ left.T
+    noise = claimed.copy()
+    noise[:n, :n] -= (fit.widened**2 - 1.0) * (fit.statistics.covariance - left @ left.T)
+    by_prior = columns[:, :n] @ (left @ prior.times(np.eye(n)))
+    points = linear.positions[:, located].reshape(-1, 3)
+    variances = [float(np.sum((columns @ covariance) * columns)) / len(points) for covariance in (noise, claimed)]
+    return points, *variances, dict(zip(fit.free_names, by_prior.T, strict=True))
+
+
+def apart(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Generator) -> FloatArray:
+    """Return mean squares: how far both predictions are apart, how far by noise, and how far as claimed, (3,) [m^2]."""
+    fits = [calib.fit(robot, data[half], terms=WAYS[how]) for half in halves(data, how, rng)]
+    (points, *variances, by_prior), (others, *more, by_other) = (predicted(fit, data) for fit in fits)
+    nothing, names = np.zeros(points.size), dict.fromkeys([*by_prior, *by_other])
+    differ = sum(float(np.sum((by_prior.get(k, nothing) - by_other.get(k, nothing)) ** 2)) for k in names) / len(points)
+    seen = float(np.sum((points - others) ** 2)) / len(points)
+    return np.array([seen, *(a + b + differ for a, b in zip(variances, more, strict=True))])
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("--draws", type=int, default=4, help="pairs of halves; five times as many without terms")
+    parser.add_argument("--only", default="", metavar="WORDS", help="rows that contain them")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/uncertainty.md")
+    options = parser.parse_args()
+    lines = [
+        "| robot | halves | pairs | apart [mm] | by noise [mm] | ratio | of single pairs | as claimed [mm] | ratio |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name, robot, data in sets(options.folder):
+        for how in WAYS:
+            if options.only not in f"{name} {how}":
+                continue
+            n_draws = options.draws * (1 if WAYS[how] else _QUICK)
+            draws = [apart(robot, data, how, np.random.default_rng(k)) for k in range(n_draws)]
+            seen, noise, claimed = 1e3 * np.sqrt(np.mean(draws, axis=0))
+            single = [float(np.sqrt(draw[0] / draw[1])) for draw in draws]
+            lines.append(
+                f"| {name} | {how} | {n_draws} | {seen:.3f} | {noise:.3f} | {seen / noise:.2f} | {min(single):.2f} to"
+                f" {max(single):.2f} | {claimed:.3f} | {seen / claimed:.2f} |"
+            )
+            print(lines[-1], flush=True)
+    if options.page:
+        table = "\n".join(lines)
+        text = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

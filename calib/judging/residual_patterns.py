@@ -173,8 +173,7 @@ def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind
     if residuals.factor * setting.metre < EXACT:
         return ()
     tested = (effect for effect in effects(setting) if effect.kind in kinds)
-    all_moments = (moments for effect in tested for moments in _moments(residuals, effect))
-    tests = [test for moments in all_moments if (test := _test(residuals, moments)) is not None]
+    tests = _tests(residuals, [moments for effect in tested for moments in _moments(residuals, effect)])
     kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
     for family in FAMILIES:
         members = [test for test in tests if test.effect.kind in family]
@@ -272,24 +271,42 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         yield _Moments("wave", waves.name, waves.detail(order), normal, own[:rank], own[rank])
 
 
-def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
-    """Test one effect; None if it cannot be seen."""
-    size = np.sqrt(np.diag(effect.squares))
-    if not np.all(size > 0):
-        return None
-    absorbed = effect.absorbed / size
-    values, vectors = np.linalg.eigh(effect.squares / np.outer(size, size) - absorbed.T @ absorbed)
+def _tests(residuals: Residuals, effects: list[_Moments]) -> list[_Tested]:
+    """Test those effects that can be seen; all with equally many columns at once, for there are hundreds."""
+    shown = [effect for effect in effects if np.all(np.diag(effect.squares) > 0)]
+    widths = np.array([len(effect.score) for effect in shown], dtype=np.intp)
+    tests: dict[int, _Tested | None] = {}
+    for width in np.unique(widths):
+        numbers = np.flatnonzero(widths == width).tolist()
+        tests |= zip(numbers, _tests_at_once(residuals, [shown[k] for k in numbers]), strict=True)
+    return [test for k in range(len(shown)) if (test := tests[k]) is not None]
+
+
+def _tests_at_once(residuals: Residuals, effects: list[_Moments]) -> list[_Tested | None]:
+    """Test effects with equally many columns; None for one that the fit absorbs."""
+    squares = np.stack([effect.squares for effect in effects])
+    size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
+    absorbed = np.stack([effect.absorbed for effect in effects]) / size[:, None, :]
+    left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
+    values, vectors = np.linalg.eigh(left)
     determined = values > _ABSORBED
-    k = int(np.sum(determined))
-    if k == 0 or residuals.freedom - k < 1:
+    score = np.stack([effect.score for effect in effects]) / size
+    score = np.where(determined, np.matmul(score[:, None, :], vectors)[:, 0], 0.0)
+    along = score / np.where(determined, values, 1.0)
+    gains, numbers = np.sum(score * along, axis=1).tolist(), np.sum(determined, axis=1).tolist()
+    coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
+    parts = zip(effects, gains, numbers, coefficients, strict=True)
+    return [_tested(residuals, *part) for part in parts]
+
+
+def _tested(residuals: Residuals, effect: _Moments, gain: float, k: int, coefficients: FloatArray) -> _Tested | None:
+    """Return the test of an effect that k columns are left of; None if none is, or nothing to compare the gain with."""
+    freedom = k, residuals.freedom - k
+    if k == 0 or freedom[1] < 1:
         return None
-    values, vectors = values[determined], vectors[:, determined]
-    score = vectors.T @ (effect.score / size)
-    gain = float(np.sum(score**2 / values))
-    rest = max(residuals.square - gain, 1e-12 * residuals.square) / (residuals.freedom - k)
-    freedom, ratio = (k, residuals.freedom - k), max(gain / k / rest, 0.0)
-    p_value = float(scipy.special.fdtrc(*freedom, ratio))
-    return _Tested(effect, p_value, ratio, freedom, gain, vectors @ (score / values) / size)
+    rest = max(residuals.square - gain, 1e-12 * residuals.square) / freedom[1]
+    ratio = max(gain / k / rest, 0.0)
+    return _Tested(effect, float(scipy.special.fdtrc(*freedom, ratio)), ratio, freedom, gain, coefficients)
 
 
 def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:

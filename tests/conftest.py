@@ -41,6 +41,7 @@ def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
         stack.enter_context(contextlib.redirect_stderr(err))
         stack.enter_context(mock.patch.object(sys, "argv", ["calib", *map(str, arguments)]))
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
+        stack.enter_context(mock.patch("calib.commands.common._LINE_EVERY", float("inf")))  # however slow the machine
         try:
             run_program(group)
         except SystemExit as end:

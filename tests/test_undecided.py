@@ -1,5 +1,7 @@
 """Joint terms that a choice left undecided: against dense marginal likelihoods, the normal equations, and coverage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy
@@ -11,13 +13,13 @@ from calib.numerics.undecided import averaged
 
 
 def test_chances_and_mean_squares_are_those_of_dense_likelihoods():
-    """Two kinds beside nothing else, by the density of the readings themselves and a fine integral over sizes."""
+    """Of two kinds, by the density of the readings themselves and a fine integral over sizes."""
     rng = np.random.default_rng(3)
     kinds = [0.8 * rng.standard_normal((12, n)) for n in (2, 3)]
     residuals = kinds[0] @ (0.6, -0.4) + rng.standard_normal(12)
     sizes = np.linspace(0.01, 6.0, 600)
     prior = np.exp(-0.5 * sizes**2)
-    evidence, squares = [], []
+    without = 0.75 * scipy.stats.multivariate_normal(cov=np.eye(12)).pdf(residuals)
     for rows in kinds:
         at_size, mean_square = [], []
         for size in sizes:
@@ -26,14 +28,11 @@ def test_chances_and_mean_squares_are_those_of_dense_likelihoods():
             covariance = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]) / size**2)
             mean = covariance @ rows.T @ residuals
             mean_square.append(covariance + np.outer(mean, mean))
-        weights = 0.5 * prior * at_size / prior.sum()  # each of two kinds
-        evidence.append(weights.sum())
-        squares.append(np.tensordot(weights, mean_square, 1))
-    total = scipy.stats.multivariate_normal(cov=np.eye(12)).pdf(residuals) + sum(evidence)
-    found = averaged([(rows.T @ rows, rows.T @ residuals) for rows in kinds])
-    for one, chance, square in zip(found, evidence, squares, strict=True):
-        assert one.chance == pytest.approx(chance / total, rel=0.02)
-        assert one.spread @ one.spread.T == pytest.approx(square / total, rel=0.05, abs=0.003)
+        weights = 0.25 * prior * at_size / prior.sum()
+        total, square = without + weights.sum(), np.tensordot(weights, mean_square, 1)
+        found = averaged(rows.T @ rows, rows.T @ residuals)
+        assert found.chance == pytest.approx(weights.sum() / total, rel=0.02)
+        assert found.spread @ found.spread.T == pytest.approx(square / total, rel=0.05, abs=0.003)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def test_intervals_include_terms_that_are_too_small_to_be_proven(drifting):
     held, narrow = [], []
     for fit, true, elsewhere in drifting:
         errors, inside = position_errors(fit, true, elsewhere)
-        alone = calib.fit(fit.nominal, fit.identification.data).predict(elsewhere)
+        alone = replace(fit.uncertainty, undecided=None, joint_error=0.0).at(fit.robot, elsewhere)
         moves = alone.std > 1e-9
         held += inside
         narrow += list((errors <= alone.coverage_factor * alone.std)[moves])

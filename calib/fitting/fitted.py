@@ -363,9 +363,9 @@ class Fit(ReadOnlyArrays):
         observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
         scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
         by_joint = self.whitening.joint_columns(observed)[:, : len(scale)] * scale
-        root = np.sqrt(self.weights)[layout.reading]
         residuals = self.whitening.flatten({name: part.residuals for name, part in observed.items()})
-        return unexplained_joint_error(layout, root * residuals, root[:, None] * by_joint, self.statistics)
+        leverage = np.sum((self.rows.weighted(self.weights).jacobian @ self.root) ** 2, axis=1)
+        return unexplained_joint_error(layout, residuals, by_joint, self.weights[layout.reading], leverage)
 
     @property
     def undecided(self) -> UndecidedTerms | None:

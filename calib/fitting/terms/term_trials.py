@@ -248,7 +248,7 @@ class Trials:
         return self._known[key]
 
     def undecided(self, terms: tuple[str, ...], others: Sequence[str]) -> dict[str, dict[str, FloatArray]]:
-        """Return what other terms, one at a time beside some, leave uncertain (`calib.numerics.undecided`).
+        """Return what other terms, each beside some, leave uncertain (`calib.numerics.undecided`).
 
         Terms of which each joint has a size of its own have too many coefficients, and are not among them.
 
@@ -266,22 +266,19 @@ class Trials:
             return {}
         solved, n = model.solved(scales, sizes), len(use)
         factor, step = solved.factor[:, None], solved.factor * solved.step
-        columns, follows, seen = {}, {}, {}
+        known = {}
         for term in others:
             own = np.array([k for k, owner in enumerate(design.owner) if owner == term], dtype=np.intp)
             if design.label[own[0]] != term:
                 continue
-            columns[term] = np.concatenate([use, own])
-            gram, pull = self._all.products(columns[term]).weighed(scales)
+            columns = np.concatenate([use, own])
+            gram, pull = self._all.products(columns).weighed(scales)
             shared = gram[:n, n:]
-            follows[term] = -factor * (solved.root @ (solved.root.T @ (factor * shared)))
-            seen[term] = gram[n:, n:] + shared.T @ follows[term], pull[n:] + shared.T @ step
-        known = dict(zip(seen, averaged(list(seen.values())), strict=True))
-        return {
-            term: self._parameters(columns[term], np.vstack([follows[term] @ one.spread, one.spread]))
-            for term, one in known.items()
-            if one.chance > _LITTLE
-        }
+            follows = -factor * (solved.root @ (solved.root.T @ (factor * shared)))
+            kind = averaged(gram[n:, n:] + shared.T @ follows, pull[n:] + shared.T @ step)
+            if kind.chance > _LITTLE:
+                known[term] = self._parameters(columns, np.vstack([follows @ kind.spread, kind.spread]))
+        return known
 
     def _parameters(self, use: IntArray, steps: FloatArray) -> dict[str, FloatArray]:
         """Return changes of parameters, (k,) each [SI], by name, from those of some columns, (n_used, k)."""

@@ -76,22 +76,28 @@ def choices(robot, terms, n, seed):
     """Of n simulated calibrations with these terms, how often what is there is added, and anything else.
 
     Each in three numbers: its kind said to be proven; added alone, not proven; one of several that were added together.
-    Of several, what is there counts, if it is among them. Then, at poses not measured, the part of the 95 % intervals
-    that hold the true position, and the root mean square error over that of a fit to which the terms were told.
+    Of several, what is there counts, if it is among them. Then the part of the 95 % intervals that hold the truth: of
+    origins, and of positions at poses not measured; and the root mean square error there over that of a fit to which
+    the terms were told.
     """
     counts = np.zeros((2, 3), dtype=int)
-    held, squares = [], np.zeros(2)
+    origins, held, squares = [], [], np.zeros(2)
     for number in range(n):
         true, data, elsewhere = simulated(robot, terms, np.random.default_rng([seed, number]))
         fit = calib.fit(robot, data, terms="auto")
+        known = dict(zip((p.name for p in true.parameters), true.values, strict=True))
+        of_origins = {p.name for p in robot.parameters[: robot.n_origin_parameters]} & set(fit.free_names)
+        estimates = {name: fit.parameters[name] for name in sorted(of_origins)}
+        origins += [item.low95_si <= known[name] <= item.high95_si for name, item in estimates.items()]
         told = [trial for trial in fit.terms.tried if trial.added]
         for kinds, item in {frozenset((row.term, *row.together)): row for row in told}.items():
             counts[int(not kinds & set(terms)), 2 if item.together else int(not item.proven)] += 1
-        for k, known in enumerate((fit, calib.fit(robot.with_terms(entries(robot, terms)), data))):
-            errors, inside = position_errors(known, true, elsewhere)
+        for k, other in enumerate((fit, calib.fit(robot.with_terms(entries(robot, terms)), data))):
+            errors, inside = position_errors(other, true, elsewhere)
             squares[k] += np.mean(errors**2)
             held += inside if k == 0 else []
-    return (*counts.ravel().tolist(), round(float(np.mean(held)), 3), round(float(np.sqrt(squares[0] / squares[1])), 2))
+    parts = (round(100 * float(np.mean(part)), 1) for part in (origins, held))
+    return (*counts.ravel().tolist(), *parts, round(float(np.sqrt(squares[0] / squares[1])), 2))
 
 
 @one_blas_thread

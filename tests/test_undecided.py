@@ -19,7 +19,7 @@ def test_chances_and_mean_squares_are_those_of_dense_likelihoods():
     residuals = kinds[0] @ (0.6, -0.4) + rng.standard_normal(12)
     sizes = np.linspace(0.01, 6.0, 600)
     prior = np.exp(-0.5 * sizes**2)
-    without = 0.75 * scipy.stats.multivariate_normal(cov=np.eye(12)).pdf(residuals)
+    without = 5 / 6 * scipy.stats.multivariate_normal(cov=np.eye(12)).pdf(residuals)
     for rows in kinds:
         at_size, mean_square = [], []
         for size in sizes:
@@ -28,7 +28,7 @@ def test_chances_and_mean_squares_are_those_of_dense_likelihoods():
             covariance = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]) / size**2)
             mean = covariance @ rows.T @ residuals
             mean_square.append(covariance + np.outer(mean, mean))
-        weights = 0.25 * prior * at_size / prior.sum()
+        weights = 1 / 6 * prior * at_size / prior.sum()
         total, square = without + weights.sum(), np.tensordot(weights, mean_square, 1)
         found = averaged(rows.T @ rows, rows.T @ residuals)
         assert found.chance == pytest.approx(weights.sum() / total, rel=0.02)

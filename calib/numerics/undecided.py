@@ -2,7 +2,7 @@
 
 Each of several kinds of columns may stand beside those of a linear model. Coefficients of a kind have the prior
 c ~ N(0, a^2) in units of what is expected, and its size a is half-normal: a kind that is there is about as large as is
-expected. Before measuring, each kind is there with a chance of one in four, whatever the others are. With M the
+expected. Before measuring, each kind is there with a chance of one in six, whatever the others are. With M the
 information that the rows have about c beside the model that was taken, and z their pull on it, a kind of size a has
 
     evidence over that of none     |1 + a^2 M|^(-1/2)  exp( z^T G z / 2 ),      G = (M + a^-2)^-1
@@ -11,9 +11,9 @@ information that the rows have about c beside the model that was taken, and z th
 Averaged over sizes by their evidence, the mean square of c counts the chance that the kind is there and was not taken
 (hoeting1999): an evidence too small to prove it does not say that it is zero. What else follows c comes with it.
 
-Why one in four. Readings cannot tell a robot without a kind from one that has little of it, so no interval is right for
+Why one in six. Readings cannot tell a robot without a kind from one that has little of it, so no interval is right for
 both (leeb2005). A larger chance widens the intervals of robots that have none of the kinds; a smaller one makes those
-of robots that have one too narrow. With one in four, both are wrong by about as much (`docs/theory/joint_terms.md`). A
+of robots that have one too narrow. With one in six, both are wrong by about as much (`docs/theory/joint_terms.md`). A
 chance that all kinds share would get smaller with every kind that a robot can be asked for.
 
 When it fails. Kinds that look alike are each counted as if the others were not there: intervals are then wide.
@@ -32,7 +32,7 @@ from calib.base.arrays import FloatArray, ReadOnlyArrays
 
 _SIZES = np.geomspace(0.05, 3.0, 12)
 """Sizes over what is expected."""
-_CHANCE = 0.25  # that a kind is there, before measuring
+_CHANCE = 1.0 / 6.0  # that a kind is there, before measuring
 _NOTHING = 1e-12  # part of the largest information that is rounding
 
 

@@ -193,8 +193,10 @@ def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, 
     named = re.search(r"Joint terms added: ([a-z ]+) \(", report)
     assert set(named[1].split(" or ")) == set(told)
     assert "the data do not show which, so they were added together" in report
-    alone = [calib.fit(robot, data, terms=term).predict(elsewhere) for term in (there, other)]
-    assert np.all(fit.predict(elsewhere).std.mean() > [0.99 * item.std.mean() for item in alone])
+    fits = [calib.fit(robot, data, terms=term) for term in (there, other)]
+    alone = [replace(item.uncertainty, joint_error=0.0).at(item.robot, elsewhere) for item in fits]
+    together = replace(fit.uncertainty, undecided=None, joint_error=0.0).at(fit.robot, elsewhere)
+    assert np.all(together.std.mean() > [0.99 * item.std.mean() for item in alone])
 
 
 def evidence_of(fit, robot, data, term):

@@ -89,8 +89,9 @@ def command(
     """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
 
     IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses has the pose of the
-    tool at each image, as the teach pendant shows it: position and quaternion, or angles. With --robot, it has joint
-    values. The kinematics of the robot are not changed; calib fit calibrates them as well.
+    tool at each image, as the teach pendant shows it: position and quaternion, or angles. With --robot, the
+    file of --poses has joint values. This command does not change the kinematics of the robot: calib fit calibrates
+    them.
     """
     described, named = given_board(board), _frames(frames)
     model = None if robot is None else loaded(robot, output)

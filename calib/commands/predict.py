@@ -36,8 +36,8 @@ _FURTHER = 1.05
 def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:
     """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed.
 
-    With --result, the output also says how well the positions are known: the standard deviation of each coordinate,
-    from the measurement noise, and how far off the real tool is expected to be there.
+    With --result, the output also has the standard deviation of each predicted coordinate, and says how far off the
+    real tool is expected to be there.
     """
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)

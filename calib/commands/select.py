@@ -47,7 +47,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     metavar="all|each|LIST",
     default=ALL,
     show_default=True,
-    help="What reads at a chosen pose. all: every instrument; each: one of them, also chosen; LIST: one of these, such"
+    help="What reads at a chosen pose. all: every instrument; each: those that help most; LIST: one of these, such"
     " as tracker,sockets+ballbar (those joined by + read together).",
 )
 @click.option(

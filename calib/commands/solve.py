@@ -28,7 +28,7 @@ from calib.using.inverse import Solution, solve
 
 @click.command("solve")
 @click.argument("robot")
-@click.argument("targets")
+@click.argument("goals_file", metavar="GOALS")
 @values_options
 @click.option("--skip-unreachable", is_flag=True, help="List goals that are out of reach, and write the others.")
 @click.option(
@@ -37,16 +37,16 @@ from calib.using.inverse import Solution, solve
 @shared_options(json_output=True)
 def command(
     robot: str,
-    targets: str,
+    goals_file: str,
     parameters: str | None,
     result: str | None,
     skip_unreachable: bool,
     out: str,
     output: Output,
 ) -> None:
-    """Find joint values that bring a target of ROBOT to the goals in TARGETS (CSV), through the closed loops.
+    """Find joint values that bring a target of ROBOT to the goals in GOALS (CSV), through the closed loops.
 
-    TARGETS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
+    GOALS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
     TARGET_rx, _ry, _rz (such as 'tool_rx [deg]'; roll, pitch, yaw about fixed axes, as URDF's rpy) to ask for the
     orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
     Leave empty the cells of a coordinate that the robot cannot choose, such as z if it moves in the plane of x and y.
@@ -62,7 +62,7 @@ def command(
     """
     nominal, folder = loaded(robot, output), folder_of_values(robot, parameters, result)
     model = with_values(nominal, parameters, result)
-    goals = read_goals(targets, model)
+    goals = read_goals(goals_file, model)
     output.check(out)
     with output.working(f"solving {len(goals)} goals"):
         solution = solve(load_known(folder, nominal) if folder else model, goals)
@@ -73,7 +73,7 @@ def command(
     for miss in misses:
         output.note(f"{miss}; skipped")
     source = parameters or folder or "nominal values"
-    comment = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
+    comment = f"joint values of {model.name} that reach {goals_file} ({goals.asks_for}), {source}"
     if solution.expected.nothing_to_correct:
         comment += f"; those of the nominal robot: {left_as_it_is(source)}"
     if folder:

@@ -30,7 +30,9 @@ _DIGITS = 8  # of joint values that are the same in two files [m or rad]
     is_flag=True,
     help="Keep unknown base and targets where the calibration found them. Default: place them anew.",
 )
-@click.option("--plan", is_flag=True, help="DATA has joint values only: say which changes readings there would show.")
+@click.option(
+    "--plan", is_flag=True, help="DATA has joint values only: say which changes of the robot would show there."
+)
 @click.option(
     "--change", metavar="NAME=SIZE", help="With --plan: how many poses show this change, such as 'joint_2.z=0.2 mm'."
 )

@@ -25,7 +25,7 @@ EXAMPLES = {
     "calib fleet": "calib fleet out/robot_1 out/robot_2 out/robot_3 --out fleet.yaml",
     "calib verify": "calib verify out/arm check.csv",
     "calib predict": "calib predict out/arm poses.csv --out predicted.csv",
-    "calib solve": "calib solve out/arm targets.csv --out commands.csv",
+    "calib solve": "calib solve out/arm goals.csv --out commands.csv",
     "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
     "calib export": "calib export out/arm --format mjcf --out arm.xml",
     "medrue demo": "medrue demo --out out/demo",

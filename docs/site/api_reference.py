@@ -44,6 +44,7 @@ STEPS = {
     "Parametrisations of your own": ("Parametrisation", "Parameter", "Origin", "twist_of_edit"),
 }
 """Names of `calib` by task, in the order of use; functions before the classes that they return."""
+_INTRO = "For anyone who programs in Python: at the end you know arguments, units and errors of each of these names."
 _CITED = re.compile(r"reference/api/((?:calib|viz|medrue)[\w.]*)\.md")
 
 
@@ -99,7 +100,7 @@ def pages() -> dict[str, str]:
     result = {f"{FOLDER}/index.md": _index()}
     for title, (package, names) in _tables().items():
         entries = "\n".join(_entry(package, name) for name in names)
-        result[f"{FOLDER}/{_slug(title)}.md"] = f"# {title}\n\n{_names(package, names)}\n{entries}"
+        result[f"{FOLDER}/{_slug(title)}.md"] = f"# {title}\n\n{_INTRO}\n\n{_names(package, names)}\n{entries}"
     for name in cited():  # the derivation alone: what is in the module is in its source
         result[f"{FOLDER}/{name}.md"] = f"---\ntitle: {name}\n---\n\n::: {name}\n    options:\n      members: false\n"
     return result
@@ -114,8 +115,9 @@ def _tables() -> dict[str, tuple[str, list[str]]]:
 
 def _index() -> str:
     parts = [
-        "# Python reference\n\nFor anyone who calls the program from Python: the public names by task, each with its"
-        " arguments, units and errors. Names of other modules may change; their documentation is in the source.\n"
+        "# Python reference\n\nFor anyone who calls the program from Python: at the end you know the public names of a"
+        " task, with their arguments, units and errors. Names of other modules may change; their documentation is in"
+        " the source.\n"
     ]
     for title, (package, names) in _tables().items():
         parts.append(f"## [{title}]({_slug(title)}.md)\n\n{_names(package, names)}")

@@ -40,7 +40,8 @@ EXAMPLES = {
 _HEAD = """\
 # Commands
 
-This page is what `--help` prints, with an example of each. `python -m calib` is the same as `calib`.
+For anyone at a terminal: at the end you know every command and its options. This is what `--help` prints, with an
+example of each command. `python -m calib` is the same as `calib`.
 
 **Exit codes.** 0: done. 2: the input is wrong; one line on standard error says what, where, and what to do. 3: the
 computation could not give an answer that can be trusted, and says why. An existing result is never half overwritten.

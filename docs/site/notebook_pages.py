@@ -28,7 +28,7 @@ def pages() -> dict[str, str | bytes]:
         files[f"{FOLDER}/{name}.md"] = text
         files |= {f"{FOLDER}/{path}": content for path, content in pictures.items()}
         cards.append(_card(name, notebook, list(pictures)))
-    intro = "# Notebooks\n\nFor anyone who prefers notebooks: the tutorials in Python, with their outputs.\n\n"
+    intro = "# Notebooks\n\nFor anyone who prefers notebooks: at the end you have run a tutorial in Python.\n\n"
     files[f"{FOLDER}/index.md"] = intro + "\n".join(cards)
     return files
 

@@ -219,7 +219,7 @@ def test_where_validation_poses_lie_elsewhere_the_broken_claim_says_how_many(arm
     away = np.min(np.linalg.norm((there[:, None] - used) / unit, axis=2), axis=1)
     counted = int(np.sum(away > np.sort(between)[int(0.95 * (len(used) + 1))]))
     assert 0.3 * len(there) < counted < len(there)
-    named = re.search(r"\. (\d+) of them lie farther from all poses used than these from each other", said(there))
+    named = re.search(r"\. (\d+) of them are farther from the poses used for the fit", said(there))
     assert abs(int(named[1]) - counted) <= 1  # the limit is one of the distances beside each other
     assert "farther" not in said(other)
 

@@ -171,7 +171,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
         return ". They are of a setup that was not used"
-    return f". {np.sum(unlike)} of them lie farther from all poses used than these from each other"
+    return f". {np.sum(unlike)} of them are farther from the poses used for the fit than those are from each other"
 
 
 def base_elsewhere(fit: Fit) -> str:

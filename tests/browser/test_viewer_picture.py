@@ -87,16 +87,21 @@ def test_the_report_is_dark_where_the_system_is_but_not_on_paper(chromium, resul
     assert tab.page.evaluate(ground) == "rgb(22, 28, 35)"
     red, green, blue = grade_colour(tab)
     assert green > 1.2 * max(red, blue)  # PASS is green
-    assert (
-        tab.page.evaluate("getComputedStyle(document.querySelector('.drawing svg')).backgroundColor")
-        == "rgb(255, 255, 255)"
-    )
+    assert min(colour_of_figures(tab)) > 180  # light text on the page's own ground
     tab.page.emulate_media(media="print", color_scheme="dark")
     assert tab.page.evaluate(ground) == "rgb(255, 255, 255)"
+    assert max(colour_of_figures(tab)) < 80
     red, green, blue = grade_colour(tab)
     assert green > 1.2 * max(red, blue)
     assert not tab.page.get_by_text("Viewer: the robot").is_visible()
     tab.context.close()
+
+
+def colour_of_figures(tab):
+    """Red, green and blue of the text of the figures, 0 to 255; none has a ground of its own."""
+    style = "getComputedStyle(document.querySelector('.drawing svg{}')).{}"
+    assert tab.page.evaluate(style.format("", "backgroundColor")) == "rgba(0, 0, 0, 0)"
+    return [int(part) for part in re.findall(r"\d+", tab.page.evaluate(style.format(" text", "fill")))[:3]]
 
 
 def grade_colour(tab):

@@ -68,7 +68,7 @@ class Panel {
         parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
           element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
         element("p", {}, `mean ${part} error of ${of} before and after calibration, ${named[judged.group] || judged.group} poses`
-          + (space ? `; as far as points are off there, ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
+          + (space ? `; at the measured points, that is ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
       }
       const head = element("tr", {}, ...[`${of}: ${part} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
       const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));

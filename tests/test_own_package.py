@@ -330,6 +330,12 @@ def test_classes_are_registered_in_python_too():
         registry.register("half", type("Half", (JointTerm,), {}))
 
 
+def test_a_term_that_says_nothing_of_its_columns_is_named():
+    silent = type("Silent", (JointTerm,), {"of": classmethod(lambda cls, joint, section, sigma: cls())})
+    with pytest.raises(NotImplementedError, match="Silent gives neither columns nor a formula"):
+        silent.of(None, None, None).columns(np.zeros((1, 1)), 0, None)
+
+
 def test_editors_know_its_keys(lab):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json.loads(schema_text()))

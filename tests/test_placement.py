@@ -30,6 +30,13 @@ def seen_from(truth: pin.SE3, poses: list[pin.SE3], point: Array) -> Array:
     return np.array([(truth.inverse() * pose).act(point) for pose in poses])
 
 
+def drawn(generator: np.random.Generator, n: int) -> tuple[pin.SE3, Array, list[pin.SE3]]:
+    """Where the base is, a point of the tool, and poses of the tool that turn by half a radian."""
+    truth, point = some_pose(generator), generator.uniform(-0.3, 0.3, 3)
+    turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (n, 3))).as_matrix()
+    return truth, point, [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
+
+
 def matrices(poses: list[pin.SE3]) -> Array:
     return np.array([pose.homogeneous for pose in poses])
 
@@ -37,9 +44,7 @@ def matrices(poses: list[pin.SE3]) -> Array:
 def test_base_and_target_are_found_from_a_guess_that_is_wrong_by_half_a_metre() -> None:
     generator = np.random.default_rng(10)
     for _ in range(20):
-        truth, point = some_pose(generator), generator.uniform(-0.3, 0.3, 3)
-        turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (15, 3))).as_matrix()
-        poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
+        truth, point, poses = drawn(generator, 15)
         seen, T = seen_from(truth, poses, point), matrices(poses)
         start, guess = some_pose(generator), point + generator.uniform(-0.5, 0.5, 3)
         placed = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, start)
@@ -114,9 +119,7 @@ def test_where_nothing_fits_the_lowest_of_several_minima_is_found() -> None:
     """Readings with an axis mirrored, against a general solver from 12 starts."""
     generator = np.random.default_rng(15)
     for _ in range(3):
-        truth, point = some_pose(generator), generator.uniform(-0.3, 0.3, 3)
-        turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (6, 3))).as_matrix()
-        poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
+        truth, point, poses = drawn(generator, 6)
         seen = seen_from(truth, poses, point) * [1, 1, -1]
         T = matrices(poses)
         placed = place([MovingPoint(T, seen, point, UNKNOWN)], np.ones(6), truth)

@@ -16,6 +16,7 @@ from small_robots import write_arm
 import calib
 from calib.base.registry import Registry
 from calib.data.measurements import directions_of_motion
+from calib.exporting.held_formats import formats_that_hold
 from calib.fitting.terms.candidate_terms import candidates
 from calib.instruments.kind import Readings, View
 from calib.instruments.kinds import KINDS
@@ -23,6 +24,8 @@ from calib.joint_terms.term import JointTerm
 from calib.joint_terms.terms import TERMS, listed_terms
 from calib.judging.verdict import judge
 from calib.robots.description import schema_text
+from calib.robots.held import Holds
+from viz.scene import other_errors
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "docs" / "own_package"
@@ -354,3 +357,36 @@ def test_it_is_installed_by_pip_as_any_package(tmp_path):
     points = (tmp_path / "lab_calib-1.0.dist-info" / "entry_points.txt").read_text()
     assert "theodolite = lab_calib.theodolite:Theodolite" in points
     assert "hysteresis = lab_calib.hysteresis:Hysteresis" in points
+
+
+class Points(KINDS["position"]):
+    """Positions of a target, under another name."""
+
+    parts = (replace(KINDS["position"].parts[0], name="point"),)
+
+
+def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_calib, monkeypatch):
+    monkeypatch.setattr(KINDS, "_given", {"cloud": Points})
+    examples = ROOT / "docs" / "examples"
+    for name in ("arm.urdf", "arm_simulated.csv"):
+        (tmp_path / name).write_bytes((examples / name).read_bytes())
+    instruments = "instruments:\n  reflector: {kind: cloud, target: reflector}\n"
+    (tmp_path / "arm.yaml").write_text((examples / "arm.yaml").read_text() + instruments)
+    assert (
+        run_calib(*["fit", "arm.yaml", "arm_simulated.csv", "--validate", "0.5", "--out", "fit"], cwd=tmp_path).code
+        == 0
+    )
+    content = json.loads((tmp_path / "fit" / "result.json").read_text())
+    assert [block["kind"] for block in content["instruments"]] == ["cloud"]
+    assert content["verdict"]["claim"]["part"] == "point"
+    assert "Point: " not in (tmp_path / "fit" / "report.html").read_text()  # figures of positions have them
+    robot = calib.load(tmp_path / "fit")
+    assert other_errors(robot, content["instruments"], content["errors"]) == ()
+    predicted = run_calib("predict", "fit", "arm_simulated.csv", "--out", "predicted.csv", cwd=tmp_path)
+    assert "The real tool is within" in predicted.out
+
+
+def test_functions_are_not_named_for_a_robot_with_a_term_that_has_no_formula(lagging):
+    robot = lagging[0]
+    assert "numpy" in formats_that_hold(Holds.EVERYTHING, robot.with_terms(listed_terms("turn=backlash")))
+    assert formats_that_hold(Holds.EVERYTHING, robot.with_terms(listed_terms("turn=hysteresis"))) == []

@@ -104,7 +104,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
     judgement = of_result(content["verdict"], content.get("next", ""))
-    others = other_errors(content.get("instruments", ()), content["errors"]) if data is None else ()
+    others = other_errors(model, content.get("instruments", ()), content["errors"]) if data is None else ()
     scene = build_scene(
         placed, model, table, readings, verdict=judgement, notes=notes, told=told.notes, comments=said, others=others
     )

@@ -45,7 +45,7 @@ class PartErrors(ReadOnlyArrays):
 
     def called(self, name: str, title: str) -> tuple[str, str]:
         """Return name and title of a figure: those of positions need not say of what they are."""
-        if self.part == POSITION:
+        if self.part.is_position:
             return name, title
         return f"{self.part.name}-{name}", f"{self.part.name.capitalize()}: {title[0].lower()}{title[1:]}"
 
@@ -68,7 +68,7 @@ def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
         joints: Its actuated joints.
     """
     sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
-    parts = dict.fromkeys(part for error_set in sets for _, part, _ in error_set.parts() if part.name != POSITION.name)
+    parts = dict.fromkeys(part for error_set in sets for _, part, _ in error_set.parts() if not part.is_position)
     plots: list[Plot] = []
     for part in parts:
         errors = _of_part(sets, part)
@@ -124,7 +124,7 @@ def draw_histogram(axes: Any, errors: PartErrors) -> None:
             linewidth=1.6,
             label=f"{state} calibration",
         )
-    is_position = errors.part == POSITION
+    is_position = errors.part.is_position
     off = "distance between predicted and measured position" if is_position else f"size of the {errors.part.name} error"
     axes.set(
         xscale="log", xlabel=f"{off} [{errors.unit}]", ylabel=f"number of {'poses' if is_position else 'readings'}"

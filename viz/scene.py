@@ -14,7 +14,6 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, PER_SI
 from calib.base.words import counted
 from calib.fitting.error_sets import STATES
-from calib.instruments.position import POSITION
 from calib.reporting.result_content import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
@@ -163,7 +162,7 @@ class Scene:
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
     verdict, told = judgement_of_fit(fit), fit.told_positions.notes
-    said, others = fit_remarks(fit), other_errors(instrument_blocks(fit), fit.errors)
+    said, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
     table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)
 
@@ -252,16 +251,24 @@ def build_scene(
     )
 
 
-def other_errors(blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]) -> tuple[OtherErrors, ...]:
+def other_errors(
+    robot: Robot, blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]
+) -> tuple[OtherErrors, ...]:
     """Return the errors of instruments that are not those of positions, as `result.json` has them.
 
     Args:
+        robot: The robot that was read.
         blocks: Its entry `instruments`.
         together: Its entry `errors`, of the main part of all instruments: first, where several read that and it is no
             position.
     """
-    read = [(block["name"], part) for block in blocks for part in block["parts"] if part["errors"]]
-    others = [(name, part) for name, part in read if part["name"] != POSITION.name]
+    read = [
+        (block["name"], part, known.is_position)
+        for block in blocks
+        for part, known in zip(block["parts"], robot.instrument(block["name"]).parts, strict=True)
+        if part["errors"]
+    ]
+    others = [(name, part) for name, part, is_position in read if not is_position]
     errors = [OtherErrors((name,), part["name"], part["unit"], _means(part["errors"])) for name, part in others]
     if errors and len(others) == len(read):
         several = tuple(name for name, part in others if part["name"] == errors[0].part)

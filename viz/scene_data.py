@@ -219,7 +219,7 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
     for rows, enlargements in zip(_rows(scene), factors, strict=True):
-        is_position, scale = rows.part == POSITION, _scale(rows)
+        is_position, scale = rows.part.is_position, _scale(rows)
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
         sizes = sizes or {state: rows.sizes(state) for state in STATES}

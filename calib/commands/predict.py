@@ -79,7 +79,7 @@ def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict
         claim: What the fit claims, as in `result.json`.
         known: Summary of how well positions are known at these poses [mm].
     """
-    if not claim or claim["part"] != "position" or None in (claim["limit95"], claim.get("known")):
+    if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
         return None, ""
     here = ErrorElsewhere.of(claim["rms"], claim["limit95"], claim["known"], known["rms"])
     words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from calib.base.errors import ComputationError
 from calib.base.words import listed
-from calib.functions.languages import LANGUAGES
+from calib.functions.languages import LANGUAGES, why_none
 from calib.robots.held import Holds
 from calib.robots.linear_delta import is_linear_delta
 from calib.robots.robot import Robot
@@ -36,9 +36,10 @@ WHOLE = "the terms are in parameters.csv of the result folder, and calib predict
 
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
-    """Return the formats that hold so much of a robot, and can hold one with its loops at all."""
+    """Return the formats that hold so much of a robot, and can hold one with its loops and terms at all."""
     no_place = (*(_CHAINS if robot.mechanism.loops else ()),)
     no_place += () if is_linear_delta(robot.description) else FIRMWARES
+    no_place += LANGUAGES if why_none(robot) else ()
     return [name for name, held in HELD.items() if held is holds and name not in no_place]
 
 

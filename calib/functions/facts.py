@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.errors import ComputationError, DataError, InputError
+from calib.base.errors import ComputationError, DataError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.joint_terms.term import REFERENCE_TEMPERATURE, Context
@@ -149,11 +149,10 @@ class RobotFacts(ReadOnlyArrays):
 
 
 def facts_of(robot: Robot) -> RobotFacts:
-    """Return the facts of a robot with its current values.
+    """Return the facts of a robot with its current values, of which functions can be written.
 
     Raises:
         ComputationError: No configuration is known at which the loops close.
-        InputError: A joint term has no formula.
     """
     mechanism = robot.mechanism
     commands, configurations = _starts(robot)
@@ -206,11 +205,7 @@ def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
             continue
         for driven in driven_by(term, robot.mechanism):
             formula = term.formula(driven)
-            if formula is None:
-                raise InputError(
-                    f"{robot.path}: the joint term of '{term.parameters[0].name}' ({type(term).__qualname__}) gives no"
-                    " formula, so that no function can be written of it; choose another format"
-                )
+            assert formula is not None  # or no function is written of the robot
             if isinstance(formula, Proportional):
                 key = (driven, formula.source, formula.place, formula.knee)
                 rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])

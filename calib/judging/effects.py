@@ -306,7 +306,7 @@ def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
         result[name] = np.zeros((len(readings), instrument.n_rows, 1))
         if name in points:
             result[name][:, _position_rows(instrument), 0] = points[name]
-        elif [part.name for part in instrument.parts] == ["distance"]:
+        elif len(instrument.parts) == 1 and instrument.parts[0].is_distance:
             result[name][:, 0, 0] = readings.values[:, 0]
     return result
 

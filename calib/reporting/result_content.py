@@ -304,6 +304,7 @@ def _terms(fit: Fit) -> dict[str, object]:
 def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     """Return one block for each instrument, with errors and noise in the units of its parts."""
     blocks: list[dict[str, object]] = []
+    sections = fit.nominal.description.instruments
     for instrument in fit.nominal.instruments:
         parts = []
         offsets = fit.offsets.get(instrument.name, np.zeros(instrument.n_rows))
@@ -327,7 +328,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                 }
             )
         n_readings = len(fit.identification.data.readings.get(instrument.name, ()))
-        kind = str(getattr(instrument, "kind", type(instrument).__name__.lower()))
+        kind = sections[instrument.name].kind if sections else "position"  # none is listed: those of every target
         blocks.append({"name": instrument.name, "kind": kind, "n_readings": n_readings, "parts": parts})
     return blocks
 

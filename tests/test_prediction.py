@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
+from calib.joint_terms.terms import listed_terms
 from calib.reporting.result_reading import load_calibrated, load_uncertainty
 from calib.rows.candidates import rows_of_poses
 from calib.rows.prediction import PositionUncertainty, other_combinations
@@ -221,9 +222,9 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     (tmp_path / "q.csv").write_text("\n".join(["j1,j2,j3,j4,j5,j6", *rows, ""]))
     run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
                     tmp_path / "p.csv")  # fmt: skip
-    told = fit.verdict.claim.told
-    known, there = (np.mean(fit.predict(poses).distance ** 2) for poses in (fit.identification.data, q))
-    grown = np.sqrt(1 + max(there - known, 0.0) / told.rms**2)
+    claim = fit.verdict.claim
+    told, there = claim.told, np.mean(fit.predict(q).distance ** 2)
+    grown = np.sqrt(1 + max(there - claim.known**2, 0.0) / told.rms**2)
     here = fit.claim_at(q)
     assert (here.times, here.rms) == (pytest.approx(grown), pytest.approx(grown * told.rms))
     assert (here.times > 1.05) == further
@@ -231,6 +232,20 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     end = f". This is {here.times:.2g} times as far as {like}" if further else f", {like}"
     said = f"The real tool is within {1e3 * here.limit95:.3g} mm of these positions, 95 % of the time{end}"
     assert said in " ".join(run.out.split())
+
+
+def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path):
+    """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""
+    robot, expected = six_axis_arm(tmp_path).with_terms(listed_terms("curve")), []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
+        true = robot.with_parameters(robot.values + np.where(robot.is_free, off, 0.0))
+        fit = calib.fit(robot, measurements(robot, joints(45, seed), _read(true, joints(45, seed), rng)))
+        q = joints(300, 50 + seed)
+        error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - _read(true, q, rng)) ** 2, axis=2)))
+        expected.append(error / fit.claim_at(q).rms)
+    assert np.sqrt(np.mean(np.square(expected))) == pytest.approx(1.0, abs=0.15)
 
 
 def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(tmp_path):

@@ -48,6 +48,21 @@ def test_poses_left_out_one_by_one_are_those_of_refits(arm, loss):
         np.testing.assert_allclose(told[k], again.validation.after["ball"][0], atol=2e-7, rtol=2e-3)
 
 
+def test_positions_are_known_by_the_readings_of_all_other_poses(arm):
+    """Against the covariance of refits without each pose, which is larger than that of the fit with all of them."""
+    q, without, with_all, told = joints(30), [], [], []
+    for seed in range(4):
+        data = noisy(arm.with_parameters({"j2.x": 0.0502, "j3.rx": 4e-4}), q, SIGMA, seed)
+        fit = calib.fit(arm, data, sigma=SIGMA)
+        told.append(fit.verdict.claim.known**2)
+        with_all.append(np.mean(fit.identification_uncertainty.distance**2))
+        for k in range(30):
+            again = calib.fit(arm, data[np.delete(np.arange(30), k)], sigma=SIGMA, validation=data[[k]])
+            without.append(again.validation_uncertainty.distance.item() ** 2)
+    assert np.mean(told) == pytest.approx(np.mean(without), rel=0.15)
+    assert np.mean(told) > 1.3 * np.mean(with_all)
+
+
 def test_readings_that_repeat_a_pose_are_left_out_together(arm):
     q = np.repeat(joints(20), 2, axis=0)
     names = [str(k // 2) for k in range(40)]

@@ -102,6 +102,20 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
 
 
+def moved_left_out(fit: Fit) -> float:
+    """Return the root mean square by which predictions of poses that were used move where the pose itself is left out.
+
+    Of the main part of the readings [SI], over the poses that `left_out_one_by_one` tells of; NaN if there are none.
+    """
+    foretold, whole = left_out_one_by_one(fit), fit.identification
+    if foretold is None:
+        return math.nan
+    used = _at(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
+    part = foretold.main_part.name
+    moved = foretold.errors("after", part) - used.errors("after", part)
+    return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))
+
+
 def _at(errors: ErrorSet, visits: IntArray) -> ErrorSet:
     """Errors at some of the visits (n,)."""
     if len(visits) == len(errors.data):

@@ -17,7 +17,11 @@ squares (`calib.rows.prediction`),
 
     rms'^2 = rms^2 + k'^2 - k^2        where k' is larger
 
-and `limit95` grows in proportion. How well that holds on real robots is in docs/verdict.md.
+and `limit95` grows in proportion. In `rms`, each pose is predicted without its own readings, so k counts that, too:
+k^2 = k_all^2 + s^2, k_all by the covariance of the fit of all poses, and s the root mean square by which predictions
+move where the pose itself is left out. For independent noise f, the covariance of what they move by is that by which
+the pose makes itself better known: cov r_k = f^2 (1 - H_k), so that with the step du of `calib.fitting.unseen_errors`
+cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. How well that holds on real robots is in docs/verdict.md.
 
 Like those measured. Poses that were not used may lie elsewhere: in a setup that was not used, or apart from all poses
 used (`calib.data.pose_groups.apart`). Are more of them apart than chance explains (one case in a thousand), errors
@@ -30,6 +34,7 @@ it. Poses that are copies of others foretell each other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -44,7 +49,7 @@ from calib.base.words import listed
 from calib.data.pose_groups import APART, apart
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
-from calib.fitting.unseen_errors import left_out_one_by_one, of_errors
+from calib.fitting.unseen_errors import left_out_one_by_one, moved_left_out, of_errors
 from calib.judging.better_or_worse import comparisons
 from calib.numerics.chances import FEWEST, UNLIKELY
 from calib.robots.held import Accuracy, SeenAt
@@ -100,7 +105,8 @@ class Claim:
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
         narrow: Joints that moved through less than half of their range at these poses, and how far.
-        known: Root mean square to which positions are known at these poses [m]; NaN where it is not about positions.
+        known: Root mean square to which positions are known at these poses, each by the readings of all others [m];
+            NaN where it is not about positions.
     """
 
     told: Accuracy
@@ -230,8 +236,10 @@ def elsewhere(unlike: BoolArray) -> bool:
 
 
 def _known(fit: Fit, told: Accuracy) -> float:
-    """Root mean square to which positions are known at the poses used [m]; NaN where the claim is not about them."""
-    return float(np.sqrt(np.mean(fit.identification_uncertainty.located**2))) if told.is_position else float("nan")
+    """Return `Claim.known`."""
+    if not told.is_position:
+        return float("nan")
+    return math.hypot(float(np.sqrt(np.mean(fit.identification_uncertainty.located**2))), moved_left_out(fit))
 
 
 def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:

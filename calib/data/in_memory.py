@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.other_words import worded
-from calib.data.measurement_files import joined, read_measurements, sources
+from calib.data.joining import joined
+from calib.data.measurement_files import read_measurements, sources
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered
 from calib.data.plan_files import read_pose_files

@@ -153,23 +153,3 @@ def _of_readings(
             " there"
         )
     return values
-
-
-def concatenated(parts: list[Readings]) -> Readings:
-    """Return the readings of one instrument in several files as one.
-
-    Raises:
-        DataError: Some files state standard deviations, and some do not.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    with_covariance = [part.covariance for part in parts if part.covariance is not None]
-    if with_covariance and len(with_covariance) < len(parts):
-        raise DataError("standard deviations are given in one file and not in another; give them in all, or in none")
-    return Readings(
-        np.concatenate([part.visits for part in parts]),
-        np.concatenate([part.pairs for part in parts]),
-        np.concatenate([part.values for part in parts]),
-        np.concatenate(with_covariance) if with_covariance else None,
-        np.concatenate([part.details for part in parts]),
-    )

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -20,7 +18,8 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError, InputError, nearest, nearest_column
 from calib.base.other_words import worded
-from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
+from calib.data.instrument_cells import columns_in, named_columns, readings_in, setups_of
+from calib.data.joining import joined_poses, joined_readings
 from calib.data.measurement_columns import APPROACH, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered, Packed
@@ -84,7 +83,7 @@ def read_measurements(
         column for table in tables for instrument in _seen_in(robot, table) for column in columns_in(instrument, table)
     }
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
-    poses = _joined(
+    poses = joined_poses(
         [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
     )
     parts: dict[str, list[Readings]] = {}
@@ -97,7 +96,7 @@ def read_measurements(
             rows = _visits_by_pose(table, poses)
         for instrument in _seen_in(robot, table):
             parts.setdefault(instrument.name, []).append(readings_in(robot, instrument, table, rows))
-    data = measurements(poses, {name: concatenated(readings) for name, readings in parts.items()})
+    data = measurements(poses, {name: joined_readings(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{tables[0].path}: has no column of any instrument; expected: {_expected(robot)}")
     if data.n_readings == 0 and growing is None:
@@ -106,48 +105,6 @@ def read_measurements(
     check_repeats(data, robot)
     kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
     return data.subset(kept) if len(kept) < len(data) else data
-
-
-def joined(parts: Sequence[Measurements], robot: Robot) -> Measurements:
-    """Put measurements one after another, as those of several files.
-
-    Poses that are numbered from 1 in several of them are counted on, unless their joint values say that they repeat.
-
-    Raises:
-        DataError: One is given twice, or is of a robot with other joints; or as `read_measurements`.
-    """
-    for k, again in enumerate(parts):
-        if any(again is other for other in parts[:k]):
-            raise DataError(f"{again.path}: is given twice, so that every reading would count as two; give it once")
-        if again.robot is not None and again.robot.joint_names != robot.joint_names:
-            raise DataError(f"{again.path}: is of '{again.robot.name}', whose joints are not those of '{robot.name}'")
-    stated = [part.states_approach for part in parts]
-    if any(part.approach is not None for part in parts):
-        parts = [
-            replace(part, approach=None if any(stated) and not known else part.approach_directions)
-            for part, known in zip(parts, stated, strict=True)
-        ]
-    firsts = np.cumsum([0, *map(len, parts)]).tolist()
-    shifted = [
-        {name: replace(own, visits=own.visits + first) for name, own in part.readings.items()}
-        for part, first in zip(parts, firsts, strict=False)
-    ]
-    names = dict.fromkeys(name for part in parts for name in part.readings)
-    readings = {name: concatenated([own[name] for own in shifted if name in own]) for name in names}
-    data = replace(measurements(_joined(parts), readings), approach_assumed=not any(stated))
-    try:
-        check_repeats(data, robot)
-    except DataError:
-        numbered = [list(part.names) == [str(k + 1) for k in range(len(part))] for part in parts]
-        if sum(numbered) < 2:
-            raise
-        counted_on = (
-            map(str, range(first + 1, first + 1 + len(part))) for part, first in zip(parts, firsts, strict=False)
-        )
-        named = [own if known else part.names for part, own, known in zip(parts, counted_on, numbered, strict=True)]
-        data = replace(data, names=tuple(chain.from_iterable(named)))
-        check_repeats(data, robot)
-    return data
 
 
 def sources(given: Source | Sequence[Source]) -> list[Source]:
@@ -300,44 +257,6 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
             f" {np.degrees(upper[j]):.2f} deg; check signs (an accelerometer at rest reads upwards), the axes of"
             f" {section.frame}, units (rad without [deg]), and these limits"
         )
-
-
-def _joined(parts: Sequence[Poses]) -> Poses:
-    """Put the visits of several files one after another.
-
-    Raises:
-        DataError: One of them states directions of approach, or of gravity, and another one does not.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    keys = dict.fromkeys(key for part in parts for key in part.context)
-    for key in keys:
-        lacking = next((part.path for part in parts if key in GRAVITY_COLUMNS and key not in part.context), None)
-        if lacking is not None:
-            raise DataError(
-                f"{lacking}: has no column '{key}', but another file has it; give it in all files, or in none"
-            )
-    setups = [np.zeros(len(part), dtype=np.intp) if part.setups is None else part.setups for part in parts]
-    approach = [part.approach for part in parts if part.approach is not None]
-    if 0 < len(approach) < len(parts):
-        silent = next(part.path for part in parts if part.approach is None)
-        raise DataError(
-            f"{silent}: states no directions of approach, but another file does; give them in all files, or in none"
-        )
-    return Poses(
-        np.concatenate([part.joints for part in parts]),
-        tuple(chain.from_iterable(part.labels for part in parts)),
-        tuple(chain.from_iterable(part.names for part in parts)),
-        ", ".join(part.path for part in parts),
-        tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
-        comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
-        setups=np.concatenate(setups) if any(part.setups is not None for part in parts) else None,
-        approach=np.concatenate(approach) if approach else None,
-        robot=parts[0].robot,
-        context={
-            key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
-        },
-    )
 
 
 def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArray], FloatArray | None]:

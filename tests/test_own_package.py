@@ -337,6 +337,9 @@ def test_a_term_that_says_nothing_of_its_columns_is_named():
     silent = type("Silent", (JointTerm,), {"of": classmethod(lambda cls, joint, section, sigma: cls())})
     with pytest.raises(NotImplementedError, match="Silent gives neither columns nor a formula"):
         silent.of(None, None, None).columns(np.zeros((1, 1)), 0, None)
+    with pytest.raises(calib.DescriptionError, match=r"joint term 'silent' .*: defines neither columns nor formula"):
+        TERMS.register("silent", silent)
+    assert "silent" not in TERMS
 
 
 def test_editors_know_its_keys(lab):

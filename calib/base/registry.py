@@ -27,10 +27,18 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         group: Group of the entry points.
         base: What each derives from.
         built_in: This package's.
+        either: Methods of `base`, of which a class must define one.
     """
 
-    def __init__(self, what: str, group: str, base: type[Class], built_in: Mapping[str, type[Class]]) -> None:
-        self.what, self.group = what, group
+    def __init__(
+        self,
+        what: str,
+        group: str,
+        base: type[Class],
+        built_in: Mapping[str, type[Class]],
+        either: tuple[str, ...] = (),
+    ) -> None:
+        self.what, self.group, self._either = what, group, either
         self._base, self._built_in = base, dict(built_in)
         self._given: dict[str, type[Class]] = {}  # registered, or loaded before
 
@@ -103,6 +111,8 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         if isabstract(given):
             missing = ", ".join(sorted(getattr(given, "__abstractmethods__", ())))
             raise DescriptionError(f"{self.what} '{name}' {where}: does not define {missing}")
+        if self._either and all(getattr(given, method) is getattr(self._base, method) for method in self._either):
+            raise DescriptionError(f"{self.what} '{name}' {where}: defines neither {' nor '.join(self._either)}")
         return given
 
 

@@ -42,6 +42,7 @@ TERMS: Registry[JointTerm] = Registry(
         "bending": Bending,
         "gravity_backlash": GravityBacklash,
     },
+    either=("columns", "formula"),
 )
 
 if TYPE_CHECKING:

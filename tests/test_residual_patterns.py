@@ -1,5 +1,4 @@
 import dataclasses
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,8 +9,8 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 import calib
 from calib.data.measurements import directions_of_motion
 from calib.judging import findings
-from calib.judging.effects import FAMILIES, Kind
-from calib.judging.residual_patterns import describe
+from calib.judging.effect_kinds import Family, Kind
+from calib.judging.residual_patterns import Pattern, describe
 
 SIGMA = 4e-5
 N_WAVES = 3 * 6 * 119
@@ -318,7 +317,22 @@ def test_a_fast_gear_error_is_found_with_its_cycles_and_height(arm, order):
     assert "0.01" in describe(pattern, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
 
 
-def test_families_share_the_chance_of_a_false_finding():
-    kinds = [kind for family in FAMILIES for kind in family]
-    assert len(kinds) == len(set(kinds))
-    assert set(kinds) == set(get_args(Kind))
+def test_every_kind_says_its_own_sentence():
+    dimensions = {"turn": "angle", "slide": "length"}
+    said = {kind: describe(Pattern(kind, "turn", 0.0, 2e-5, 3e-4, True, detail="slide"), dimensions) for kind in Kind}
+    assert said == {
+        Kind.AXIS: "a constant shift of +0.3 mm along turn",
+        Kind.TURN: "a turn of the measurement frame (0.02 mm RMS)",
+        Kind.SCALE: "lengths that are all read +300 ppm too long (0.02 mm RMS)",
+        Kind.DRIFT: "a shift in the course of the measurement, as if a tracker or base had moved (0.02 mm RMS)",
+        Kind.TURNING: "a turn in the course of the measurement, as if a tracker or base had turned (0.02 mm RMS)",
+        Kind.GROWTH: "lengths that change in the course of the measurement, as if robot or instrument warmed up"
+        " (0.02 mm RMS)",
+        Kind.SLIP: "slide, target turn sits 0.3 mm elsewhere on its link (0.02 mm RMS)",
+        Kind.JOINT: "an error that follows joint turn (0.02 mm RMS)",
+        Kind.COUPLING: "joint turn is off by +0.3 mrad for each m of joint slide (0.02 mm RMS)",
+        Kind.WAVE: "an error of joint turn with slide, amplitude 0.017 deg (0.02 mm RMS)",
+        Kind.APPROACH: "joint turn differs by 0.034 deg with the direction of approach (0.02 mm RMS)",
+        Kind.ZERO: "an error of joint turn that changes in the course of the measurement (0.02 mm RMS)",
+    }
+    assert {kind.family for kind in Kind} == set(Family)

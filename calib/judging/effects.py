@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -36,6 +36,7 @@ from calib.data.measurements import Measurements, Poses
 from calib.fitting.pose_checks import unmoved_joints
 from calib.instruments.kind import FrameInstrument, Instrument
 from calib.joint_terms.periodic import TURN
+from calib.judging.effect_kinds import Kind
 from calib.numerics.variance_components import SharedError
 from calib.robots import kinematics
 from calib.robots.configurations import Configurations
@@ -44,23 +45,6 @@ from calib.rows.observed import Observed
 from calib.rows.rows import Scales
 from calib.rows.whitening import Whitening
 
-Kind = Literal[
-    "axis", "turn", "scale", "drift", "turning", "growth", "slip", "joint", "coupling", "wave", "approach", "zero"
-]
-FAMILIES: tuple[tuple[Kind, ...], ...] = (
-    ("axis", "drift", "joint", "coupling", "approach", "zero"),
-    ("turn", "scale", "turning", "growth", "slip"),
-    ("wave",),
-)
-"""Kinds that share an equal part of the chance of a false finding: the many waves must not hide the others."""
-KINDS: tuple[Kind, ...] = tuple(kind for family in FAMILIES for kind in family)
-"""All kinds."""
-IN_COURSE: tuple[Kind, ...] = ("drift", "turning", "growth", "slip", "zero")
-"""Kinds that change in the course of the measurement, and go on changing after it."""
-MOVED: tuple[Kind, ...] = ("drift", "turning", "slip")
-"""Kinds of what moved beside the robot: its base, an instrument or a target."""
-FOLLOW_JOINTS: tuple[Kind, ...] = ("joint", "coupling")
-"""Kinds that follow the values of joints: at poses like those measured they stay as they are."""
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15
@@ -181,7 +165,7 @@ class Waves:
     Only orders of which the joint went through half a cycle count: the height of less is not known.
     """
 
-    kind: ClassVar[Kind] = "wave"
+    kind: ClassVar[Kind] = Kind.WAVE
     name: str
     column: FloatArray
     visit: IntArray
@@ -227,12 +211,11 @@ def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
     shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
     lengths = scale(setting)
     for axis, name in enumerate("xyz"):
-        yield Effect("axis", name, shifts[:, axis : axis + 1])
-    yield Effect("turn", "xyz", turns)
-    yield Effect("scale", "xyz", lengths)
+        yield Effect(Kind.AXIS, name, shifts[:, axis : axis + 1])
+    yield Effect(Kind.TURN, "xyz", turns)
+    yield Effect(Kind.SCALE, "xyz", lengths)
     in_course = setting.per_visit(_curves(setting.course))
-    kinds: tuple[tuple[Kind, FloatArray], ...] = (("drift", shifts), ("turning", turns), ("growth", lengths))
-    for kind, columns in kinds:
+    for kind, columns in ((Kind.DRIFT, shifts), (Kind.TURNING, turns), (Kind.GROWTH, lengths)):
         yield Effect(kind, "xyz", (columns[:, :, None] * in_course[:, None, :]).reshape(len(columns), -1))
 
 
@@ -246,7 +229,7 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
         moved = setting.whitened(arrays)
         for first in firsts:
             late = setting.per_visit((rank >= first).astype(float))[:, None]
-            yield Effect("slip", target, moved * late, f"from {setting.data.labels[order[first]]} on")
+            yield Effect(Kind.SLIP, target, moved * late, f"from {setting.data.labels[order[first]]} on")
 
 
 def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
@@ -258,13 +241,13 @@ def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
         column, q = by_joint[:, j : j + 1], data.joints[:, j]
         if name in still:
             continue
-        yield Effect("joint", name, column * setting.per_visit(_curves(q)))
-        yield Effect("approach", name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
-        yield Effect("zero", name, column * in_course)
+        yield Effect(Kind.JOINT, name, column * setting.per_visit(_curves(q)))
+        yield Effect(Kind.APPROACH, name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
+        yield Effect(Kind.ZERO, name, column * in_course)
         for neighbour in (j - 1, j + 1):
             if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:
                 driving = setting.per_visit(np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])
-                yield Effect("coupling", name, column * driving[:, None], robot.joint_names[neighbour])
+                yield Effect(Kind.COUPLING, name, column * driving[:, None], robot.joint_names[neighbour])
         turns = robot.mechanism.dimensions[name] == "angle"
         words = "cycles a turn" if turns else "cycles over the range measured"
         yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)

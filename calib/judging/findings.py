@@ -17,7 +17,8 @@ from calib.fitting.fit import errors_on
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, left_out_with, outliers_of
 from calib.judging import residual_patterns
-from calib.judging.effects import FOLLOW_JOINTS, IN_COURSE, Effect, EffectSetting, effects
+from calib.judging.effect_kinds import Kind, Trait
+from calib.judging.effects import Effect, EffectSetting, effects
 from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.residual_patterns import Pattern, Residuals
 from calib.numerics import losses
@@ -120,15 +121,16 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
     Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
     errors that follow joints are parameters here.
     """
-    if not any(pattern.significant and pattern.kind in IN_COURSE for pattern in patterns(fit)):
+    in_course = [kind for kind in Kind if Trait.IN_COURSE in kind.traits]
+    if not any(pattern.significant and pattern.kind in in_course for pattern in patterns(fit)):
         return ()
     columns = [
         effect.columns
         for effect in effects(setting(fit))
-        if isinstance(effect, Effect) and effect.kind in FOLLOW_JOINTS
+        if isinstance(effect, Effect) and Trait.FOLLOWS_JOINTS in effect.kind.traits
     ]
     beside = linear(fit).beside(np.hstack(columns)) if columns else linear(fit)
-    return tuple(p for p in residual_patterns.patterns(beside, setting(fit), IN_COURSE) if p.significant)
+    return tuple(p for p in residual_patterns.patterns(beside, setting(fit), in_course) if p.significant)
 
 
 @remembered

@@ -42,7 +42,8 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.judging.effects import FAMILIES, KINDS, ORDERS, Effect, EffectSetting, Kind, Waves, effects
+from calib.judging.effect_kinds import Family, Kind, Trait
+from calib.judging.effects import ORDERS, Effect, EffectSetting, Waves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.numerics.clusters import foretold
 from calib.rows.rows import Rows
@@ -51,7 +52,6 @@ SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
 PARTS_PER_MILLION = 1e6
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
-_BEST_ONLY = ("wave", "slip")
 _VISITS_AT_ONCE = 2048
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
@@ -162,7 +162,7 @@ class _Tested:
     coefficients: FloatArray
 
 
-def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind] = KINDS) -> tuple[Pattern, ...]:
+def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
     """Test effects.
 
     Args:
@@ -175,9 +175,9 @@ def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind
     tested = (effect for effect in effects(setting) if effect.kind in kinds)
     tests = _tests(residuals, [moments for effect in tested for moments in _moments(residuals, effect)])
     kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
-    for family in FAMILIES:
-        members = [test for test in tests if test.effect.kind in family]
-        times = len(FAMILIES) * len(members)
+    for family in Family:
+        members = [test for test in tests if test.effect.kind.family is family]
+        times = len(Family) * len(members)
         kept |= {(test.effect.kind, test.effect.name, test.effect.detail): (test, times) for test in _best(members)}
     noise = setting.size(np.full(len(residuals.rows.residuals), residuals.factor))
     result = []
@@ -188,7 +188,11 @@ def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind
         p = min(1.0, _chance(residuals, test, columns, explained, FALSE_ALARM / times) * times)
         size = setting.size(explained)
         significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
-        amount = float(np.linalg.norm(test.coefficients)) if effect.kind in _BEST_ONLY else _only(test.coefficients)
+        amount = (
+            float(np.linalg.norm(test.coefficients))
+            if Trait.BY_THE_DOZEN in effect.kind.traits
+            else _only(test.coefficients)
+        )
         result.append(
             Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, effect.detail)
         )
@@ -199,7 +203,7 @@ def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -
     """Yield the effects with these kinds, names and details, with their columns."""
     for effect in effects(setting):
         if isinstance(effect, Waves):
-            orders = (order for order in effect.orders if ("wave", effect.name, effect.detail(order)) in kept)
+            orders = (order for order in effect.orders if (Kind.WAVE, effect.name, effect.detail(order)) in kept)
             yield from map(effect.effect, orders)
         elif (effect.kind, effect.name, effect.detail) in kept:
             yield effect
@@ -209,7 +213,7 @@ def _best(tests: list[_Tested]) -> list[_Tested]:
     """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
     kept: dict[tuple[str, str, int], _Tested] = {}
     for number, test in enumerate(tests):
-        key = (test.effect.kind, test.effect.name, 0 if test.effect.kind in _BEST_ONLY else number)
+        key = (test.effect.kind, test.effect.name, 0 if Trait.BY_THE_DOZEN in test.effect.kind.traits else number)
         if key not in kept or (test.p_value, -test.gain) < (kept[key].p_value, -kept[key].gain):
             kept[key] = test
     return list(kept.values())
@@ -268,7 +272,7 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         k = order - ORDERS.start
         normal = squares[[[0, 1], [1, 2]], k]
         own = products[:, 2 * k : 2 * k + 2]
-        yield _Moments("wave", waves.name, waves.detail(order), normal, own[:rank], own[rank])
+        yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, own[:rank], own[rank])
 
 
 def _tests(residuals: Residuals, effects: list[_Moments]) -> list[_Tested]:
@@ -338,6 +342,60 @@ def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explaine
     return chance(foretold(np.hstack([residuals.pulled, basis]), left, pose))
 
 
+@dataclass(frozen=True)
+class Words:
+    """Numbers of a pattern as its sentence says them.
+
+    Attributes:
+        pattern: The pattern.
+        dimensions: Whether each joint is a length or an angle.
+    """
+
+    pattern: Pattern
+    dimensions: Mapping[str, Dimension]
+
+    @property
+    def size(self) -> str:
+        """Root mean square of what it explains."""
+        dimension = self.pattern.dimension
+        return f"{error_scale(dimension) * self.pattern.size:.3g} {ERROR_UNIT[dimension]} RMS"
+
+    @property
+    def shift(self) -> float:
+        """How far something is shifted [mm]."""
+        return millimetres(self.pattern.amount)
+
+    @property
+    def ppm(self) -> float:
+        """By which part lengths are off."""
+        return PARTS_PER_MILLION * self.pattern.amount
+
+    @property
+    def height(self) -> str:
+        """Height of a wave of the joint."""
+        return self._of_joint(1.0)
+
+    @property
+    def play(self) -> str:
+        """From one direction of approach to the other."""
+        return self._of_joint(2.0)
+
+    def _of_joint(self, times: float) -> str:
+        dimension = self.dimensions[self.pattern.name]
+        return f"{times * abs(self.pattern.amount) * display_scale(dimension):.2g} {DISPLAY_UNIT[dimension]}"
+
+    @property
+    def slope(self) -> str:
+        """Error of the joint for a unit of its neighbour."""
+        dimension = self.dimensions[self.pattern.name]
+        return f"{error_scale(dimension) * self.pattern.amount:+.2g} {ERROR_UNIT[dimension]}"
+
+    @property
+    def each(self) -> str:
+        """Unit of the neighbour."""
+        return "rad" if self.dimensions[self.pattern.detail] == "angle" else "m"
+
+
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     """Return a pattern in words.
 
@@ -345,30 +403,4 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         pattern: The pattern.
         dimensions: Whether each joint is a length or an angle.
     """
-    size = f"{error_scale(pattern.dimension) * pattern.size:.3g} {ERROR_UNIT[pattern.dimension]} RMS"
-    if pattern.kind == "axis":
-        return f"a constant shift of {millimetres(pattern.amount):+.3g} mm along {pattern.name}"
-    if pattern.kind == "scale":
-        return f"lengths that are all read {PARTS_PER_MILLION * pattern.amount:+.0f} ppm too long ({size})"
-    if pattern.kind == "slip":
-        moved = f"{millimetres(pattern.amount):.3g} mm"
-        return f"{pattern.detail}, target {pattern.name} sits {moved} elsewhere on its link ({size})"
-    said = {
-        "turn": "a turn of the measurement frame",
-        "drift": "a shift in the course of the measurement, as if a tracker or base had moved",
-        "turning": "a turn in the course of the measurement, as if a tracker or base had turned",
-        "growth": "lengths that change in the course of the measurement, as if robot or instrument warmed up",
-        "joint": f"an error that follows joint {pattern.name}",
-        "zero": f"an error of joint {pattern.name} that changes in the course of the measurement",
-    }
-    if pattern.kind in said:
-        return f"{said[pattern.kind]} ({size})"
-    if pattern.kind == "coupling":
-        slope = f"{error_scale(dimensions[pattern.name]) * pattern.amount:+.2g} {ERROR_UNIT[dimensions[pattern.name]]}"
-        each = "rad" if dimensions[pattern.detail] == "angle" else "m"
-        return f"joint {pattern.name} is off by {slope} for each {each} of joint {pattern.detail} ({size})"
-    unit = DISPLAY_UNIT[dimensions[pattern.name]]
-    amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
-    if pattern.kind == "wave":
-        return f"an error of joint {pattern.name} with {pattern.detail}, amplitude {amount:.2g} {unit} ({size})"
-    return f"joint {pattern.name} differs by {2 * amount:.2g} {unit} with the direction of approach ({size})"
+    return pattern.kind.sentence.format(pattern=pattern, words=Words(pattern, dimensions))

@@ -17,7 +17,7 @@ from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain, elsewhere, unlike_measured
-from calib.judging.effects import IN_COURSE, MOVED
+from calib.judging.effect_kinds import Trait
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.residual_patterns import describe
 from calib.judging.rules_noise import impossible, in_words
@@ -296,13 +296,13 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     if impossible(fit):  # parts of what does not fit at all
         return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
-    changing = [pattern for pattern in patterns if pattern.kind in IN_COURSE]
+    changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
     left = fit.identification.rms("after")
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
     for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
         if kinds:
             worst = max(kinds, key=lambda pattern: pattern.size)
-            moved = worst.kind in MOVED
+            moved = Trait.MOVED in worst.kind.traits
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"

@@ -20,7 +20,7 @@ from calib.exporting.held_formats import formats_that_hold
 from calib.fitting.terms.candidate_terms import candidates
 from calib.instruments.kind import Readings, View
 from calib.instruments.kinds import KINDS
-from calib.joint_terms.term import JointTerm
+from calib.joint_terms.term import Context, JointTerm
 from calib.joint_terms.terms import TERMS, listed_terms
 from calib.judging.verdict import judge
 from calib.robots.description import schema_text
@@ -340,6 +340,26 @@ def test_a_term_that_says_nothing_of_its_columns_is_named():
     with pytest.raises(calib.DescriptionError, match=r"joint term 'silent' .*: defines neither columns nor formula"):
         TERMS.register("silent", silent)
     assert "silent" not in TERMS
+
+
+class Squeezed(JointTerm):
+    """An error that grows with the square of the torque: no formula has that."""
+
+    needs_torque = True
+    of = classmethod(lambda cls, joint, section, sigma: cls())
+
+    def columns(self, q, j, context):
+        return context.torque[:, [j]] ** 2
+
+
+def test_a_term_of_the_torque_without_a_formula_has_its_own_derivative():
+    rng = np.random.default_rng(0)
+    torque, rate = 30 * rng.standard_normal((2, 8, 3))
+    context = replace(Context.neutral(8, 3), torque=torque)
+    slope = Squeezed.of(None, None, None).by_torque(np.zeros((8, 3)), 1, context, rate)
+    np.testing.assert_allclose(slope[:, 0], 2 * torque[:, 1] * rate[:, 1], rtol=1e-6, atol=1e-6)  # rounding / 1e-4
+    none = Squeezed.of(None, None, None).by_torque(np.zeros((8, 3)), 1, context, np.zeros((8, 3)))
+    assert not np.any(none)
 
 
 def test_editors_know_its_keys(lab):

@@ -65,6 +65,7 @@ COLUMNS = {Condition.TIME: "time", Condition.TEMPERATURE: "temperature", Conditi
 """Columns of a file that say under which conditions a command was given; the direction of approach has one a joint."""
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
 """Columns that say under which conditions a visit was made, and what they measure."""
+_STEP = 1e-4  # part of the largest torque by which a central difference changes it
 REFERENCE_TEMPERATURE = 20.0
 """At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
 
@@ -258,14 +259,21 @@ class JointTerm(ABC):
     def by_torque(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
         """Return how phi of a term that asks for the torque changes as that does, (n, n_coefficients).
 
+        By its formula; without one, by a central difference.
+
         Args:
             q, j, context: As in `columns`.
             rate: At which rate the torque changes, (n, n_driven).
         """
-        formula = self.formula(j)
+        formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
         if isinstance(formula, Proportional) and formula.knee:
             return formula.slope(context.known(q)) * rate[:, formula.place, None]
-        return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
+        if formula is not None:
+            return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
+        assert context.torque is not None  # the term asks for it
+        step = _STEP * (float(np.max(np.abs(context.torque))) or 1.0) / (largest or 1.0)
+        ends = [self.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""

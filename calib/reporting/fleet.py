@@ -229,7 +229,7 @@ def fleet(*results: Path | str) -> Fleet:
     for folder, robot, content in zip(folders, robots, contents, strict=True):
         known, freedom = load_uncertainty(folder, robot), float(content["degrees_of_freedom"])
         told.append(told_of(robot, known.free, known.covariance, freedom, shared))
-    learned, odd, compared = learn_without_odd(told, _kinds(shared))
+    learned, odd, compared = learn_without_odd(told, _kinds(robots[0], shared))
     like = [folder for k, folder in enumerate(folders) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed(like))
     scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
@@ -287,9 +287,11 @@ def _require_different(folders: Sequence[Path]) -> None:
                 )
 
 
-def _kinds(shared: Sequence[Parameter]) -> IntArray:
+def _kinds(robot: Robot, shared: Sequence[Parameter]) -> IntArray:
     """Kind of each parameter: lengths and angles of origins, coefficients of each kind of term."""
-    words = [f"{p.dimension} {'' if p.nominal_si or _is_origin(p) else _term(p)}" for p in shared]
+    of_terms = {p.name for term in robot.terms for p in term.parameters}
+    origins = {p.name for p in shared if p.nominal_si or (_is_origin(p) and p.name not in of_terms)}
+    words = [f"{p.dimension} {'' if p.name in origins else _term(p)}" for p in shared]
     return np.array([list(dict.fromkeys(words)).index(word) for word in words], dtype=np.intp)
 
 

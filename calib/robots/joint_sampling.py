@@ -23,7 +23,7 @@ TRIES = 4
 _DRAWN_IN = 2.0 / 3.0
 _SMALLEST_BOX = 0.01  # of the joint limits
 _ROUNDS = 50  # of tries where targets must stay in a range
-_AT_ONCE = 2**13  # values tried at once
+_AT_ONCE = 2**15  # values tried at once
 
 
 def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:

@@ -8,12 +8,13 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 
 import calib
 from calib.base.other_words import tables
-from calib.cli import main
+from calib.cli import group, main
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ARM, READ = str(EXAMPLES / "arm.yaml"), str(EXAMPLES / "arm_simulated.csv")
@@ -134,6 +135,15 @@ RUN = {
         1e3 * np.sqrt(3.0) * np.std(t.fit.residuals)
         == pytest.approx(t.fit.errors["identification"]["after"]["rms"], rel=0.01)  # their mean is near zero
     ),
+    "residuals in mm": lambda t: np.array_equal(t.fit.residuals * 1e3, 1e3 * t.fit.residuals["reflector"]),
+    "the first residuals": lambda t: t.fit.residuals[:2].shape == (2, 3),
+    "the shape of what is predicted": lambda t: np.shape(t.fit.predict(t.q)) == (5, 1, 3),
+    "predicted minus measured": lambda t: np.array_equal(
+        t.fit.predict(t.data) - t.data.points(), t.fit.predict(t.data).positions - t.data.points()
+    ),
+    "z of what is predicted": lambda t: np.array_equal(
+        t.fit.predict(t.q)[..., 2], t.fit.predict(t.q).positions[..., 2]
+    ),
     "bootstrap": lambda t: len(t.fit.bootstrap(4, seed=1).parameters) == len(t.fit.free_names),
     "progress= of a bootstrap": lambda t: progress_of(lambda told: t.fit.bootstrap(3, progress=told))[-1] == (3, 3),
     "plot()": lambda t: t.fit.plot().get_xlabel().endswith("[mm]"),
@@ -222,7 +232,7 @@ ANSWERED = {
     "t.fit.errors.max()": "fit.errors[",
     "t.fit.condition_number": "fit.rank.singular_values",
     "t.fit.plot.qq()": "fit.plot.normal()",
-    "t.fit.verdict.status": "valid: claim, from_dict, grade",
+    "t.fit.verdict.status": ".grade",
     "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
     "calib.fit(t.robot, t.data, units='mm')": "numbers are SI",
     "calib.fit(t.robot, t.data, free=['joint_3.z'])": "also give fix='all'",
@@ -373,7 +383,20 @@ ANSWERED = {
     "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
     "t.data.save('copy.csv')": ".to_csv(",
     "t.data.drop(3)": "data[np.arange(len(data)) != 3]",
-    "t.fit.residuals[0]": "valid: reflector",
+    "t.fit.residuals['tool']": "valid: reflector",
+    "t.fit.predict(t.q) - t.q[:, :3]": "give an array of shape (5, 1, 3)",
+    "t.fit.predict(t.q).shape": ".positions",
+    "t.fit.parameters['joint_3.z'] * 1000": ".value_si",
+    "float(t.fit.parameters['joint_3.z'])": ".value",
+    "t.fit.parameters['joint_3.z'] > 440": ".value",
+    "calib.fit(t.robot, t.data, prior={'joint_2.x': (0, 0.001)})": "not one standard deviation, about nominal",
+    "calib.fit(t.robot, t.data, prior={'joint_2.x': 0.001})": "has no unit",
+    "t.fit.parameters.query('std > 1')": "fit.to_dataframe()",
+    "t.fit.uncertainty(t.q)": "fit.predict(q)",
+    "calib.check(t.robot, t.q).condition_number": ".determination.free.singular_values",
+    "calib.select(t.robot, t.q, 3).indices": ".chosen",
+    "calib.build_chain_from_urdf('x.urdf')": "calib.load",
+    "calib.load(str(EXAMPLES / 'five_bar.yaml')).params": 'robot.parameters["left_motor.x"]',
     "t.fit.errors['test']": "valid: identification, validation",
     "t.fit.save('result.json')": "leave the ending out",
     "calib.solve(t.robot, t.data.points()[:3, 0]).require_all()": "where the robot description has them",
@@ -384,7 +407,7 @@ ANSWERED = {
 @pytest.mark.parametrize("typed", ANSWERED)
 def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
     with pytest.raises(calib.InputError) as caught:
-        eval(typed, {"calib": calib, "np": np, "t": t, "READ": READ, "ARM": ARM})
+        eval(typed, {"calib": calib, "np": np, "t": t, "READ": READ, "ARM": ARM, "EXAMPLES": EXAMPLES})
     assert ANSWERED[typed] in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -481,6 +504,12 @@ def test_what_the_table_names_is_there(t):
         (["export", ARM, "--to", "mjcf"], "--format urdf is the format"),
         (["mastering", ARM], "--format joint-offsets"),
         (["uncertainty", ARM], "calib study ROBOT"),
+        (["view", ARM, "-o", "page.html"], "--html FILE"),
+        (["view", ARM, READ], "calib view ROBOT --data FILE"),
+        (["verify", ARM, "--validate", READ], "calib verify ROBOT DATA"),
+        (["watch", ARM, READ, "--target", "0.1mm"], "--goal 0.1mm"),
+        (["board", "--size", "8x6"], "--board charuco"),
+        (["completion", "bash"], "_CALIB_COMPLETE=bash_source"),
     ],
 )
 def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):
@@ -491,6 +520,19 @@ def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):
     assert ended.value.code == 2
     assert words in told
     assert len(told.splitlines()) == 1
+
+
+def test_options_that_the_table_names_are_options_of_the_command():
+    context = click.Context(group)
+    commands = {name: group.get_command(context, name) for name in group.list_commands(context)}
+    for place, rows in tables().items():
+        here = place.removeprefix("calib ") if place.startswith("calib ") else ""
+        for row in rows:
+            for code in re.findall(r"`([^`]*)`", row.here):
+                name = code.split()[1] if code.startswith("calib ") and len(code.split()) > 1 else here
+                if name in commands:
+                    known = {option for parameter in commands[name].params for option in parameter.opts}
+                    assert {*re.findall(r"--[a-z-]+", code)} <= known | {"--help"}, row.here
 
 
 def test_a_command_without_out_prints_and_writes_nothing(run_calib, tmp_path):
@@ -524,3 +566,27 @@ def test_the_page_is_made_of_the_table(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES.parent / "site"))
     make_words_page = importlib.import_module("make_words_page")
     assert make_words_page.PAGE.read_text(encoding="utf-8") == make_words_page.page()
+
+
+def test_what_is_printed_says_what_it_is_what_is_inside_and_what_is_next(t):
+    for held in (
+        calib.check(t.robot, t.q),
+        calib.select(t.robot, t.robot.sample(30, seed=1), count=10),
+        t.fit.predict(t.q),
+        calib.predict(t.robot, t.q),
+        calib.verify(t.fit, t.data),
+    ):
+        headline, inside, following = str(held).split("\n")
+        assert re.search(r"\d", headline)
+        assert hasattr(held, re.match(r"Inside: (\w+)", inside)[1])
+        assert following.startswith("Next: ")
+
+
+def test_hints_name_frames_and_parameters_that_the_robot_has(t):
+    for robot in (t.robot, calib.load(str(EXAMPLES / "five_bar.yaml"))):
+        for word in ("fk", "jacob0", "params", "hold", "prior"):
+            with pytest.raises(calib.InputError) as caught:
+                getattr(robot, word)
+            named = re.findall(r'\("([^"]+)"|\["([^"]+)"', str(caught.value))
+            known = {*robot.frame_names, *(parameter.name for parameter in robot.parameters)}
+            assert {first or second for first, second in named} <= known

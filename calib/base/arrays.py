@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache
 from typing import Any
@@ -120,6 +121,34 @@ class ReadOnlyArrays(Worded):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
+
+
+class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin):
+    """Base of what is read as one array wherever NumPy takes arrays: `1e3 * residuals`, `predicted - measured`.
+
+    A subclass says by `__array__` which array that is.
+    """
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        raise NotImplementedError
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Compute with the arrays; where each of them would be repeated along the other, that is an `InputError`."""
+        plain = [np.asarray(given) if isinstance(given, ReadAsArray) else given for given in inputs]
+        shapes = [np.shape(given) for given in plain]
+        with suppress(ValueError):  # shapes that do not fit: the function says so
+            if method == "__call__" and np.broadcast_shapes(*shapes) not in shapes:
+                raise InputError(
+                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} would repeat each along the other;"
+                    f" give an array of shape {np.shape(self)}"
+                )
+        return getattr(ufunc, method)(*plain, **options)
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+    def __len__(self) -> int:
+        return len(np.asarray(self))
 
 
 def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:

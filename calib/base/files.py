@@ -256,7 +256,7 @@ def _check_replaceable(path: Path) -> None:
     if path.is_file():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
     if path.suffix.lower() in _FILE_ENDINGS and not path.exists():
-        raise NotADirectoryError(errno.ENOTDIR, "the output is a folder; leave the ending out")
+        raise InputError(f"{path}: the output is a folder of several files; leave the ending out: '{path.stem}'")
     above = next(folder for folder in path.parents if folder.exists())
     if not above.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "a part of the path is a file, not a folder")

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 
 from calib.base.errors import InputError, nearest
 
+EXAMPLES = ("joint_3.z", "joint_4.x")
+"""Parameters that the table names; a robot without them has its first and last one there."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -100,7 +102,7 @@ class _Worded(ABCMeta):
         def __getattr__(cls, name: str) -> Any:
             if name.startswith("_") or name in get_annotations(cls):  # dataclasses ask for each field's default
                 raise AttributeError(name)
-            raise UnknownNameError(_no_name(f"class {cls.__name__}", name, cls._other_words, dir(cls)))
+            raise UnknownNameError(_no_name(f"class {cls.__name__}", name, way(name, cls._other_words), dir(cls)))
 
         def __setattr__(cls, name: str, value: Any) -> None:
             """Set an attribute of the class; that of frozen dataclasses which refuses to assign says what to do."""
@@ -141,6 +143,18 @@ class Worded(metaclass=_Worded):
     _other_words: ClassVar[str] = ""
     _made_by: ClassVar[str] = ""
 
+    def _own_parameters(self) -> Sequence[str]:
+        """Names of its parameters, which hints have in place of `EXAMPLES`; none where it has none."""
+        return ()
+
+    def _way(self, word: str) -> str:
+        """What to write for a word of another package, with names that this object has."""
+        hint = way(word, self._other_words)
+        own = [*self._own_parameters()] if hint else []
+        for example, name in zip(EXAMPLES, own[:1] + own[-1:], strict=False):
+            hint = hint if example in own else hint.replace(f'"{example}"', f'"{name}"')
+        return hint
+
     if not TYPE_CHECKING:  # type checkers know better which attributes there are
 
         def __getattr__(self, name: str) -> Any:
@@ -148,30 +162,36 @@ class Worded(metaclass=_Worded):
                 raise AttributeError(name)
             if any(name in parent.__dict__ for parent in type(self).__mro__):
                 return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
-            raise UnknownNameError(_no_name(type(self).__name__, name, self._other_words, dir(self)))
+            raise UnknownNameError(_no_name(type(self).__name__, name, self._way(name), dir(self)))
 
         def __getitem__(self, key: Any) -> Any:
-            raise UnknownOptionError(f"{type(self).__name__}: takes no [{key!r:.40}]{way('[]', self._other_words)}")
+            raise UnknownOptionError(f"{type(self).__name__}: takes no [{key!r:.40}]{self._way('[]')}")
 
         def __len__(self) -> int:
-            raise UnknownOptionError(f"{type(self).__name__}: has no length{way('len()', self._other_words)}")
+            raise UnknownOptionError(f"{type(self).__name__}: has no length{self._way('len()')}")
 
         def __bool__(self) -> bool:
             return type(self).__len__ is Worded.__len__ or len(self) > 0  # what has no length is never empty
 
         def __call__(self, *args: Any, **options: Any) -> Any:
             """Say what to call instead."""
-            raise UnknownOptionError(f"{type(self).__name__}: is not a function{way('()', self._other_words)}")
+            raise UnknownOptionError(f"{type(self).__name__}: is not a function{self._way('()')}")
+
+        def _no_number(self, *_other: object) -> Any:
+            raise UnknownOptionError(f"{type(self).__name__}: is not a number{self._way('+')}")
+
+        __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _no_number
+        __neg__ = __abs__ = __float__ = __lt__ = __le__ = __gt__ = __ge__ = _no_number
 
 
-def _no_name(of: str, name: str, place: str, names: list[str]) -> str:
+def _no_name(of: str, name: str, hint: str, names: list[str]) -> str:
     public = [candidate for candidate in names if candidate[0] != "_" and candidate.isidentifier()]
-    return f"{of} has no '{name}'" + (way(name, place) or nearest(name, public))
+    return f"{of} has no '{name}'" + (hint or nearest(name, public))
 
 
 def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
     """Return the error of a name that `calib` does not have, whose names these are."""
-    return UnknownNameError(_no_name("module 'calib'", name, "`calib` itself", names))
+    return UnknownNameError(_no_name("module 'calib'", name, way(name, "`calib` itself"), names))
 
 
 def _is_whole(value: object) -> bool:

@@ -77,6 +77,9 @@ class Parameters(tuple[Parameter, ...], Worded):
 
     _other_words = "all parameters of a robot"
 
+    def _own_parameters(self) -> list[str]:
+        return [parameter.name for parameter in self]
+
     @overload
     def __getitem__(self, which: SupportsIndex | str) -> Parameter: ...
     @overload

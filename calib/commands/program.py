@@ -27,16 +27,23 @@ class OneLineError(click.ClickException):
         self.exit_code = exit_code  # type: ignore[misc]  # click declares it on the class, and documents setting it
 
 
-def _usage(error: click.UsageError) -> str:
-    """What was wrong; with what to write in place of an option or a command of other packages."""
+def _usage(error: click.UsageError, path: str) -> str:
+    """What was wrong; with what to write in place of an option or a command of other packages.
+
+    Args:
+        error: What was wrong.
+        path: The command with the program's name, such as `calib fit`.
+    """
     typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
-    hint = way(typed, "the command line") if typed else ""
+    hint = (way(typed, path) or way(typed, "the command line")) if typed else ""
     if hint:  # in place of names that are spelt alike
         return f"no {'option' if typed.startswith('-') else 'command'} '{typed}'{hint}"
+    said = _one_line(error.format_message())
+    if said.startswith("Got unexpected extra argument"):
+        return said + way("another", path)
     param = error.param if isinstance(error, click.MissingParameter) else None
     missing = "" if param is None else param.opts[0] if isinstance(param, click.Option) else param.human_readable_name
     hint = way(missing, "missing arguments") if missing else ""
-    said = _one_line(error.format_message())
     return said.rstrip(".") + hint if hint else said
 
 
@@ -50,8 +57,8 @@ def run_program(group: click.Group) -> None:
         click.echo(error.format_message(), err=True)
         sys.exit(2)
     except click.UsageError as error:
-        path = error.ctx.command_path if error.ctx else group.name
-        click.echo(f"{path}: {_usage(error)} (see {path} --help)", err=True)
+        path = error.ctx.command_path if error.ctx else str(group.name)
+        click.echo(f"{path}: {_usage(error, path)} (see {path} --help)", err=True)
         sys.exit(2)
     except click.ClickException as error:
         click.echo(f"{group.name}: {_one_line(error.format_message())}", err=True)

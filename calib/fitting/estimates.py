@@ -96,6 +96,9 @@ class Estimates(Worded, Mapping[str, Estimate]):
     def __init__(self, by_name: Mapping[str, Estimate]) -> None:
         self._by_name = dict(by_name)
 
+    def _own_parameters(self) -> list[str]:
+        return list(self)
+
     def __getitem__(self, name: str) -> Estimate:
         if name not in self._by_name:
             raise InputError(f"no parameter '{name}'{nearest(name, self._by_name)}")

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
 from calib.base.other_words import Worded, worded
 from calib.data.in_memory import PosesLike, as_poses
@@ -86,10 +86,16 @@ class Errors(dict[str, dict[str, dict[str, object]]], Worded):
         raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
 
 
-class Residuals(dict[str, FloatArray], Worded):
-    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`."""
+class Residuals(ReadAsArray, dict[str, FloatArray], Worded):
+    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
 
     _other_words = "residuals of a fit"
+
+    __len__ = dict.__len__
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
+        return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
 
     def __missing__(self, key: object) -> NoReturn:
         raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}; np.asarray(fit.residuals) is an array")
@@ -172,6 +178,9 @@ class Fit(ReadOnlyArrays):
             f"<{type(self).__name__} of '{self.nominal.name}': {self.identification.data.n_poses} poses,"
             f" {len(self.unknowns)} free parameters>"
         )
+
+    def _own_parameters(self) -> tuple[str, ...]:
+        return self.free_names
 
     @property
     def converged(self) -> bool:

@@ -54,7 +54,7 @@ from calib.rows.simulate import simulate
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Acceptance(Worded):
     """What new measurements say about a calibrated robot.
 
@@ -91,6 +91,23 @@ class Acceptance(Worded):
     errors: ErrorSet
     promised: float
     left_open: float
+
+    def __repr__(self) -> str:
+        return (
+            f"<Acceptance: {self.verdict}; residuals {self.ratio:.3g} times those expected"
+            f" ({self.low95:.3g} to {self.high95:.3g}), p {self.p_value:.2g}>"
+        )
+
+    def __str__(self) -> str:
+        following = (
+            "go on using the robot" if self.verdict == "agrees" else "calib.fit(robot, data) of new measurements"
+        )
+        return (
+            f"{repr(self)[1:-1]}\n"
+            "Inside: verdict, p_value; errors, at the new poses; changes, of which each could explain the readings;"
+            " outliers\n"
+            f"Next: {following}"
+        )
 
 
 @worded

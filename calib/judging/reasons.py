@@ -149,6 +149,8 @@ class Verdict(Worded):
         claim: How far off the robot is where it was measured; None where that is not known, or nothing is to be used.
     """
 
+    _other_words = "verdict"
+
     grade: Grade
     reasons: tuple[Reason, ...]
     not_covered: tuple[str, ...] = ()
@@ -159,6 +161,10 @@ class Verdict(Worded):
         if isinstance(other, str):
             raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)
+
+    def __str__(self) -> str:
+        found = [f"  {reason.grade}: {reason.text}" for reason in self.reasons]
+        return "\n".join([self.grade, *(found or ["  no reason against it was found"])])
 
     @property
     def nothing_to_correct(self) -> bool:

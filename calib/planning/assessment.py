@@ -25,7 +25,7 @@ from calib.base.other_words import worded
 from calib.base.parameter import Parameter, index_of
 from calib.base.threads import one_blas_thread
 from calib.base.units import in_si, millimetres
-from calib.base.words import data_frame, titled_html
+from calib.base.words import counted, data_frame, titled_html
 from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.numerics.identifiability import Elimination, Rank, eliminate
@@ -85,6 +85,8 @@ class Assessment(ReadOnlyArrays):
         left_out: Targets that are left out of the accuracy (`RobotData.left_out`).
     """
 
+    _other_words = "what poses determine"
+
     parameters: tuple[Parameter, ...]
     free: BoolArray
     n_poses: int
@@ -110,6 +112,22 @@ class Assessment(ReadOnlyArrays):
         return (
             f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
             f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
+        )
+
+    def __str__(self) -> str:
+        left = int(np.sum(self.free)) - self.rank_free.rank
+        by_priors = f"priors hold the other {left}" if left else "no prior is needed"
+        held = f"{counted(len(self.open_groups), 'group')} not determined" if self.open_groups else by_priors
+        following = (
+            "hold parameters (`robot.fix`) or add poses"
+            if self.open_groups
+            else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
+        )
+        return (
+            f"{repr(self)[1:-1]}; {held}\n"
+            "Inside: to_dataframe(), the predicted standard deviation of each parameter; by_count, the error for fewer"
+            " and more poses; scaled, O1 to O5; groups, what moves together unseen\n"
+            f"Next: {following}"
         )
 
     def _repr_html_(self) -> str:

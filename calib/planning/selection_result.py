@@ -62,6 +62,8 @@ class Selection(ReadOnlyArrays):
         selecting_seconds: The part after assembly and Jacobians of the candidates.
     """
 
+    _other_words = "chosen poses"
+
     index: str
     chosen: IntArray
     instruments: tuple[str, ...]
@@ -95,6 +97,17 @@ class Selection(ReadOnlyArrays):
     def __repr__(self) -> str:
         before, after = self.before[self.index], self.after[self.index]
         return f"<Selection of {len(self)} poses by {self.index}: {before:.4g} before, {after:.4g} after>"
+
+    def __str__(self) -> str:
+        proven = "" if self.efficiency is None else f"; {100 * self.efficiency:.4g} % of what any choice can reach"
+        before, after = self.before[self.index], self.after[self.index]
+        return (
+            f"{len(self)} poses, chosen by {self.index}: {after:.4g}, beside {before:.4g} of a uniform choice{proven}\n"
+            f"Inside: joints {self.joints.shape} [m or rad], in the order of measurement; chosen, their places among"
+            " the candidates; after and before, all indices of these poses and of a uniform choice\n"
+            "Next: measure these poses, then calib.fit(robot, data); calib.check(robot, selection.joints) says what"
+            " they determine"
+        )
 
     def _repr_html_(self) -> str:
         rows = ("uniform choice", self.before), ("these poses", self.after)

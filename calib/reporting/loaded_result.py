@@ -74,6 +74,9 @@ class LoadedResult(ReadOnlyArrays, CalibratedRobot):
         grade, n_poses = self.content["verdict"]["grade"], self.content["n_poses"]
         return f"<result of '{self.robot.name}' in {self.path}: {grade}, {n_poses} poses>"
 
+    def _own_parameters(self) -> list[str]:
+        return list(self.parameters)
+
     def _repr_html_(self) -> str:
         return titled_html(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
 

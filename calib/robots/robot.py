@@ -51,6 +51,9 @@ class Robot(RobotData):
             f" passive joints, {len(self.parameters)} parameters>"
         )
 
+    def _own_parameters(self) -> list[str]:
+        return [parameter.name for parameter in self.parameters]
+
     def _repr_html_(self) -> str:
         contents = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
         rows = zip(self.parameters, self.values, self.is_free, strict=True)

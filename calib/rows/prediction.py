@@ -23,13 +23,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
 from calib.base.units import millimetres
-from calib.base.words import listed
+from calib.base.words import counted, listed
 from calib.joint_terms.term import Context, TermSection
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
@@ -41,9 +43,9 @@ _DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above whi
 _CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
 
-@dataclass(frozen=True, eq=False)
-class PositionUncertainty(ReadOnlyArrays):
-    """Predicted positions and how sure they are.
+@dataclass(frozen=True, eq=False, repr=False)
+class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
+    """Predicted positions and how sure they are; read as an array, it is `positions`.
 
     Attributes:
         positions: (n_poses, n_targets, 3) [m].
@@ -62,6 +64,25 @@ class PositionUncertainty(ReadOnlyArrays):
     left_out: Mapping[str, int] = field(default_factory=dict)
     frame: str = ""
     measured: PositionUncertainty | None = None
+
+    _other_words = "predicted positions"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.positions, dtype=dtype)
+
+    def __str__(self) -> str:
+        n_poses, n_targets = self.positions.shape[:2]
+        told = "how far off is not known"
+        following = "fit.predict(q), of a fit or of calib.load_result, says how far off they are"
+        if self.located.size and np.all(np.isfinite(self.located)):
+            known = self.summary()
+            told = f"known to {known['rms']:.3g} mm RMS, {known['max']:.3g} mm at worst"
+            following = "measure some of these poses and compare: calib.verify(fit, data)"
+        return (
+            f"{counted(n_poses, 'predicted pose')} of {counted(n_targets, 'target')}, {told}\n"
+            f"Inside: positions {self.positions.shape} [m], std and covariance of each, distance95: how far off [m]\n"
+            f"Next: {following}"
+        )
 
     @property
     def std(self) -> FloatArray:
@@ -282,6 +303,8 @@ class ParameterUncertainty(ReadOnlyArrays):
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
             in characteristic lengths].
     """
+
+    _other_words = "uncertainty of parameters"
 
     free: BoolArray
     covariance: FloatArray

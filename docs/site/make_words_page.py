@@ -23,7 +23,7 @@ def page() -> str:
     for place, rows in tables().items():
         parts += [f"## Of {place}\n", "| where | habit | here |", "|---|---|---|"]
         for row in rows:
-            words = ", ".join(f"`{word}`" for word in row.words if word != "another") or "measurements as two arrays"
+            words = ", ".join(f"`{word}`" for word in row.words if word != "another") or "another argument"
             parts.append(f"| {row.package} | {words} | {row.here} |")
         parts.append("")
     return "\n".join(parts)

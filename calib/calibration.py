@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -22,7 +22,7 @@ from calib.calibrating.file_robots import with_files
 from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
 from calib.fitting.error_sets import Folds, error_table
 from calib.fitting.fit import of_a_part
-from calib.fitting.settings import Settings
+from calib.fitting.settings import Asked, Settings
 from calib.fitting.validation import cross_validate, n_folds
 from calib.instruments.kind import Readings
 from calib.joint_terms.terms import terms_text
@@ -245,7 +245,10 @@ def fit(
         None if terms is None else terms_text(terms),
     )
     fitted = with_files(calibrate(robot, used, held, settings, executor, progress), settings, executor)
-    return Calibration.of(fitted)
+    fixed, freed = ((given,) if isinstance(given, str) else tuple(given) for given in (fix, free))
+    apart = f"{validation:g}" if isinstance(validation, (float, int)) else ""
+    apart = str(validation) if isinstance(validation, (str, Path)) else apart
+    return Calibration.of(replace(fitted, asked=Asked(fixed, freed, dict(prior or {}), apart, folds)))
 
 
 def _freed(robot: Robot, free: str | Sequence[str]) -> Robot:

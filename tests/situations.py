@@ -662,7 +662,7 @@ def _(shop):
         far = other.copy()
         far[:, 1] += further
         fits.append(calib.fit(robot, used, validation=measured(far), terms="joint_2=curve"))
-    return Situation(*fits, r"(\d) validation poses lie where no error curve of joint joint_2 was learned", (5,))
+    return Situation(*fits, r"(\d) validation poses lie where no error curve of joint_2 was learned", (5,))
 
 
 @situation(Code.BLOCKS_DISAGREE)

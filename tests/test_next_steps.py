@@ -146,7 +146,7 @@ def test_what_is_offered_has_the_options_that_were_typed(run_calib, tmp_path):
     words = shlex.split(first.partition(": ")[2].partition(": ")[2])
     assert words[:4] == ["calib", "fit", str(robot), str(data)]
     pairs = list(itertools.pairwise(words))
-    typed = [options[k : k + 2] for k in (0, 2, 4)]
+    typed = [(options[k], options[k + 1].replace(" ", "")) for k in (0, 2, 4)]
     assert all(pair in pairs for pair in (*typed, ("--sigma-mm", "0.03"), ("--validate", "0.25"), ("--out", str(out))))
     assert words.count("--sigma-mm") == words.count("--no-pages") == 1
     assert run_calib(*words[1:]).code == 0
@@ -196,3 +196,23 @@ def test_a_tracker_that_moved_half_way_is_not_answered_by_joint_terms(robot, dat
     assert (first.grade, "or base had moved" in first.text) == ("CHECK", True)
     assert "describe setups" in first.text
     assert "--terms" not in after_fit(moved, "a.yaml", ["b.csv"], "out", {})
+
+
+def test_result_json_and_the_terminal_offer_the_same_fit(run_calib, tmp_path):
+    asked = ("--fix", "joint_2.y, joint_3.y", "--free", "joint_3.y", "--prior", "joint_4.x=0.2mm", "--seed", "3")
+    run = run_calib("fit", EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv", *asked, "--out", "out", cwd=tmp_path)
+    told = json.loads((tmp_path / "out" / "result.json").read_text())["next"]
+    command = shlex.split(told.partition(": ")[2])
+    typed = shlex.split(run.out.rpartition("Next: ")[2].partition(": ")[2])
+    files = {"ROBOT": str(EXAMPLES / "arm.yaml"), "DATA": str(EXAMPLES / "arm_simulated.csv"), "DIR": "out"}
+    assert [files.get(word, word) for word in command] == typed
+    for name, value in zip(asked[::2], asked[1::2], strict=True):
+        assert command[command.index(name) + 1] == value.replace(" ", "")
+
+
+def test_python_offers_what_it_was_asked_for(robot, data, say):
+    fit = calib.fit(robot, data, fix="joint_2.y", prior={"joint_4.x": "0.2 mm"}, validation=0.25)
+    say("CHECK", "systematic")
+    offered = fit.to_dict()["next"].partition(": ")[2]
+    asked = "--validate 0.25 --fix joint_2.y --prior joint_4.x=0.2mm --terms auto"
+    assert sorted(offered.split()) == sorted(f"calib fit ROBOT DATA {asked} --out DIR-2".split())

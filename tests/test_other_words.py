@@ -576,7 +576,7 @@ def test_what_is_printed_says_what_it_is_what_is_inside_and_what_is_next(t):
         calib.predict(t.robot, t.q),
         calib.verify(t.fit, t.data),
     ):
-        headline, inside, following = str(held).split("\n")
+        headline, *_, inside, following = str(held).split("\n")
         assert re.search(r"\d", headline)
         assert hasattr(held, re.match(r"Inside: (\w+)", inside)[1])
         assert following.startswith("Next: ")

@@ -40,6 +40,24 @@ def listed(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) ->
     return separator.join(names[:shown]) + (f"{separator}and {len(names) - shown} more" if len(names) > shown else "")
 
 
+def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> str:
+    """Return joints by their names, after the word `joint` unless their names begin with it.
+
+    Args:
+        names: Of the joints.
+        separator: What stands between them.
+        shown: How many are named.
+
+    Examples:
+        >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
+        ('joint elbow', 'joints elbow, wrist', 'joint_2')
+    """
+    said = listed(names, separator, shown)
+    if all(name.casefold().startswith("joint") for name in names):
+        return said
+    return f"{'joint' if len(names) == 1 else 'joints'} {said}"
+
+
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
     """Return what differs in paths: the folders that all begin with, and those that all end with, are left out.
 

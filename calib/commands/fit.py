@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -141,6 +142,7 @@ def command(
             executor=jobs,
             progress=progress,
         )
+    result = replace(result, asked=replace(result.asked, validation=validate or ""))
     failed = result.verdict.grade == "FAIL"
     if out is not None:
         result.save(out, force=output.force, pages=not no_pages, logo=logo)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -18,6 +18,7 @@ from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.fitting.outliers import Outlier
 from calib.fitting.regions import Regions, disagreeing
+from calib.fitting.settings import Asked
 from calib.fitting.starts import Starts
 from calib.fitting.terms.candidate_terms import TermChoice
 from calib.fitting.unexplained import unexplained_joint_error
@@ -141,6 +142,7 @@ class Fit(ReadOnlyArrays):
             if no files were asked for.
         seed: Seed of every random choice.
         placed_later: Parameters of places that only the validation poses show, and therefore placed.
+        asked: What else it was asked for.
     """
 
     _other_words = "a fit"
@@ -172,6 +174,7 @@ class Fit(ReadOnlyArrays):
     reduced: Mapping[Holds, Fit] | None = None
     seed: int = 0
     placed_later: tuple[str, ...] = ()
+    asked: Asked = field(default_factory=Asked)
 
     def __repr__(self) -> str:
         return (

@@ -19,7 +19,7 @@ from itertools import combinations, islice, product
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray
-from calib.base.words import listed
+from calib.base.words import joints_named, listed
 from calib.data.measurements import Measurements
 from calib.robots.robot import Robot
 
@@ -65,12 +65,11 @@ def _words(robot: Robot, pattern: Pattern) -> str:
         degrees = 90 * quarter
         if quarter:
             right = f"{name} {degrees:+d} deg" if sign > 0 else f"{degrees} deg - {name}"
-            parts.append(f"joint {name} counted from another zero ({right} would be right)")
+            parts.append(f"{joints_named(name)} counted from another zero ({right} would be right)")
         elif sign < 0:
             turned.append(name)
     if turned:
-        joints = f"joint {turned[0]}" if len(turned) == 1 else f"joints {listed(turned, shown=len(turned))}"
-        parts.insert(0, f"{joints} counted the other way")
+        parts.insert(0, f"{joints_named(*turned, shown=len(turned))} counted the other way")
     return " and ".join(parts)
 
 
@@ -205,7 +204,7 @@ def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
         wrong: What follows them and counts turns.
     """
     return (
-        f"all values of {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} lie within one turn, and the URDF"
+        f"all values of {joints_named(*joints)} lie within one turn, and the URDF"
         f" states no limits. If these values were wrapped, {listed(wrong)} cannot be right. Give values that count"
         " turns; or give limits, if the joint turns no further; or use harmonics or a curve, which repeat with the"
         " turn"

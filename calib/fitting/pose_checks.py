@@ -26,7 +26,7 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import CalibrationError, DataError, NotIdentifiableError
 from calib.base.threads import one_blas_thread
-from calib.base.words import counted, listed
+from calib.base.words import counted, joints_named, listed
 from calib.data.measurements import Measurements, with_points
 from calib.fitting.joint_conventions import joint_changes
 from calib.fitting.problem import Evaluation, Problem
@@ -187,7 +187,7 @@ def _why(problem: Problem) -> str:
     if len(still) == len(problem.robot.joint_names):
         return " (all poses are the same)"
     if still:
-        return f" ({'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved)"
+        return f" ({joints_named(*still, shown=len(still))} never moved)"
     return ""
 
 
@@ -269,7 +269,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[int, str, Me
         yield 0, f"all joint values stood one row {side} their measurements", _some(shifted)
     for a, b in combinations(range(len(names)), 2):
         if dimensions[a] == dimensions[b]:
-            words = f"the columns of joints {names[a]} and {names[b]} were swapped"
+            words = f"the columns of {joints_named(names[a], names[b], separator=' and ')} were swapped"
             yield 0, words, replace(data, joints=q[:, _swapped(len(names), a, b)])
     angles = np.array([dimension == "angle" for dimension in dimensions])
     if np.any(angles):

@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from calib.base.errors import DataError, InputError
 from calib.numerics.losses import Loss, checked_loss
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked of a fit that neither it nor its robot knows, and that the next fit is to be asked again.
+
+    Attributes:
+        fix, free: Names of parameters.
+        prior: How far off parameters are expected to be, by name.
+        validation: The part of the poses that was held out, or the file of other poses; empty for neither.
+        folds: As in `Settings`.
+    """
+
+    fix: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    prior: Mapping[str, str] = field(default_factory=dict)
+    validation: str = ""
+    folds: int | Literal["setups"] = 0
+
+    def options(self) -> dict[str, str]:
+        """Return the options of `calib fit` that ask for it, with their values."""
+        priors = (f"{name}={''.join(how_far.split())}" for name, how_far in self.prior.items())
+        options = {
+            "--validate": self.validation,
+            "--folds": str(self.folds) if self.folds else "",
+            "--fix": ",".join(self.fix),
+            "--free": ",".join(self.free),
+            "--prior": ",".join(priors),
+        }
+        return {name: value for name, value in options.items() if value}
 
 
 @dataclass(frozen=True)

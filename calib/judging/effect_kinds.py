@@ -68,28 +68,28 @@ class Kind(StrEnum):
         Trait.MOVED,
         Trait.BY_THE_DOZEN,
     )
-    JOINT = "joint", Family.SHIFTS, "an error that follows joint {pattern.name} ({words.size})", Trait.FOLLOWS_JOINTS
+    JOINT = "joint", Family.SHIFTS, "an error that follows {words.joint} ({words.size})", Trait.FOLLOWS_JOINTS
     COUPLING = (
         "coupling",
         Family.SHIFTS,
-        "joint {pattern.name} is off by {words.slope} for each {words.each} of joint {pattern.detail} ({words.size})",
+        "{words.joint} is off by {words.slope} for each {words.each} of {words.other} ({words.size})",
         Trait.FOLLOWS_JOINTS,
     )
     WAVE = (
         "wave",
         Family.WAVES,
-        "an error of joint {pattern.name} with {pattern.detail}, amplitude {words.height} ({words.size})",
+        "an error of {words.joint} with {pattern.detail}, amplitude {words.height} ({words.size})",
         Trait.BY_THE_DOZEN,
     )
     APPROACH = (
         "approach",
         Family.SHIFTS,
-        "joint {pattern.name} differs by {words.play} with the direction of approach ({words.size})",
+        "{words.joint} differs by {words.play} with the direction of approach ({words.size})",
     )
     ZERO = (
         "zero",
         Family.SHIFTS,
-        "an error of joint {pattern.name} that changes in the course of the measurement ({words.size})",
+        "an error of {words.joint} that changes in the course of the measurement ({words.size})",
         Trait.IN_COURSE,
     )
 

@@ -58,11 +58,13 @@ class NextStep:
         """
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
         files[AGAIN] = shlex.quote(f"{folder}-2")
-        words = self.command.split()
-        more = [shlex.join((name, *values)) for name, values in options.items() if name not in (*words, *self.without)]
+        words = shlex.split(self.command)
+        more = [
+            word for name, values in options.items() if name not in (*words, *self.without) for word in (name, *values)
+        ]
         end = words.index("--out") if "--out" in words else len(words)
         said = (*words[:end], *more, *words[end:])
-        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, word) for word in said)}"
+        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, shlex.quote(word)) for word in said)}"
 
 
 def next_step(fit: Fit) -> NextStep:
@@ -102,8 +104,9 @@ def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: b
     options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
     options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
     options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
+    options |= fit.asked.options() | ({"--seed": str(fit.seed)} if fit.seed else {})
     options |= {words[0]: " ".join(words[1:])} if words else {}
-    said = (word for option in options.items() for word in option if word)
+    said = (shlex.quote(word) for option in options.items() for word in option if word)
     without = () if noise_stands else ("--sigma-mm",)
     return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)), without)
 

@@ -42,6 +42,7 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.base.words import joints_named
 from calib.judging.effect_kinds import Family, Kind, Trait
 from calib.judging.effects import ORDERS, Effect, EffectSetting, Waves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
@@ -359,6 +360,16 @@ class Words:
         """Root mean square of what it explains."""
         dimension = self.pattern.dimension
         return f"{error_scale(dimension) * self.pattern.size:.3g} {ERROR_UNIT[dimension]} RMS"
+
+    @property
+    def joint(self) -> str:
+        """The joint that it is about."""
+        return joints_named(self.pattern.name)
+
+    @property
+    def other(self) -> str:
+        """Its neighbour."""
+        return joints_named(self.pattern.detail)
 
     @property
     def shift(self) -> float:

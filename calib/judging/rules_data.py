@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
-from calib.base.words import counted, listed
+from calib.base.words import counted, joints_named, listed
 from calib.data.measurements import Measurements
 from calib.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.fitting.fitted import Fit
@@ -60,7 +60,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         )
     elif still:
         yield Code.JOINT_NEVER_MOVED.says(
-            f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: poses that move"
+            f"{joints_named(*still, shown=len(still))} never moved: poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated"
         )
     n_moved = len(fit.nominal.joint_names) - len(still)

@@ -11,7 +11,7 @@ import scipy
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError
 from calib.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.base.words import counted, listed
+from calib.base.words import counted, joints_named, listed
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.judging import findings
@@ -71,7 +71,7 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
     else:
         text = f"not converged: {end.message}"
     for name in _at_limit(fit):
-        text += f"; passive joint {name} is at its limit in the URDF, which may be too narrow"
+        text += f"; passive {joints_named(name)} is at its limit in the URDF, which may be too narrow"
     yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
-from calib.base.words import counted, listed
+from calib.base.words import counted, joints_named, listed
 from calib.fitting.fitted import Fit
 from calib.fitting.joint_conventions import wrapped_terms
 from calib.fitting.pose_checks import unmoved_joints
@@ -63,9 +63,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
             dimension = robot.mechanism.dimensions[name]
             unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"joint {name} moved through only {reach:.2g} {unit}. Positions are known to {millimetres(at_used):.2g}"
-                f" mm at the poses used, but to {millimetres(away):.2g} mm RMS where it moves further. Measure poses"
-                " that move it through its range"
+                f"{joints_named(name)} moved through only {reach:.2g} {unit}. Positions are known to"
+                f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
+                " moves further. Measure poses that move it through its range"
             )
 
 
@@ -128,7 +128,7 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
         joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
         yield Code.BEYOND_JOINT_LIMITS.says(
             f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
-            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
+            f" {joints_named(*joints)}:"
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits"
         )
@@ -160,7 +160,7 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
         yield Code.BEYOND_CURVES.says(
             f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
-            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
+            f" {joints_named(*joints)} was learned:"
             f" {listed([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
             " before you rely on it"
         )

@@ -25,7 +25,7 @@ from calib.base.other_words import worded
 from calib.base.parameter import Parameter, index_of
 from calib.base.threads import one_blas_thread
 from calib.base.units import in_si, millimetres
-from calib.base.words import counted, data_frame, titled_html
+from calib.base.words import counted, data_frame, listed, titled_html
 from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.numerics.identifiability import Elimination, Rank, eliminate
@@ -54,6 +54,7 @@ _DIGITS = 9  # of a part that is left, beyond which it is rounding
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
 _BEYOND = (2, 4)  # how many times all poses
+_GROUPS = 3  # that are named where it is printed
 _NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly differ add no more than this
 
 
@@ -123,8 +124,10 @@ class Assessment(ReadOnlyArrays):
             if self.open_groups
             else "calib.select(robot, candidates, count=40), or calib.fit(robot, data) of measurements at these poses"
         )
+        unseen = [", ".join(self.parameters[k].name for k in group.members) for group in self.groups]
+        together = f"Move together unseen: {listed(unseen, '; ', _GROUPS)}\n" if unseen else ""
         return (
-            f"{repr(self)[1:-1]}; {held}\n"
+            f"{repr(self)[1:-1]}; {held}\n{together}"
             "Inside: to_dataframe(), the predicted standard deviation of each parameter; by_count, the error for fewer"
             " and more poses; scaled, O1 to O5; groups, what moves together unseen\n"
             f"Next: {following}"

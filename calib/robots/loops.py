@@ -25,6 +25,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DescriptionError
 from calib.base.threads import one_blas_thread
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
+from calib.base.words import joints_named
 from calib.robots.closure import AssemblyMode, block_signs, blocks, gap_text, open_by, residual, scaled, singular_values
 from calib.robots.continuation import closing_tolerance, follow, newton
 from calib.robots.mechanism import Mechanism
@@ -170,7 +171,7 @@ def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
     unit, factor = DISPLAY_UNIT[dimension], display_scale(dimension)
     value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
     return (
-        f"passive joint {mechanism.passive[worst]} at {value:.4g} {unit}, beyond its limits"
+        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
         f" ({low:.4g} to {high:.4g} {unit})"
     )
 

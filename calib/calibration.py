@@ -31,11 +31,11 @@ from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
 from calib.planning.studies.study import study
 from calib.planning.studies.study_result import Study
-from calib.reporting.accuracy import error_sets
 from calib.reporting.loaded_result import CalibratedRobot
 from calib.reporting.report_text import summary, text_report, verdict_lines
 from calib.reporting.result_content import to_dict
 from calib.reporting.results import save
+from calib.reporting.sections.accuracy import error_sets
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 

@@ -12,7 +12,8 @@ import calib
 from calib.base.words import as_data
 from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _span, causes_of
 from calib.reporting.report_text import text_report
-from calib.reporting.result_content import budget_table, to_dict
+from calib.reporting.result_content import to_dict
+from calib.reporting.sections.budget import budget_table
 from calib.rows.observed import observe
 
 SIGMA = 20e-6

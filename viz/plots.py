@@ -45,7 +45,7 @@ def all_plots(table: PoseTable, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
 
 @styled
 def budget_bars(budget: dict[str, Any]) -> Plot:
-    """How much of the error before each cause made, of `calib.reporting.result_content.budget_table`."""
+    """How much of the error before each cause made, of `calib.reporting.sections.budget.budget_table`."""
     rows, unit = budget["causes"], budget["unit"]
     largest = max(budget["rms_before"], 1e-12)
     figure, (axes,) = new_figure(1, 1, (8.9, 0.9 + 0.32 * len(rows)))

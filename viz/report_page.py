@@ -20,22 +20,22 @@ from calib import Fit, Robot
 from calib.base.version import PROGRAM
 from calib.base.words import sentence
 from calib.judging.verdict import judge
-from calib.reporting.accuracy import accuracy
-from calib.reporting.files_held import worth_of_files
-from calib.reporting.fit_notes import notes
-from calib.reporting.result_content import (
-    budget_table,
-    excluded_rows,
-    outlier_rows,
-    parameter_rows,
-    position_uncertainty_table,
-)
+from calib.reporting.sections.accuracy import accuracy
+from calib.reporting.sections.budget import budget_grid, budget_table
+from calib.reporting.sections.details import details
+from calib.reporting.sections.determination import unsure
+from calib.reporting.sections.files_held import files_grid
+from calib.reporting.sections.grid import Number
+from calib.reporting.sections.noise import noise_found
+from calib.reporting.sections.outliers import outlier_grid
+from calib.reporting.sections.parameters import parameter_grid
+from calib.reporting.sections.positions import position_uncertainty_table
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars, error_map
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
 from viz.rendering import picture_of, points_of
-from viz.report_tables import extent, headline, judged_by, noise_lines, tolerance_of, unsure, worst
+from viz.report_tables import extent, headline, judged_by, tolerance_of, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.scene_data import in_space
 from viz.viewer_page import Page
@@ -88,9 +88,10 @@ def report_page(
             headline=headline(tables, judged_by(fit).main_part),
             space=_space(shown, judged_by(fit).main_part.name),
             accuracy=tables,
-            noise=noise_lines(fit),
-            worth=worth_of_files(fit),
-            budget=budget,
+            noise=noise_found(fit),
+            worth=files_grid(fit),
+            budget=budget_grid(fit),
+            advice="" if budget is None else budget["advice"],
             budget_plot=None if budget is None else budget_bars(budget),
             worst=worst(fit),
             extent=extent(table),
@@ -106,11 +107,10 @@ def report_page(
             pointed=shown is not None and len(points_of(shown)[0]) > 0,
             pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[shown.shown[0]],
             plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
-            parameters=[row for row in parameter_rows(fit) if not row["family"]],
-            notes=notes(fit, brief=True),
+            parameters=parameter_grid(fit),
+            notes=details(fit, brief=True),
             unsure=unsure(fit),
-            outliers=[row | {"set": "left out"} for row in excluded_rows(fit)] + outlier_rows(fit),
-            only_positions=all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts),
+            outliers=outlier_grid(fit),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
             counted=f"{fit.uncertainty.counted}{fit.identification_uncertainty.remark()}",
@@ -137,7 +137,7 @@ def page_environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence}
+    formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
     environment.filters |= formats
     return environment
 
@@ -212,6 +212,15 @@ def significant(value: float, std: float) -> str:
     if np.isfinite(std) and std > 0:
         return number(value, decimals_of(std))
     return number(value, next((n for n in range(_DECIMALS) if round(value, n) == round(value, _DECIMALS)), _DECIMALS))
+
+
+def cell(content: str | Number) -> str:
+    """Format the cell of a table."""
+    if isinstance(content, str):
+        return content
+    if content.page_decimals is not None:
+        return number(content.value, content.page_decimals)
+    return millimetres(content.value) if content.std is None else significant(content.value, content.std)
 
 
 def number(value: float, decimals: int = _DECIMALS) -> str:

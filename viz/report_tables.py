@@ -1,4 +1,4 @@
-"""The numbers of a report beside its tables: what counts, noise, and where the robot is worst."""
+"""The numbers of a report beside its tables: what counts, whether it is enough, and where the robot is worst."""
 
 from __future__ import annotations
 
@@ -9,29 +9,16 @@ import numpy as np
 from calib import Fit
 from calib.base.arrays import FloatArray
 from calib.base.errors import InputError
-from calib.base.units import ERROR_UNIT, error_scale, quantity
+from calib.base.units import error_scale, quantity
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
 from calib.judging.verdict import judge
-from calib.reporting.accuracy import NAMES, Accuracy, AccuracyTable, error_sets
-from calib.reporting.result_content import parameter_rows
+from calib.reporting.sections.accuracy import NAMES, Accuracy, AccuracyTable, error_sets
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 from viz.remarks import tolerance
 
 _JUDGED_BY = ("validation", "left out in turn", "identification")
-
-
-@dataclass(frozen=True)
-class NoiseLine:
-    """Noise of one reading as found: of what, in which unit, per what, over how many degrees of freedom."""
-
-    of: str
-    sigma: float
-    stated: float | None
-    unit: str
-    per: str
-    freedom: float
 
 
 def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, Accuracy, Accuracy]:
@@ -113,36 +100,3 @@ def extent(table: PoseTable) -> str:
         return ""
     ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
     return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
-
-
-def noise_lines(fit: Fit) -> list[NoiseLine]:
-    """Return the noise of each group of rows; what it is of is said where there are several."""
-    several = {
-        (instrument.name, part.name)
-        for instrument in fit.nominal.instruments
-        for part in instrument.parts
-        if len(part.axes) > 1
-    }
-    lines = []
-    for noise in fit.noise:
-        scale = error_scale(noise.group.part.dimension)
-        lines.append(
-            NoiseLine(
-                f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else "",
-                scale * noise.sigma,
-                None if noise.stated is None else scale * noise.stated,
-                ERROR_UNIT[noise.group.part.dimension],
-                " per axis" if (noise.group.name, noise.group.part.name) in several else "",
-                noise.freedom,
-            )
-        )
-    return lines
-
-
-def unsure(fit: Fit) -> dict[str, list[str]]:
-    """Return the names of parameters that the measurements do not decide, by status."""
-    by_status: dict[str, list[str]] = {}
-    for row in parameter_rows(fit):
-        if row["status"] not in ("identified", "placed") and not row["family"]:
-            by_status.setdefault(str(row["status"]), []).append(str(row["name"]))
-    return by_status

@@ -14,7 +14,7 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, PER_SI
 from calib.base.words import counted
 from calib.fitting.error_sets import STATES
-from calib.reporting.result_content import instrument_blocks
+from calib.reporting.sections.noise import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of

@@ -24,9 +24,9 @@ from calib.fitting.terms.joint_curves import beyond_learned
 from calib.joint_terms.terms import stored_terms
 from calib.judging.promise import Promise
 from calib.judging.reasons import Code
-from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML, UNDECIDED
 from calib.reporting.result_format import damage
+from calib.reporting.sections.files_held import file_entry, stored_files
 from calib.robots import loading
 from calib.robots.held import Holds
 from calib.robots.robot import Robot

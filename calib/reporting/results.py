@@ -5,8 +5,8 @@ calibrated robot is made of, so that it can be moved, and loads like any robot: 
 `nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
 to the last digits. Its uncertainty comes from `covariance.csv`, and of terms that `--terms auto`
 left undecided from `undecided_terms.csv`. What files get that hold less is there, too
-(`calib.reporting.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not read back
-as a calibrated robot (`calib.reporting.result_reading`), unless that is forced; then the files say so. Nor is
+(`calib.reporting.sections.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not
+read back as a calibrated robot (`calib.reporting.result_reading`), unless that is forced; then the files say so. Nor is
 `calibrated.urdf` written where it is worse than the nominal robot, unless that is forced.
 """
 
@@ -38,15 +38,14 @@ from calib.judging import findings
 from calib.judging.reasons import Verdict
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
-from calib.reporting.files_held import VALUES, files_of, name_of_values
 from calib.reporting.result_content import (
     NOMINAL_URDF,
     NOMINAL_YAML,
     UNDECIDED,
-    residual_places,
-    residual_sets,
     to_dict,
 )
+from calib.reporting.sections.files_held import VALUES, files_of, name_of_values
+from calib.reporting.sections.outliers import residual_places, residual_sets
 from calib.robots.description import description_yaml
 from calib.robots.held import Holds
 from calib.robots.robot import Robot

@@ -21,6 +21,7 @@ from calib.exporting.controllers import has_ur_kinematics
 from calib.exporting.held_formats import formats_that_hold
 from calib.fitting.fitted import Fit
 from calib.judging.rules_model import why_no_origins
+from calib.reporting.sections.grid import Column, Grid, Number
 from calib.robots.held import Accuracy, FileRobot, Holds, SeenAt
 from calib.robots.robot import Robot
 from calib.robots.robot_files import lost_by, without_terms
@@ -87,6 +88,32 @@ def worth_of_files(fit: Fit) -> FileWorth | None:
                 words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
             lines.append(FileLine(holds.value, scale * accuracy.rms, scale * accuracy.limit95, words))
     return FileWorth(whole.part, ERROR_UNIT[whole.dimension], whole.where, tuple(lines))
+
+
+def files_grid(fit: Fit) -> Grid | None:
+    """Return what each kind of file is worth, where some hold less than the whole model; None elsewhere."""
+    worth = worth_of_files(fit)
+    if worth is None:
+        return None
+    columns = (Column("file holds", "a file holds", words=True), Column("RMS"), Column("95 % limit"))
+    return Grid(
+        f"What files are worth, {worth.unit} ({worth.part} error, {worth.where})",
+        f"What files are worth: {worth.part} error [{worth.unit}], {worth.where}; at one more such pose it stays below"
+        " the 95 % limit with a chance of 95 %",
+        (*columns, Column("formats", words=True)),
+        tuple((line.holds, Number(line.rms), Number(line.limit95), line.formats) for line in worth.lines),
+        last_counts=True,
+    )
+
+
+def files_lines(fit: Fit) -> list[str]:
+    """Return what files are worth, in a line, where some hold less than the whole model."""
+    worth = worth_of_files(fit)
+    if worth is None:
+        return []
+    withheld = {True: " (withheld)", False: ""}
+    lines = [f"{line.holds} {line.rms:.4f}{withheld[line.formats.startswith('withheld')]}" for line in worth.lines]
+    return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {'; '.join(lines)}"]
 
 
 def name_of_values(files: Mapping[Holds, FileRobot], holds: Holds) -> str:

@@ -11,6 +11,9 @@ from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, 
 
 import calib
 from calib.fitting.fitted import Convergence
+from calib.fitting.problem import Problem
+from calib.fitting.settings import Settings
+from calib.fitting.solving import convergence_at, place, solve_from, uncertainty_at
 from calib.reporting.result_reading import load_calibrated, read_result
 from calib.reporting.results import save
 
@@ -39,6 +42,23 @@ def failed(good):
 
 
 pytestmark = pytest.mark.usefixtures("without_pages")
+
+
+@pytest.mark.parametrize(("off", "stopped"), [(0.0, True), (0.0, False), (0.5, True), (0.5, False)])
+def test_the_message_says_what_the_step_that_is_left_says(arm, off, stopped):
+    problem = Problem.of(arm, noisy(arm, joints(60), SIGMA, 1))
+    solved = solve_from(problem, place(problem), Settings())
+    _, _, uncertainty = uncertainty_at(solved)
+    values = solved.at.robot.values.copy()
+    values[solved.problem.unknowns.index[0]] += off * uncertainty.std[0]
+    at = problem.evaluate(solved.at.robot.with_parameters(values))
+    message = "the sum of squares no longer changes" if stopped else "the limit of evaluations was reached"
+    ended = replace(solved, at=at, solution=replace(solved.solution, converged=stopped, message=message))
+    end = convergence_at(ended, problem.rows(at, solved.groups), uncertainty.std)
+    assert end.converged is (off == 0.0)
+    assert ("no parameter would still move by more than" in end.message) is (end.converged and not stopped)
+    assert ("no longer changes, but " in end.message) is (stopped and not end.converged)
+    assert ("limit" in end.message) is (not stopped and not end.converged)
 
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):

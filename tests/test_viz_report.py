@@ -135,7 +135,8 @@ def test_the_report_has_no_scripts_and_asks_nobody(html):
 def test_everything_from_files_is_escaped(fit):
     hostile = '<script>alert("x")</script>'
     data = dataclasses.replace(fit.identification.data, path=hostile)
-    named = dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data), message=hostile)
+    end = dataclasses.replace(fit.convergence, message=hostile)
+    named = dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data), convergence=end)
     html = report_page(named, command=hostile, created=NOON).html
     assert "<script" not in html
     assert "&lt;script&gt;" in html

@@ -146,7 +146,6 @@ def fit_data(
         rows=rows,
         whitening=problem.whitening,
         scales=scales,
-        message=solved.solution.message,
         seconds=float("nan"),
         convergence=convergence_at(solved, rows, uncertainty.std),
         loss=settings.loss,

@@ -48,7 +48,7 @@ class Convergence:
 
     Attributes:
         converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
-        message: What the solver said.
+        message: Which rule ended it; or what is left, where that decides.
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: That parameter.
         weights_stand: Whether the weights of a robust loss have settled; True without one.
@@ -127,7 +127,6 @@ class Fit(ReadOnlyArrays):
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
         whitening: What whitened them.
         scales: What was assumed about the noise.
-        message: What the solver said.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
         loss: Robust loss.
@@ -160,7 +159,6 @@ class Fit(ReadOnlyArrays):
     rows: Rows
     whitening: Whitening
     scales: Scales
-    message: str
     seconds: float
     convergence: Convergence
     loss: Loss
@@ -189,6 +187,11 @@ class Fit(ReadOnlyArrays):
     def converged(self) -> bool:
         """Whether the iteration reached a minimum."""
         return self.convergence.converged
+
+    @property
+    def message(self) -> str:
+        """How the iteration ended."""
+        return self.convergence.message
 
     @property
     def rank(self) -> Rank:

@@ -312,7 +312,10 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
     root, unknowns = weighted.known.root, solved.problem.unknowns
     left = np.abs(unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))
-    converged = solved.settled and bool(left[largest] < _STEP_LEFT)
-    return Convergence(
-        converged, solved.solution.message, float(left[largest]), unknowns.names[largest], solved.settled
-    )
+    name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
+    stands = step < _STEP_LEFT
+    if stands and not solved.solution.converged:
+        message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
+    elif solved.solution.converged and not stands:
+        message += f", but {name} would still move by {step:.2g} standard deviations"
+    return Convergence(solved.settled and stands, message, step, name, solved.settled)

@@ -28,16 +28,23 @@ as on a saddle between two valleys, there is none; then the step goes to the low
 method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the saddle.) K is
 left out where rows come first: while more than half of the cost is promised to go.
 
-Steps are taken in full as long as the cost falls. One that does not lower it is undone; from then on steps go to the
-minimum of the model within a ball |D d| <= radius, which follows how well the last model predicted the cost. A trial
-point without residuals (a loop that cannot close answers NaN) does not lower it.
+Steps are taken in full as long as the cost falls. The first that does not lower it is undone; from then on steps go to
+the minimum of the model within a ball |D d| <= radius, which follows how well the last model predicted the cost. A
+trial point without residuals (a loop that cannot close answers NaN) does not lower it.
 
 Where priors are wide, the minimum lies at the end of a long valley, which bends: what the rows hardly see moves far,
-and the square of that move is much for what they see well. Straight steps are then short, and there are hundreds. A
-trial point tells the bend, b = r(x + d) - r - J d. Where the cost fell by less than three quarters of what was
-promised, the step is tried once more with what takes the bend away, the minimum of |b + J c| with c at most half as
-long as d; the lower of the two points counts. Along a valley one bend is like the next: within a ball, the trial point
-itself is moved by what takes away the bend that the last step s, with C = J - J_before, tells of d = a s + rest,
+and the square of that move is much for what they see well. Steps along the bottom are then short, and there are
+hundreds. But the slopes are steep and nearly straight, so that a step from high up leads to the bottom again, further
+on. So where a step within a ball does not lower the cost, the iteration goes on from its end all the same, each step up
+to twice as long as the last one, until the cost is lower than where it left the bottom. If that takes more than eight
+further steps, or a trial point has no residuals, it goes back there and does not leave the bottom again. (Only where
+unknowns are scaled, `unit`: others would run away.)
+
+Where the bottom is not left, its bends are followed. A trial point tells the bend, b = r(x + d) - r - J d. Where the
+cost fell by less than three quarters of what was promised, the step is tried once more with what takes the bend away,
+the minimum of |b + J c| with c at most half as long as d; the lower of the two points counts. Along a valley one bend
+is like the next: within a ball, the trial point itself is moved by what takes away the bend that the last step s, with
+C = J - J_before, tells of d = a s + rest,
 
     d^T H d / 2  =  a C (d - a s / 2)      but for what is of second order in the rest,      a = s^T d / s^T s
 
@@ -93,6 +100,8 @@ _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond whi
 _BEND = 0.5  # length of what takes a bend away, over that of the step, at most
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # how far the steps may then go at first, in the same units
+_LONGER = 2.0  # how far a step away from the bottom of a valley may go, over the length of the last one
+_AWAY = 8  # further steps away from the bottom
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the sum of squares no longer changes",
@@ -110,7 +119,7 @@ class Solution:
         jacobian: J(x), (m, n).
         cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
-        evaluations: How many trial points were evaluated.
+        evaluations: How many points were evaluated.
         message: Which rule ended it.
     """
 
@@ -136,7 +145,7 @@ def minimise(
 
     Args:
         residuals: x (n,) -> r (m,); NaN where r has no value.
-        jacobian: x (n,) -> dr/dx (m, n); asked for only where r was finite.
+        jacobian: x (n,) -> dr/dx (m, n); asked for only where r was finite, and where the iteration goes back to.
         start: Where to begin, (n,).
         scaling: D of the module docstring.
         tolerance: Promised decrease, relative to the cost, that ends the iteration.
@@ -160,8 +169,9 @@ def minimise(
             evaluations += 1
             if _cost(bent_values) < _cost(values):
                 x, values = bent, bent_values
-        path.go_on(x, values, jacobian)
+        evaluations += path.go_on(x, values, jacobian)
         message = path.ended()
+    evaluations += path.go_back(jacobian)
     best = path.current
     return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
 
@@ -193,6 +203,9 @@ class _Path:
             self._radius = self._length(start.x) or 1.0
         self._past: list[LinearPoint] = []
         self._undone = False  # whether the last step was
+        self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
+        self._away = 0  # steps since then
+        self._stays = self._by_columns  # whether it does not leave it any more
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
         self._promised = start.cost
@@ -205,8 +218,26 @@ class _Path:
             norms = np.linalg.norm(point.triangle, axis=0)
             self._scale = np.maximum(self._scale, np.where(norms > 0, norms, 1.0))
 
+    @property
+    def _may_leave(self) -> bool:
+        """Whether a step that does not lower the cost may be taken."""
+        within = np.isfinite(self._radius) and not self._promises_little
+        return self._away <= _AWAY if self._left is not None else within and not self._stays
+
+    @property
+    def _promises_little(self) -> bool:
+        """Whether rounding decides about the step."""
+        return self.current.cost - self._promised <= _ROUNDING * self._tolerance * self.current.cost
+
+    @property
+    def lowest(self) -> LinearPoint:
+        """The point with the lowest cost."""
+        return self.current if self._left is None else self._left[0]
+
     def ended(self) -> str:
         """Return which stopping rule is met; nothing if none is."""
+        if self._left is not None:
+            return ""
         allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
         if self.current.decrease <= allowed * self.current.cost:
             return _COST_STANDS
@@ -237,26 +268,44 @@ class _Path:
     def bent(self, values: FloatArray) -> FloatArray | None:
         """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
         reached, promised = _cost(values), self.current.cost - self._promised
-        little = promised <= _ROUNDING * self._tolerance * self.current.cost
-        if not np.isfinite(reached) or little or self.current.cost - reached >= _GOOD * promised:
+        if self._left is not None or (np.isfinite(self._radius) and not self._stays) or self._promises_little:
+            return None
+        if not np.isfinite(reached) or self.current.cost - reached >= _GOOD * promised:
             return None
         back = self._back(values - self.current.residuals - self.current.jacobian @ self._taken)
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
-    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
-        """Take the step to x (n,) with these residuals (m,), or stay with a smaller radius."""
-        reached = _cost(values)
-        self._undone = not reached < self.current.cost
+    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> int:
+        """Take the step to x (n,) with these residuals (m,), or stay; return how many further evaluations that took."""
+        reached, length = _cost(values), min(self._length(self._step), self._radius)
+        self._undone = not reached < self.lowest.cost
+        if self._undone and np.isfinite(reached) and self._may_leave:
+            self._left = self._left or (self.current, length)
+            self._radius, self._past, self._away = _LONGER * length, [], self._away + 1
+            self.current = LinearPoint(x, values, jacobian(x))
+            return 0
         if self._undone:
-            self._radius = _SHORTER * min(self._length(self._step), self._radius)
+            self._radius = _SHORTER * (length if self._left is None else self._left[1])
             self._cautious, self._past = False, []
-            return
+            return self.go_back(jacobian)
         trial = LinearPoint(x, values, jacobian(x))
-        promised = self.current.cost - self._promised
-        self._radius = self._adapted(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
-        self._past = [*self._past, self.current][-_KEPT:]
+        if self._left is not None:
+            self._radius, self._left, self._away = _LONGER * self._left[1], None, 0
+        else:
+            promised = self.current.cost - self._promised
+            self._radius = self._adapted(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
+            self._past = [*self._past, self.current][-_KEPT:]
         self.current = trial
         self._rescale(trial)
+        return 0
+
+    def go_back(self, jacobian: Callable[[FloatArray], FloatArray]) -> int:
+        """Go back to the bottom of the valley for good, if the path is away; return how many evaluations that takes."""
+        if self._left is None:
+            return 0
+        self.current, self._left, self._stays = self._left[0], None, True
+        jacobian(self.current.x)  # tells where the path is
+        return 1
 
     def _adapted(self, trial: LinearPoint, part: float) -> float:
         """Return the radius after a step that lowered the cost, by this part of what the model promised."""

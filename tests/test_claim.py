@@ -5,7 +5,7 @@ import pytest
 from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.judging.claim import Gain
+from calib.judging.claim import Benefit
 
 SIGMA = 4e-5
 
@@ -89,7 +89,7 @@ def test_a_calibration_that_does_harm_elsewhere_fails(tmp_path):
 
 def test_a_robot_as_drawn_claims_no_gain(arm):
     fit = calib.fit(arm, noisy(arm, joints(80), SIGMA, 1))
-    assert fit.verdict.claim.gain is not Gain.BETTER
+    assert fit.verdict.claim.gain is not Benefit.BETTER
     assert fit.verdict.grade == "PASS"
 
 

@@ -25,7 +25,7 @@ from calib.reporting.sections.budget import budget_grid, budget_table
 from calib.reporting.sections.details import details
 from calib.reporting.sections.determination import unsure
 from calib.reporting.sections.files_held import files_grid
-from calib.reporting.sections.grid import Number
+from calib.reporting.sections.grid import GridNumber
 from calib.reporting.sections.noise import noise_found
 from calib.reporting.sections.outliers import outlier_grid
 from calib.reporting.sections.parameters import parameter_grid
@@ -214,7 +214,7 @@ def significant(value: float, std: float) -> str:
     return number(value, next((n for n in range(_DECIMALS) if round(value, n) == round(value, _DECIMALS)), _DECIMALS))
 
 
-def cell(content: str | Number) -> str:
+def cell(content: str | GridNumber) -> str:
     """Format the cell of a table."""
     if isinstance(content, str):
         return content

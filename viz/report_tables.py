@@ -13,7 +13,7 @@ from calib.base.units import error_scale, quantity
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
 from calib.judging.verdict import judge
-from calib.reporting.sections.accuracy import NAMES, Accuracy, AccuracyTable, error_sets
+from calib.reporting.sections.accuracy import NAMES, AccuracyLine, AccuracyTable, error_sets
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 from viz.remarks import tolerance
@@ -21,7 +21,7 @@ from viz.remarks import tolerance
 _JUDGED_BY = ("validation", "left out in turn", "identification")
 
 
-def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, Accuracy, Accuracy]:
+def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, AccuracyLine, AccuracyLine]:
     """Return what counts: the table of a part, and its lines before and after of poses that were not used, if any."""
     table = next(table for table in tables if table.part == part)
     by_name = {(line.group, line.state): line for line in table.lines}

@@ -48,7 +48,7 @@ enough, the noise of a fit makes errors of a robot that needs no correction sqrt
 
 
 @dataclass(frozen=True)
-class Comparison:
+class UnusedErrors:
     """Errors on one set of poses that were not used.
 
     Attributes:
@@ -72,7 +72,7 @@ class Comparison:
         return f"RMS {scale * self.after:.4f} {unit} after, {scale * self.before:.4f} {unit} before"
 
 
-def comparisons(fit: Fit) -> Iterator[Comparison]:
+def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
     """Compare before and after on the validation poses and on poses left out in turn, as far as there are any."""
     if fit.computed:
         return
@@ -84,7 +84,7 @@ def comparisons(fit: Fit) -> Iterator[Comparison]:
         yield _compare(fit, f"{left_out} left out in turn", fit.folds.errors, fewer)
 
 
-def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Comparison:
+def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> UnusedErrors:
     before, rows = fit.whitened(errors)
     scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
@@ -98,7 +98,7 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Compar
     else:
         mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
     spread = _spread(product, mixed, fit.statistics.freedom)
-    return Comparison(
+    return UnusedErrors(
         name,
         errors.rms("before"),
         errors.rms("after"),

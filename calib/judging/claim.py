@@ -59,7 +59,7 @@ MORE = 1.25
 _HALF = 0.5  # part of what a joint's limits allow, below which its reach is told
 
 
-class Gain(Enum):
+class Benefit(Enum):
     """What a calibration does to poses that it has not used."""
 
     BETTER = "better"
@@ -112,7 +112,7 @@ class Claim:
     told: Accuracy
     shown: tuple[Accuracy, ...]
     broken: tuple[Accuracy, ...]
-    gain: Gain
+    gain: Benefit
     region: str
     narrow: tuple[str, ...]
     known: float
@@ -193,7 +193,7 @@ class Claim:
             seen(entry, SeenAt.ONE_BY_ONE),
             tuple(accuracy for accuracy, _ in shown),
             tuple(accuracy for accuracy, holds in shown if not holds),
-            Gain(entry["gain"]),
+            Benefit(entry["gain"]),
             str(entry["region"]),
             tuple(entry["joints_moved_little"]),
             error(entry["known"]),
@@ -255,19 +255,19 @@ def _squares(errors: ErrorSet, state: str) -> FloatArray:
     return np.asarray(np.nansum(np.square(lengths).reshape(len(lengths), -1), axis=1))
 
 
-def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
+def _gain(fit: Fit, foretold: ErrorSet) -> Benefit:
     compared = list(comparisons(fit))
     if any(comparison.worse for comparison in compared):
-        return Gain.WORSE
+        return Benefit.WORSE
     if compared:
-        return Gain.BETTER if any(comparison.better for comparison in compared) else Gain.NONE
+        return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
     change = _squares(foretold, "after") - _squares(foretold, "before")
     if len(change) < FEWEST:
-        return Gain.NONE
+        return Benefit.NONE
     spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
     t = float(np.mean(change)) / spread if spread > 0 else 0.0
     chance = scipy.special.stdtr(len(change) - 1, np.array([t, -t]))
-    return Gain.BETTER if chance[0] < UNLIKELY else Gain.WORSE if chance[1] < UNLIKELY else Gain.NONE
+    return Benefit.BETTER if chance[0] < UNLIKELY else Benefit.WORSE if chance[1] < UNLIKELY else Benefit.NONE
 
 
 def _narrow(fit: Fit) -> tuple[str, ...]:

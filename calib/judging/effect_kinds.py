@@ -29,7 +29,7 @@ class Kind(StrEnum):
     Attributes:
         family: Which kinds it shares the chance of a false finding with.
         sentence: What a pattern of it says; in braces, what is of the pattern and of its
-            `calib.judging.residual_patterns.Words`.
+            `calib.judging.residual_patterns.PatternWords`.
         traits: What is true of it.
     """
 

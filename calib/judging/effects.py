@@ -152,7 +152,7 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
-class Waves:
+class JointWaves:
     """The waves of one joint: sine and cosine of each of `ORDERS` times a phase, times one column.
 
     Attributes:
@@ -189,7 +189,7 @@ class Waves:
         return Effect(self.kind, self.name, columns, self.detail(order))
 
 
-def effects(setting: EffectSetting) -> Iterator[Effect | Waves]:
+def effects(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
     """Yield every effect."""
     yield from _of_frames(setting)
     yield from _of_targets(setting)
@@ -232,7 +232,7 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
             yield Effect(Kind.SLIP, target, moved * late, f"from {setting.data.labels[order[first]]} on")
 
 
-def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
+def _of_joints(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
     robot, data = setting.robot, setting.data
     by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
     in_course = setting.per_visit(_curves(setting.course))
@@ -250,7 +250,7 @@ def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
                 yield Effect(Kind.COUPLING, name, column * driving[:, None], robot.joint_names[neighbour])
         turns = robot.mechanism.dimensions[name] == "angle"
         words = "cycles a turn" if turns else "cycles over the range measured"
-        yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
+        yield JointWaves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
 
 
 def _position_rows(instrument: Instrument) -> list[int]:

@@ -20,7 +20,7 @@ from calib.judging import residual_patterns
 from calib.judging.effect_kinds import Kind, Trait
 from calib.judging.effects import Effect, EffectSetting, effects
 from calib.judging.error_budget import ErrorBudget, error_budget
-from calib.judging.residual_patterns import Pattern, Residuals
+from calib.judging.residual_patterns import LinearFit, Pattern
 from calib.numerics import losses
 from calib.numerics.losses import Studentised
 from calib.rows.observed import observe
@@ -96,14 +96,14 @@ def setting(fit: Fit) -> EffectSetting:
 
 
 @remembered
-def linear(fit: Fit) -> Residuals:
+def linear(fit: Fit) -> LinearFit:
     """Return the fit as a linear model, in which effects are looked for."""
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.rows.weighted(fit.weights)
     shared = fit.statistics.shared
     pose_freedom = np.inf if shared is None else shared.freedom
-    return Residuals(rows, rows.jacobian @ fit.root, fit.statistics.freedom, factor, pose_freedom)
+    return LinearFit(rows, rows.jacobian @ fit.root, fit.statistics.freedom, factor, pose_freedom)
 
 
 @remembered

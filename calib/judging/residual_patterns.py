@@ -44,7 +44,7 @@ from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 from calib.base.words import joints_named
 from calib.judging.effect_kinds import Family, Kind, Trait
-from calib.judging.effects import ORDERS, Effect, EffectSetting, Waves, effects
+from calib.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.numerics.clusters import foretold
 from calib.rows.rows import Rows
@@ -84,7 +84,7 @@ class Pattern:
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class LinearFit:
     """A finished fit as a linear model.
 
     Attributes:
@@ -106,7 +106,7 @@ class Residuals:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
         return effect - self.pulled @ (self.pulled.T @ effect)
 
-    def beside(self, effects: FloatArray) -> Residuals:
+    def beside(self, effects: FloatArray) -> LinearFit:
         """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
         size = np.linalg.norm(effects, axis=0)
         columns = effects[:, size > 0] / size[size > 0]
@@ -163,7 +163,7 @@ class _Tested:
     coefficients: FloatArray
 
 
-def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
+def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
     """Test effects.
 
     Args:
@@ -203,7 +203,7 @@ def patterns(residuals: Residuals, setting: EffectSetting, kinds: Container[Kind
 def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
     """Yield the effects with these kinds, names and details, with their columns."""
     for effect in effects(setting):
-        if isinstance(effect, Waves):
+        if isinstance(effect, JointWaves):
             orders = (order for order in effect.orders if (Kind.WAVE, effect.name, effect.detail(order)) in kept)
             yield from map(effect.effect, orders)
         elif (effect.kind, effect.name, effect.detail) in kept:
@@ -224,7 +224,7 @@ def _only(coefficients: FloatArray) -> float:
     return float(coefficients[0]) if len(coefficients) == 1 else float("nan")
 
 
-def visible(residuals: Residuals, column: FloatArray) -> float:
+def visible(residuals: LinearFit, column: FloatArray) -> float:
     """Return how large an effect of one column (n_rows, 1) must be for the residuals to show it; inf if they never do.
 
     Args:
@@ -239,9 +239,9 @@ def visible(residuals: Residuals, column: FloatArray) -> float:
     return _SURELY * residuals.factor / (size * float(np.sqrt(left))) if left > _ABSORBED else float("inf")
 
 
-def _moments(residuals: Residuals, effect: Effect | Waves) -> Iterator[_Moments]:
+def _moments(residuals: LinearFit, effect: Effect | JointWaves) -> Iterator[_Moments]:
     """Yield the moments of an effect, or those of all waves of a joint."""
-    if isinstance(effect, Waves):
+    if isinstance(effect, JointWaves):
         yield from _moments_of_waves(residuals, effect)
     else:
         z = effect.columns
@@ -249,7 +249,7 @@ def _moments(residuals: Residuals, effect: Effect | Waves) -> Iterator[_Moments]
         yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.pulled.T @ z, score)
 
 
-def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
+def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Moments]:
     """Yield the moments of all waves of a joint; see the module docstring."""
     n_visits, n_orders, rank = len(waves.phase), len(ORDERS), residuals.pulled.shape[1]
     if not waves.orders:
@@ -276,7 +276,7 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, own[:rank], own[rank])
 
 
-def _tests(residuals: Residuals, effects: list[_Moments]) -> list[_Tested]:
+def _tests(residuals: LinearFit, effects: list[_Moments]) -> list[_Tested]:
     """Test those effects that can be seen; all with equally many columns at once, for there are hundreds."""
     shown = [effect for effect in effects if np.all(np.diag(effect.squares) > 0)]
     widths = np.array([len(effect.score) for effect in shown], dtype=np.intp)
@@ -287,7 +287,7 @@ def _tests(residuals: Residuals, effects: list[_Moments]) -> list[_Tested]:
     return [test for k in range(len(shown)) if (test := tests[k]) is not None]
 
 
-def _tests_at_once(residuals: Residuals, effects: list[_Moments]) -> list[_Tested | None]:
+def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> list[_Tested | None]:
     """Test effects with equally many columns; None for one that the fit absorbs."""
     squares = np.stack([effect.squares for effect in effects])
     size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
@@ -304,7 +304,7 @@ def _tests_at_once(residuals: Residuals, effects: list[_Moments]) -> list[_Teste
     return [_tested(residuals, *part) for part in parts]
 
 
-def _tested(residuals: Residuals, effect: _Moments, gain: float, k: int, coefficients: FloatArray) -> _Tested | None:
+def _tested(residuals: LinearFit, effect: _Moments, gain: float, k: int, coefficients: FloatArray) -> _Tested | None:
     """Return the test of an effect that k columns are left of; None if none is, or nothing to compare the gain with."""
     freedom = k, residuals.freedom - k
     if k == 0 or freedom[1] < 1:
@@ -314,7 +314,7 @@ def _tested(residuals: Residuals, effect: _Moments, gain: float, k: int, coeffic
     return _Tested(effect, float(scipy.special.fdtrc(*freedom, ratio)), ratio, freedom, gain, coefficients)
 
 
-def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:
+def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:
     """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
 
     Args:
@@ -344,7 +344,7 @@ def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explaine
 
 
 @dataclass(frozen=True)
-class Words:
+class PatternWords:
     """Numbers of a pattern as its sentence says them.
 
     Attributes:
@@ -414,4 +414,4 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         pattern: The pattern.
         dimensions: Whether each joint is a length or an angle.
     """
-    return pattern.kind.sentence.format(pattern=pattern, words=Words(pattern, dimensions))
+    return pattern.kind.sentence.format(pattern=pattern, words=PatternWords(pattern, dimensions))

@@ -16,7 +16,7 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
-from calib.judging.claim import Claim, Gain, elsewhere, unlike_measured
+from calib.judging.claim import Benefit, Claim, elsewhere, unlike_measured
 from calib.judging.effect_kinds import Trait
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.residual_patterns import describe
@@ -149,7 +149,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
     worse, further = ("", "") if moved else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     for accuracy in claim.broken:
         times, claimed = accuracy.rms / claim.told.rms, claim.told
-        if accuracy.rms > accuracy.before and claim.gain is not Gain.BETTER and not needless:
+        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
                 f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"

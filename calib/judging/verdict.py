@@ -32,7 +32,7 @@ from calib.fitting.pose_checks import likely_mistake
 from calib.joint_terms.term import Context
 from calib.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered
-from calib.judging.claim import ErrorElsewhere, Gain, claim_of
+from calib.judging.claim import Benefit, ErrorElsewhere, claim_of
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Code, Reason, Verdict
 from calib.judging.residual_patterns import Pattern
@@ -107,7 +107,7 @@ def judge(fit: Fit) -> Verdict:
             text = f"{mistake}; correct the data, or the description where that is wrong"
             reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
             reasons.insert(0, Code.LIKELY_MISTAKE.says(text))
-    if claim is not None and claim.holds and (claim.gain is Gain.BETTER or needless):
+    if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or needless):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted))
     grade = reasons[0].grade if reasons else "PASS"

@@ -48,7 +48,7 @@ _BATCH = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class Group(ReadOnlyArrays):
+class UnseenGroup(ReadOnlyArrays):
     """Parameters that move together unseen.
 
     Attributes:
@@ -62,7 +62,7 @@ class Group(ReadOnlyArrays):
 
 def null_groups(
     scaled_jacobian: FloatArray, dropped: Sequence[int] = (), lengths: FloatArray | None = None
-) -> tuple[Group, ...]:
+) -> tuple[UnseenGroup, ...]:
     """Return a basis of the null space of smallest groups, shortest first.
 
     Args:
@@ -83,7 +83,7 @@ def null_groups(
     return tuple(sorted(groups, key=lambda group: (len(group.members), group.members)))
 
 
-def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
+def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
     """Return a group in words, such as `xb +1 mm, dq1 -1 mm`.
 
     Args:
@@ -96,7 +96,7 @@ def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
     return ", ".join(f"{name} {amount:+.4g} {unit}" for name, amount, unit in natural_coefficients(group, parameters))
 
 
-def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:
+def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:
     """Return (name, movement, unit) of each member when the first moves by one of its own unit (mm or deg)."""
     members = [parameters[k] for k in group.members]
     sizes = [c * p.sigma for c, p in zip(group.coefficients, members, strict=True)]
@@ -120,7 +120,7 @@ def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatA
     return list(result)
 
 
-def _group(vector: FloatArray, dropped: set[int]) -> Group:
+def _group(vector: FloatArray, dropped: set[int]) -> UnseenGroup:
     members = [int(k) for k in np.flatnonzero(vector)]
     size = np.abs(vector)
     # one that hardly moves would have to move by metres or turns to show what the others do
@@ -128,7 +128,7 @@ def _group(vector: FloatArray, dropped: set[int]) -> Group:
     first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
     ordered = (first, *members)
-    return Group(ordered, vector[list(ordered)] / vector[first])
+    return UnseenGroup(ordered, vector[list(ordered)] / vector[first])
 
 
 def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:

@@ -29,7 +29,7 @@ from calib.base.words import counted, data_frame, listed, titled_html
 from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.numerics.identifiability import Elimination, Rank, eliminate
-from calib.numerics.null_space import Group, null_groups
+from calib.numerics.null_space import UnseenGroup, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
@@ -96,8 +96,8 @@ class Assessment(ReadOnlyArrays):
     sigma_assumed: bool
     determination: Determination
     known: Information
-    groups: tuple[Group, ...]
-    open_groups: tuple[Group, ...]
+    groups: tuple[UnseenGroup, ...]
+    open_groups: tuple[UnseenGroup, ...]
     elimination: Elimination
     scaled: dict[str, float]
     raw: dict[str, float]

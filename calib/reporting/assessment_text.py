@@ -11,7 +11,7 @@ from rich.table import Table
 from calib.base.parameter import Parameter
 from calib.base.units import millimetres
 from calib.base.words import as_data, counted, listed, plain_text, sentence, text_table
-from calib.numerics.null_space import Group, describe_group, natural_coefficients
+from calib.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 from calib.rows.candidates import WHITENED
@@ -101,7 +101,9 @@ def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     return lines
 
 
-def _in_words(groups: Sequence[Group], parameters: Sequence[Parameter], most: int | None, width: int) -> list[str]:
+def _in_words(
+    groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
+) -> list[str]:
     """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
     single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
     alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []

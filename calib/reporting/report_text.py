@@ -16,10 +16,11 @@ from calib.reporting.sections.outliers import outliers_left_out
 from calib.reporting.sections.parameters import changed_most, parameter_grid
 from calib.reporting.sections.terms import terms_added
 
+_WIDTH = 120
 _MOST_REASONS = 3
 
 
-def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
+def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     """Return a fit as text.
 
     Args:
@@ -41,10 +42,10 @@ def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
     return plain_text(parts, width, wrap=True)
 
 
-def summary(fit: Fit, width: int = 120) -> str:
+def summary(fit: Fit) -> str:
     """Return verdict and errors before and after: the beginning of `text_report`."""
     head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", change_text(fit)], width, wrap=True)
+    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", change_text(fit)], _WIDTH, wrap=True)
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:

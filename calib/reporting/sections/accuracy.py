@@ -18,7 +18,7 @@ NAMES = {"cross_validation": "left out in turn"}
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class AccuracyLine:
     """One line of an accuracy table; numbers as `error_table` gives them."""
 
     group: str
@@ -39,7 +39,7 @@ class AccuracyTable:
 
     part: Part
     unit: str
-    lines: tuple[Accuracy, ...]
+    lines: tuple[AccuracyLine, ...]
 
 
 def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
@@ -66,7 +66,7 @@ def accuracy(fit: Fit) -> list[AccuracyTable]:
             for state in states:
                 errors = error_set.errors(state, part.name)
                 if len(errors):
-                    lines.append(Accuracy(group, state, error_set.data.n_poses, error_table(errors, part)))
+                    lines.append(AccuracyLine(group, state, error_set.data.n_poses, error_table(errors, part)))
         tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
     return tables
 

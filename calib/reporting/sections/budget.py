@@ -8,7 +8,7 @@ from typing import Any
 from calib.base.units import ERROR_UNIT, error_scale
 from calib.fitting.fitted import Fit
 from calib.judging import findings
-from calib.reporting.sections.grid import Column, Grid, Number
+from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
 
 
 def budget_table(fit: Fit) -> dict[str, Any] | None:
@@ -57,23 +57,23 @@ def budget_grid(fit: Fit) -> Grid | None:
         of = "poses used, corrected for the noise that the fit followed"
         on_page = "that the fit has used (corrected for the noise that it followed)"
     columns = (
-        Column("", "cause", words=True),
-        Column(f"RMS {unit}", f"RMS [{unit}]"),
-        Column(f"mean square {unit}^2", f"mean square [{unit}²]"),
-        Column("std"),
-        Column("share"),
+        GridColumn("", "cause", words=True),
+        GridColumn(f"RMS {unit}", f"RMS [{unit}]"),
+        GridColumn(f"mean square {unit}^2", f"mean square [{unit}²]"),
+        GridColumn("std"),
+        GridColumn("share"),
     )
     rows = [
         (
             row["cause"],
-            Number(row["rms"]),
-            Number(row["mean_square"], row["std"], ".3g"),
-            Number(row["std"], row["std"], ".3g"),
+            GridNumber(row["rms"]),
+            GridNumber(row["mean_square"], row["std"], ".3g"),
+            GridNumber(row["std"], row["std"], ".3g"),
             row["remark"] or f"{100 * row['share']:.1f} %",
         )
         for row in causes
     ]
-    whole = ("together: before", Number(before), Number(before**2, causes[0]["std"], ".3g"), "", "100.0 %")
+    whole = ("together: before", GridNumber(before), GridNumber(before**2, causes[0]["std"], ".3g"), "", "100.0 %")
     return Grid(
         f"Causes of the error before calibration ({of})",
         f"Causes of the error before calibration, over {budget['n_readings']} readings {on_page}. Mean squares add up",

@@ -21,7 +21,7 @@ from calib.exporting.controllers import has_ur_kinematics
 from calib.exporting.held_formats import formats_that_hold
 from calib.fitting.fitted import Fit
 from calib.judging.rules_model import why_no_origins
-from calib.reporting.sections.grid import Column, Grid, Number
+from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
 from calib.robots.held import Accuracy, FileRobot, Holds, SeenAt
 from calib.robots.robot import Robot
 from calib.robots.robot_files import lost_by, without_terms
@@ -95,13 +95,13 @@ def files_grid(fit: Fit) -> Grid | None:
     worth = worth_of_files(fit)
     if worth is None:
         return None
-    columns = (Column("file holds", "a file holds", words=True), Column("RMS"), Column("95 % limit"))
+    columns = (GridColumn("file holds", "a file holds", words=True), GridColumn("RMS"), GridColumn("95 % limit"))
     return Grid(
         f"What files are worth, {worth.unit} ({worth.part} error, {worth.where})",
         f"What files are worth: {worth.part} error [{worth.unit}], {worth.where}; at one more such pose it stays below"
         " the 95 % limit with a chance of 95 %",
-        (*columns, Column("formats", words=True)),
-        tuple((line.holds, Number(line.rms), Number(line.limit95), line.formats) for line in worth.lines),
+        (*columns, GridColumn("formats", words=True)),
+        tuple((line.holds, GridNumber(line.rms), GridNumber(line.limit95), line.formats) for line in worth.lines),
         last_counts=True,
     )
 

@@ -11,7 +11,7 @@ from calib.base.words import text_table
 
 
 @dataclass(frozen=True)
-class Number:
+class GridNumber:
     """A number of a table.
 
     Attributes:
@@ -33,7 +33,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Column:
+class GridColumn:
     """A column of a table.
 
     Attributes:
@@ -63,8 +63,8 @@ class Grid:
 
     title: str
     caption: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[str | Number, ...], ...]
+    columns: tuple[GridColumn, ...]
+    rows: tuple[tuple[str | GridNumber, ...], ...]
     last_counts: bool = False
 
     def as_text(self) -> Table:

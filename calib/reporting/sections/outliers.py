@@ -18,7 +18,7 @@ from calib.fitting.outliers import Outlier, outliers_in_words
 from calib.judging import findings
 from calib.judging.verdict import judge
 from calib.reporting.sections.accuracy import error_sets
-from calib.reporting.sections.grid import Column, Grid, Number
+from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
 from calib.reporting.sections.parameters import parameter_rows
 from calib.rows.rows import Rows
 
@@ -105,22 +105,22 @@ def outlier_grid(fit: Fit) -> OutlierGrid:
     rows = [row | {"set": LEFT_OUT} for row in excluded_rows(fit)] + outlier_rows(fit)
     points = all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts)
     columns = (
-        Column("pose"),
-        Column("set", words=True),
-        Column("point" if points else "instrument", words=True),
-        Column("distance [mm]" if points else "error"),
-        Column("over noise"),
-        Column("leverage"),
+        GridColumn("pose"),
+        GridColumn("set", words=True),
+        GridColumn("point" if points else "instrument", words=True),
+        GridColumn("distance [mm]" if points else "error"),
+        GridColumn("over noise"),
+        GridColumn("leverage"),
     )
     cells = tuple(_cells(row, points) for row in rows[:MOST])
     return OutlierGrid(Grid("", "", columns, cells), len(rows), points)
 
 
-def _cells(row: dict[str, Any], points: bool) -> tuple[str | Number, ...]:
+def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
     together = f" (all {row['together']} readings there)" if row["together"] else ""
     of = " ".join(filter(None, (row["target"], row["looked_at"])))
-    size = Number(row["distance"]) if points else str(row["size"])
-    judged = (Number(row["over_noise"], page_decimals=1), Number(row["leverage"], page_decimals=2))
+    size = GridNumber(row["distance"]) if points else str(row["size"])
+    judged = (GridNumber(row["over_noise"], page_decimals=1), GridNumber(row["leverage"], page_decimals=2))
     return (str(row["pose"]), row["set"], f"{of}{together}", size, *judged)
 
 

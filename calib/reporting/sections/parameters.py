@@ -7,7 +7,7 @@ from rich.table import Table
 from calib.base.words import text_table
 from calib.fitting.estimates import Estimate
 from calib.fitting.fitted import Fit
-from calib.reporting.sections.grid import Column, Grid, Number
+from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
 
 _MOST_CHANGES = 5
 
@@ -20,15 +20,15 @@ def parameter_rows(fit: Fit) -> list[dict[str, object]]:
 def parameter_grid(fit: Fit) -> Grid:
     """Return the parameters, without the hundreds of coefficients of curves."""
     columns = (
-        Column("name", words=True),
-        Column("unit", words=True),
-        Column("nominal"),
-        Column("value"),
-        Column("change", only_page=True),
-        Column("std"),
-        Column("low 95 %"),
-        Column("high 95 %"),
-        Column("status", words=True),
+        GridColumn("name", words=True),
+        GridColumn("unit", words=True),
+        GridColumn("nominal"),
+        GridColumn("value"),
+        GridColumn("change", only_page=True),
+        GridColumn("std"),
+        GridColumn("low 95 %"),
+        GridColumn("high 95 %"),
+        GridColumn("status", words=True),
     )
     caption = (
         "Values with their 95 % intervals, rounded to two digits of the standard deviation. All digits are in"
@@ -38,13 +38,13 @@ def parameter_grid(fit: Fit) -> Grid:
     return Grid("Parameters (value with 95 % interval)", caption, columns, rows)
 
 
-def _row(estimate: Estimate) -> tuple[str | Number, ...]:
+def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
     change = estimate.value - estimate.nominal
     numbers = (estimate.nominal, estimate.value, change, estimate.std, estimate.low95, estimate.high95)
     return (
         estimate.name,
         estimate.unit,
-        *(Number(number, estimate.std) for number in numbers),
+        *(GridNumber(number, estimate.std) for number in numbers),
         estimate.status,
     )
 

@@ -8,7 +8,7 @@ that `calib export` needs no measurements. A result of an earlier version has no
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from calib.robots.robot_files import lost_by, without_terms
 
 VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
 """Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
+_WITHHELD = "withheld: "
 
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
@@ -37,40 +38,15 @@ def files_of(fit: Fit) -> dict[Holds, FileRobot]:
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}
 
 
-@dataclass(frozen=True)
-class FileLine:
-    """What one kind of file is worth.
+Line = tuple[str, float, float, str]
+"""What a file holds, its RMS, its 95 % limit in the unit of errors (NaN where not known), and who is such a file."""
 
-    Attributes:
-        holds: What it holds, in words.
-        rms, limit95: As of `calib.robots.held.Accuracy`, in the unit of errors; NaN where not known.
-        formats: Who is such a file, and whether it is withheld, in words.
+
+def _worth(fit: Fit) -> tuple[Accuracy, list[Line]] | None:
+    """What each kind of file is worth, the nominal robot first and the whole model last, and the latter's accuracy.
+
+    None if files of joint origins hold it all and are written.
     """
-
-    holds: str
-    rms: float
-    limit95: float
-    formats: str
-
-
-@dataclass(frozen=True)
-class FileWorth:
-    """What files are worth, at the same poses.
-
-    Attributes:
-        part, unit: What errors are of, and their unit.
-        where: At which poses.
-        lines: The nominal robot first, the whole model last.
-    """
-
-    part: str
-    unit: str
-    where: str
-    lines: tuple[FileLine, ...]
-
-
-def worth_of_files(fit: Fit) -> FileWorth | None:
-    """Return what each kind of file of a fit is worth; None if files of joint origins hold it all and are written."""
     if fit.reduced is None or not (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit)):
         return None
     files = files_of(fit)
@@ -78,42 +54,47 @@ def worth_of_files(fit: Fit) -> FileWorth | None:
         return None
     whole = files[Holds.EVERYTHING].accuracy
     scale, nominal = error_scale(whole.dimension), files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy
-    lines = [FileLine("nominal robot", scale * nominal.before, np.nan, "")]
+    lines: list[Line] = [("nominal robot", scale * nominal.before, np.nan, "")]
     for holds in reversed(Holds):
         if holds in files:
             accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
-            withheld = "withheld: " if formats and files[holds].withheld else ""
+            withheld = _WITHHELD if formats and files[holds].withheld else ""
             words = withheld + ", ".join(formats)
             if holds is Holds.EVERYTHING:
                 words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
-            lines.append(FileLine(holds.value, scale * accuracy.rms, scale * accuracy.limit95, words))
-    return FileWorth(whole.part, ERROR_UNIT[whole.dimension], whole.where, tuple(lines))
+            lines.append((holds.value, scale * accuracy.rms, scale * accuracy.limit95, words))
+    return whole, lines
 
 
 def files_grid(fit: Fit) -> Grid | None:
     """Return what each kind of file is worth, where some hold less than the whole model; None elsewhere."""
-    worth = worth_of_files(fit)
+    worth = _worth(fit)
     if worth is None:
         return None
+    whole, lines = worth
+    unit = ERROR_UNIT[whole.dimension]
     columns = (GridColumn("file holds", "a file holds", words=True), GridColumn("RMS"), GridColumn("95 % limit"))
     return Grid(
-        f"What files are worth, {worth.unit} ({worth.part} error, {worth.where})",
-        f"What files are worth: {worth.part} error [{worth.unit}], {worth.where}; at one more such pose it stays below"
-        " the 95 % limit with a chance of 95 %",
+        f"What files are worth, {unit} ({whole.part} error, {whole.where})",
+        f"What files are worth: {whole.part} error [{unit}], {whole.where}; at one more such pose it stays below the"
+        " 95 % limit with a chance of 95 %",
         (*columns, GridColumn("formats", words=True)),
-        tuple((line.holds, GridNumber(line.rms), GridNumber(line.limit95), line.formats) for line in worth.lines),
+        tuple((holds, GridNumber(rms), GridNumber(limit), formats) for holds, rms, limit, formats in lines),
         last_counts=True,
     )
 
 
 def files_lines(fit: Fit) -> list[str]:
     """Return what files are worth, in a line, where some hold less than the whole model."""
-    worth = worth_of_files(fit)
+    worth = _worth(fit)
     if worth is None:
         return []
-    withheld = {True: " (withheld)", False: ""}
-    lines = [f"{line.holds} {line.rms:.4f}{withheld[line.formats.startswith('withheld')]}" for line in worth.lines]
-    return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {'; '.join(lines)}"]
+    whole, lines = worth
+    texts = [
+        f"{holds} {rms:.4f}{' (withheld)' if formats.startswith(_WITHHELD) else ''}" for holds, rms, _, formats in lines
+    ]
+    unit = ERROR_UNIT[whole.dimension]
+    return [f"What files are worth, {unit} RMS ({whole.part} error, {whole.where}): {'; '.join(texts)}"]
 
 
 def name_of_values(files: Mapping[Holds, FileRobot], holds: Holds) -> str:

@@ -69,8 +69,14 @@ KINDS = {
         "",
         "",
     ),
+    "joint_reading": (
+        "kind: position, target: ball, sigma: 0.03 mm}\n  two: {kind: joint_reading, joint: j2, zero: unknown,"
+        " sigma: 0.1 mrad",
+        UNKNOWN,
+        "",
+    ),
 }
-"""Instrument, and what is unknown of base and target, by kind of measurement."""
+"""Instruments, and what is unknown of base and target, by kind of measurement."""
 
 
 class Answers:

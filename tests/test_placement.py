@@ -143,3 +143,17 @@ def test_wrong_link_poses_are_refused() -> None:
         place([MovingPoint(identity, np.where(NESTS == 0.9, np.nan, NESTS), np.zeros(3), UNKNOWN)], np.ones(3), frame)
     with pytest.raises(DataError, match="guessed point"):
         place([MovingPoint(identity, NESTS, np.zeros(2), UNKNOWN)], np.ones(3), frame)
+
+
+def test_a_rough_answer_is_a_lower_bound_of_the_error_and_stands_only_beyond_its_limit():
+    rng = np.random.default_rng(3)
+    turns = Rotation.random(8, rng).as_matrix()
+    T = np.tile(np.eye(4), (8, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = turns, rng.normal(size=(8, 3))
+    point = MovingPoint(T, rng.normal(size=(8, 3)), np.zeros(3), np.full(3, 5e-3))
+    whole = place([point], np.ones(8), pin.SE3.Identity())
+    rough = place([point], np.ones(8), pin.SE3.Identity(), rough_beyond=1e-3)
+    assert rough.rms < whole.rms
+    assert np.linalg.norm(rough.points) > np.linalg.norm(whole.points)
+    same = place([point], np.ones(8), pin.SE3.Identity(), rough_beyond=1.001 * rough.rms)
+    assert same.rms == whole.rms

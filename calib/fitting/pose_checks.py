@@ -215,7 +215,7 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
     prefix = f"{empty}, and " if len(zeros) else ""
     if not tried or tried[0][0] > _CLOSER * now:
         undone = list(_undone(robot, sound))
-        misses = _misses(robot, [changed for _, _, changed in undone])
+        misses = _misses(robot, [changed for _, _, changed in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
         tried += [(miss, joints, prefix + words) for miss, (joints, words, _) in zip(misses, undone, strict=True)]
     best = max(min(miss for miss, _, _ in tried), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
@@ -235,25 +235,32 @@ def _miss(robot: Robot, data: Measurements) -> float:
     return _misses(robot, [data])[0]
 
 
-def _misses(robot: Robot, changed: list[Measurements]) -> list[float]:
-    """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once."""
+def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
+    """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
+
+    Where they are larger than `most`, they may be a little too small, but not smaller than that.
+    """
     closed = robot.close(np.vstack([data.joints for data in changed]), thorough=False)
     starts = np.cumsum([len(data) for data in changed])[:-1]
     each = zip(changed, np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True)
-    return [_miss_of(robot, data, ok, passive) for data, ok, passive in each]
+    return [_miss_of(robot, data, ok, passive, most) for data, ok, passive in each]
 
 
-def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray) -> float:
+def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray, most: float) -> float:
     """Error of the robot, placed where that is needed, by which of its poses close, and how."""
     if 2 * np.sum(ok) < len(data):  # no need to look for ways to the others
         return float("inf")
+    points = data.points(robot)
+    spread = np.sum((points - points.mean(axis=0)) ** 2)
+    # setups are placed one after the other: the error of one of them says nothing about all
+    rough_beyond = np.inf if robot.description.setups else most * np.sqrt(3 * spread / points.size)
     try:
-        placed = register(robot, data) if any(p.placement for p in robot.parameters) else robot
-        points = data.points(robot)
+        placed = robot
+        if any(p.placement for p in robot.parameters):
+            placed = register(robot, data, rough_beyond=rough_beyond)
         errors = placed.positions(data.joints, seed=passive) - points
     except CalibrationError:  # a loop stays open, or nothing can be placed
         return float("inf")
-    spread = np.sum((points - points.mean(axis=0)) ** 2)
     return float(np.sqrt(np.sum(errors**2) / spread)) if spread > 0 else float("inf")
 
 

@@ -77,7 +77,14 @@ class Placement:
     rms: float
 
 
-def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, frame_known: bool = False) -> Placement:
+def place(
+    points: Sequence[MovingPoint],
+    counts: ArrayLike,
+    guess: pin.SE3,
+    *,
+    frame_known: bool = False,
+    rough_beyond: float = np.inf,
+) -> Placement:
     """Find the measurement frame, and points of links, from poses of those links.
 
     Args:
@@ -85,6 +92,8 @@ def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, f
         counts: How many readings each pose is the mean of, (n,).
         guess: Where the measurement frame may be in the base link.
         frame_known: It is right; find the points alone.
+        rough_beyond: Root mean square error [m] from which the answer without distances to the guessed points will do.
+            No other has a smaller error.
 
     Raises:
         DataError: No pose, values that are not finite, or shapes that differ.
@@ -99,6 +108,8 @@ def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, f
         moved = _reduced(system, noise).moved(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
+        if squares > rough_beyond**2 * system.weight**2:
+            break
         if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_RELATIVE * estimate, _ABSOLUTE):
             break
         noise = estimate

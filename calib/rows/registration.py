@@ -31,11 +31,16 @@ from calib.rows.observed import observe, seen_by
 _SQUARED_ROUNDING = 1e-30  # squares below are rounding
 
 
-def register(robot: Robot, data: Measurements) -> Robot:
+def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) -> Robot:
     """Return the robot with the unknown ones of base and targets placed where its measurements show them.
 
     All its other parameters, and held ones of base and targets, keep their values. Without measured points, or where
     these are too few, everything stays.
+
+    Args:
+        robot: The robot.
+        data: Its measurements.
+        rough_beyond: As in `calib.numerics.placement.place` [m].
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -43,7 +48,7 @@ def register(robot: Robot, data: Measurements) -> Robot:
     """
     for setup in range(max(len(robot.description.setups), 1)):
         for seen in _seen_together(robot, data, setup):
-            robot = _placed(robot, data, seen, setup)
+            robot = _placed(robot, data, seen, setup, rough_beyond)
     placed: list[str] = []
     for instrument in robot.instruments:
         if len(data.readings.get(instrument.name, ())):
@@ -114,10 +119,12 @@ def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
     return [(seen[:, t], (robot.target_names[t],)) for t in order]
 
 
-def _placed(robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int) -> Robot:
+def _placed(
+    robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int, rough_beyond: float
+) -> Robot:
     frames = _Frames(robot, setup)
     frame_known = robot.description.base.pose == "known"
-    placement = _registration(robot, data, seen, frames, frame_known=frame_known)
+    placement = _registration(robot, data, seen, frames, frame_known=frame_known, rough_beyond=rough_beyond)
     values: dict[str, float] = {}
     for target, point in zip(seen[1], placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
@@ -143,6 +150,7 @@ def _registration(
     frames: _Frames,
     *,
     frame_known: bool,
+    rough_beyond: float = np.inf,
 ) -> Placement:
     chosen = np.flatnonzero(seen[0])
     points = data.points(robot)[chosen]
@@ -154,7 +162,8 @@ def _registration(
         for target, poses in zip(seen[1], carriers, strict=True)
     ]
     T_base_measurement = robot.mechanism.placement(frames.base(robot))
-    return place(moving, np.ones(len(chosen)), T_base_measurement, frame_known=frame_known)
+    ones = np.ones(len(chosen))
+    return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
 
 
 def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:

@@ -42,6 +42,7 @@ from calib.rows.unknowns import Unknowns
 BLOCKS = 8
 """Number of blocks that are left out in turn."""
 _COMBINATIONS = 200
+_LARGER = 8  # how much larger than the rows their products may be: they save dozens of trials the work
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
 _NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
 _LITTLE = 0.01  # chance that a kind is there below which it is left out of what is uncertain
@@ -150,7 +151,7 @@ def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
 class _Part:
     """Rows of a design that are left out together, or all of them.
 
-    Their products are kept where they are smaller than the rows; else they are made of the columns that a trial uses.
+    Their products are kept where they are not much larger than the rows; else each trial makes those of its columns.
 
     Args:
         design: The design.
@@ -162,7 +163,7 @@ class _Part:
     def __init__(self, design: _Design, group: IntArray, n_groups: int, which: IntArray) -> None:
         self._design, self._group, self._n_groups, self.which = design, group[which], n_groups, which
         n_columns = design.rows.shape[1]
-        self._kept = self._made(np.arange(n_columns)) if len(which) > n_groups * n_columns else None
+        self._kept = self._made(np.arange(n_columns)) if _LARGER * len(which) > n_groups * n_columns else None
 
     def _made(self, use: IntArray) -> Products:
         rows, right = self._design.rows[np.ix_(self.which, use)], self._design.residuals[self.which]

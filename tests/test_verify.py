@@ -3,12 +3,14 @@
 import json
 from collections import Counter
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 from small_robots import ARM_YAML, write_arm
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import calib
 from calib.commands.verify import command
@@ -16,7 +18,7 @@ from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.data.tables import format_table
 from calib.judging.acceptance import poses_needed, verify, visible_changes
-from calib.judging.promise import Change, Promise
+from calib.judging.promise import Change, Promise, without_outliers
 from calib.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.reporting.acceptance_text import plan_report, text_report
 from calib.reporting.result_reading import load_promise
@@ -64,6 +66,20 @@ def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     promised = np.mean([item.promised for item in results])
     did = np.mean([1e-3 * item.errors.table()["after"]["rms"] for item in results])
     assert promised == pytest.approx(did, rel=0.15)
+
+
+def test_new_measurements_are_judged_with_one_blas_thread(arm):
+    _, truth, fit = arm
+    threads = set()
+
+    def looking(system):
+        threads.update(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+        return without_outliers(system)
+
+    rng = np.random.default_rng(2)
+    with threadpool_limits(2, user_api="blas"), mock.patch("calib.judging.acceptance.without_outliers", looking):
+        verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (15, 6)), rng))
+    assert threads == {1}
 
 
 def test_in_the_same_setup_the_places_count_too(arm):

@@ -43,6 +43,7 @@ import scipy
 
 from calib.base.errors import DataError, nearest
 from calib.base.other_words import Worded, worded
+from calib.base.threads import one_blas_thread
 from calib.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
@@ -111,6 +112,7 @@ class Acceptance(Worded):
 
 
 @worded
+@one_blas_thread
 def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, same_setup: bool = False) -> Acceptance:
     """Judge a calibrated robot by new measurements.
 
@@ -165,6 +167,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     )
 
 
+@one_blas_thread
 def visible_changes(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, *, same_setup: bool = False
 ) -> tuple[Change, ...]:
@@ -185,6 +188,7 @@ def visible_changes(
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 
 
+@one_blas_thread
 def poses_needed(
     calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
 ) -> int | None:

@@ -15,6 +15,7 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, DataError, DescriptionError
 from calib.base.files import read_text
 from calib.base.other_words import worded
+from calib.base.threads import one_blas_thread
 from calib.base.units import error_scale, per_si
 from calib.base.words import counted, listed
 from calib.data.measurements import Poses
@@ -253,6 +254,7 @@ def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
     )
 
 
+@one_blas_thread
 def load_promise(folder: Path | str, robot: Robot) -> Promise:
     """Return what the calibration in a result folder predicts of its robot.
 

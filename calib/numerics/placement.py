@@ -108,7 +108,7 @@ def place(
         moved = _reduced(system, noise).moved(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
-        if squares > rough_beyond**2 * system.weight**2:
+        if noise == 0.0 and squares > (rough_beyond * system.weight) ** 2:
             break
         if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_RELATIVE * estimate, _ABSOLUTE):
             break

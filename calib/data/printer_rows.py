@@ -160,15 +160,15 @@ def require_plausible(printer: PrinterFile) -> None:
     saved = np.abs(misses(printer.geometry, printer.rows))
     saved = np.where(np.isnan(saved), np.inf, saved)
     k, off, chance = int(np.argmax(saved)), float(np.max(saved)), 1.0
-    judged = left_out(printer) if np.all(np.isfinite(saved)) else None
-    if judged is not None:
-        k = int(np.argmin(judged[1]))
-        off, chance = abs(float(judged[0][k])), len(saved) * float(judged[1][k])
+    foretold = left_out(printer) if np.all(np.isfinite(saved)) else None
+    if foretold is not None:
+        k = int(np.argmin(foretold[1]))
+        off, chance = abs(float(foretold[0][k])), len(saved) * float(foretold[1][k])
     far = len(saved) > 3 and saved[k] > max(_FAR, _TIMES * float(np.median(np.delete(saved, k))))
     if far or (chance < FALSE_ALARM and off > _FAR):
         row, judges = (
             printer.rows[k],
-            "the other rows" if judged is not None else "the other rows and the saved settings",
+            "the other rows" if foretold is not None else "the other rows and the saved settings",
         )
         raise DataError(
             f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"

@@ -71,13 +71,13 @@ def next_step(fit: Fit) -> NextStep:
     """Return what answers the first reason of the verdict, or how the result is tested or used."""
     verdict, done = judge(fit), _done(fit)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
-    found = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
-    if Answer.CORRECT in found:  # what else is seen comes from the mistake
+    open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
+    if Answer.CORRECT in open_answers:  # what else is seen comes from the mistake
         return _again(fit, "correct the data or the description as the reasons say, and fit again")
     data = fit.identification.data
-    if Answer.ADD_TERMS in found and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
-        found = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in found]
-    first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in found else next(iter(found), None)
+    if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+        open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
+    first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
     if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
         return _again(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
     if first is Answer.OTHER_POSES:

@@ -163,8 +163,8 @@ class Verdict(Worded):
         return isinstance(other, Verdict) and vars(self) == vars(other)
 
     def __str__(self) -> str:
-        found = [f"  {reason.grade}: {reason.text}" for reason in self.reasons]
-        return "\n".join([self.grade, *(found or ["  no reason against it was found"])])
+        lines = [f"  {reason.grade}: {reason.text}" for reason in self.reasons]
+        return "\n".join([self.grade, *(lines or ["  no reason against it was found"])])
 
     @property
     def nothing_to_correct(self) -> bool:

@@ -116,7 +116,11 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
         else:
             shown = [detector.find(name, image) for detector in detectors]
             if not any(detected.usable for detected in shown):
-                ahead = detectors[0] if len(detectors) == 1 else max(detectors, key=lambda one: one.mirrored(image))
+                ahead = (
+                    detectors[0]
+                    if len(detectors) == 1
+                    else max(detectors, key=lambda detector: detector.mirrored(image))
+                )
                 shown = [ahead.explained(shown[0], image)] * len(layouts)
         for of_layout, detected in zip(each, shown, strict=True):
             of_layout.append(detected)
@@ -219,8 +223,8 @@ class _Detector:
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
         for other, noun in others:
-            found = _chessboard(other, image, quick=True) if other.kind == "chessboard" else _circles(other, image)
-            if len(found) >= FEWEST:
+            corners = _chessboard(other, image, quick=True) if other.kind == "chessboard" else _circles(other, image)
+            if len(corners) >= FEWEST:
                 self._suspect = other, noun
                 return f", but one of {other.columns} x {other.rows} {noun}: correct the board"
         return ""
@@ -240,9 +244,9 @@ class _Detector:
             places = [_marker_corners(board, columns, numbers[k] - board.first_marker) for k in some]
             return int(np.sum(_on_plane(np.concatenate(places), pixels, robust=False)))
 
-        found = {columns: fitting(columns) for columns in self._columns}
-        best = max(found, key=lambda columns: found[columns])
-        if found[best] < _FITTING * len(pixels) or found[best] < fitting(board.columns) + FEWEST:
+        fits = {columns: fitting(columns) for columns in self._columns}
+        best = max(fits, key=lambda columns: fits[columns])
+        if fits[best] < _FITTING * len(pixels) or fits[best] < fitting(board.columns) + FEWEST:
             return ""
         self._columns = range(best, best + 1)
         return f"a board of {best} columns"

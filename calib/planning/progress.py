@@ -178,10 +178,10 @@ class Progress(ReadOnlyArrays):
                 " look for what the model leaves out (calib fit --terms auto), or for noise of the readings above the"
                 " goal"
             )
-        found = None if self.fit is None else self.fit.first_noise
-        if found is not None and found.group.part.is_position:
-            scatter = float(np.sqrt(3.0)) * found.sigma
-            if scatter * np.sqrt(found.freedom / scipy.special.chdtri(found.freedom, 0.025)) > self.goal:  # surely
+        noise = None if self.fit is None else self.fit.first_noise
+        if noise is not None and noise.group.part.is_position:
+            scatter = float(np.sqrt(3.0)) * noise.sigma
+            if scatter * np.sqrt(noise.freedom / scipy.special.chdtri(noise.freedom, 0.025)) > self.goal:  # surely
                 shown = f"{millimetres(scatter):.3g} mm RMS"
                 return f"not yet; readings that scatter by {shown} about the model can never show that it is met"
         return "not yet"

@@ -54,7 +54,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
 def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     """Return the smallest changes that n poses of a file will show as text."""
     title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
-    return plain_text([title, _changes(changes, found=False)], _WIDTH, wrap=True).rstrip()
+    return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
@@ -178,13 +178,13 @@ def _heading(changes: Sequence[Change]) -> str:
     return f"Changes that were looked for, by size over standard deviation; {which}"
 
 
-def _changes(changes: Sequence[Change], *, found: bool = True) -> Table:
+def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
     left, heads = ("change of", "unit"), ("std", "detectable")
-    table = text_table((*left, *(("found",) if found else ()), *heads), left, plain=True)
+    table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
     seen = [change for change in changes if change.significant or change.visible < _LARGEST]
     for change in seen[:_SHOWN]:
         unit, scale = _unit(change)
-        numbers = [x * scale for x in (*((change.value,) if found else ()), change.std, change.visible)]
+        numbers = [x * scale for x in (*((change.value,) if with_values else ()), change.std, change.visible)]
         table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
     return table
 

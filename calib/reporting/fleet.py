@@ -363,7 +363,7 @@ def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
     named = zip(distinct_names(folders), folders, strict=True)
     grades = [(name, str(read_result(folder)["verdict"]["grade"])) for name, folder in named]
     for grade, why in _UNPROVEN.items():
-        names = [name for name, found in grades if found == grade]
+        names = [name for name, verdict in grades if verdict == grade]
         if names:
             notes.append(f"Verdict {grade}: {listed(names)}; {why}")
     if len(folders) - len(odd) < 5:

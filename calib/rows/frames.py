@@ -167,10 +167,10 @@ def measurement_frame(known: KnownRobot) -> Frame:
     """Return the frame in which the instruments see places; see the module docstring."""
     nominal, placed = as_described(known.robot), any(parameter.placement for parameter in known.robot.parameters)
     meant = _laid(nominal, known.robot, Loose.of(nominal), known).robot if known.nothing_to_correct else nominal
-    found = any(
+    calibrated = any(
         p.placement and v != p.nominal_si for p, v in zip(known.robot.parameters, known.robot.values, strict=True)
     )
-    where = "the calibration found" if found else "the robot description has"
+    where = "the calibration found" if calibrated else "the robot description has"
     words = "in the measurement frame" + (f", base and targets where {where} them" if placed else "")
     return Frame(known, known.robot, meant, nominal, words, np.ones_like(_of_the_robot(known)), None)
 

@@ -120,8 +120,8 @@ def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
     together = f" (all {row['together']} readings there)" if row["together"] else ""
     of = " ".join(filter(None, (row["target"], row["looked_at"])))
     size = GridNumber(row["distance"]) if points else str(row["size"])
-    judged = (GridNumber(row["over_noise"], page_decimals=1), GridNumber(row["leverage"], page_decimals=2))
-    return (str(row["pose"]), row["set"], f"{of}{together}", size, *judged)
+    how_far = (GridNumber(row["over_noise"], page_decimals=1), GridNumber(row["leverage"], page_decimals=2))
+    return (str(row["pose"]), row["set"], f"{of}{together}", size, *how_far)
 
 
 def with_excluded(fit: Fit) -> dict[str, object] | None:

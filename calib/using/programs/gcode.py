@@ -251,9 +251,9 @@ class _Reader:
         moving = [code for code in codes["G"] if code in ("0", "1")]
         if len(moving) > 1:
             raise self._refuse("has two motions; write one command per line")
-        for one, other in (("20", "21"), ("90", "91")):
-            if one in codes["G"] and other in codes["G"]:
-                raise self._refuse(f"has G{one} and G{other}; write one command per line")
+        for code, other in (("20", "21"), ("90", "91")):
+            if code in codes["G"] and other in codes["G"]:
+                raise self._refuse(f"has G{code} and G{other}; write one command per line")
         for code in codes["G"]:
             self._g(code, numbers)
         if _HOMES & {*codes["G"]}:

@@ -34,12 +34,12 @@ from calib.planning.studies.study import study as study
 from calib.planning.studies.study_result import Study as Study
 from calib.planning.watch import Watch as Watch
 from calib.reporting.comparing_results import compare as compare
+from calib.reporting.comparison_report import ResultComparison as ResultComparison
 from calib.reporting.fleet import Fleet as Fleet
 from calib.reporting.fleet import fleet as fleet
 from calib.reporting.loaded_result import LoadedResult as LoadedResult
 from calib.reporting.loaded_result import load_result as load_result
 from calib.reporting.loaded_result import predict as predict
-from calib.reporting.result_comparison import ResultComparison as ResultComparison
 from calib.reporting.result_reading import load as load
 from calib.robots.held import Holds as Holds
 from calib.robots.loading import robot as robot

@@ -18,8 +18,8 @@ from calib.base.files import image_address
 if TYPE_CHECKING:
     from calib.fitting.fitted import Fit
     from calib.planning.progress import Progress
+    from calib.reporting.comparison_report import ResultComparison
     from calib.reporting.fleet import Fleet
-    from calib.reporting.result_comparison import ResultComparison
     from calib.robots.robot import Robot
 
 GROUP = "calib.pictures"

@@ -42,7 +42,7 @@ from calib.base.words import counted, distinct_names
 from calib.data.tables import read_table
 from calib.fitting.fitted import Fit
 from calib.numerics.chances import HARDLY
-from calib.reporting.result_comparison import Difference, Pair, ResultComparison
+from calib.reporting.comparison_report import Difference, Pair, ResultComparison
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
 from calib.robots import loading

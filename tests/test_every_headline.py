@@ -62,7 +62,7 @@ SOURCES = {
     "verify": ["reporting/acceptance_text.py"],
     "check": ["reporting/assessment_text.py", "rows/determination.py"],
     "select": ["reporting/selection_text.py"],
-    "compare": ["reporting/result_comparison.py", "reporting/comparing_results.py"],
+    "compare": ["reporting/comparison_report.py", "reporting/comparing_results.py"],
     "watch": ["planning/progress.py"],
 }
 

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -151,12 +153,35 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
 
 def test_a_task_of_many_poses_is_worth_loading_it():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
-    with compiled_for(20_000):
+    with compiled_for(100_000):
         assert kernels(robot.mechanism, 10) is not None
     with compiled_for(1000):
         assert kernels(robot.mechanism, 10) is None
-    with compiled(False), compiled_for(20_000):
+    with compiled(False), compiled_for(100_000):
         assert kernels(robot.mechanism, 10) is None
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch, kept):
+    mechanism = calib.load(EXAMPLES / "five_bar.yaml").mechanism
+    monkeypatch.setattr("calib.robots.kernels.kept", lambda: kept)
+    with compiled_for(20_000):
+        assert (kernels(mechanism, 10) is not None) is kept
+    assert (kernels(mechanism, 5000) is not None) is kept
+    assert kernels(mechanism, 4000) is None
+    assert kernels(mechanism, 25_000) is not None
+
+
+@pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])
+def test_compiled_code_is_kept_until_the_file_changes(monkeypatch, tmp_path, written, kept):
+    functions = import_module("calib.robots.kernels")
+    monkeypatch.setattr(functions, "motion", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
+    assert not functions.kept()
+    index = tmp_path / "kernels.motion-324.py311.nbi"
+    index.touch()
+    changed = Path(functions.__file__).stat().st_mtime
+    os.utime(index, (changed + written, changed + written))
+    assert functions.kept() is kept
 
 
 def test_the_same_poses_are_sampled_by_compiled_code():

@@ -1,8 +1,9 @@
 """When kinematics are computed by compiled code (`calib.robots.kernels`), and what it is given.
 
-That needs numba (the extra `fast`), which takes half a second to load, more than most fits take. So it is asked for:
-by `compiled()`, as studies of many calibrations do, or by the number of poses. Everything works without it, with the
-same numbers to 1e-12.
+That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about ten to
+compile, once for each version. So compiled code is used only if asked for by `compiled()`, or if the number of poses
+pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works without
+it, with the same numbers to 1e-12.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from calib.robots.mechanism import Mechanism
 
 _MANY = 5000  # poses at once, for which loading numba is worth it
 _MANY_IN_ALL = 20_000  # poses of a task, for which each process may load it
+_TO_COMPILE = 5  # times as many poses are worth compiling it first: a pose of a fit saves 0.2 ms, one of a study 0.1 ms
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 
@@ -42,7 +44,17 @@ def compiled_for(n_poses: int) -> AbstractContextManager[None]:
     Args:
         n_poses: How many, one part after the other.
     """
-    return compiled() if _requested.get() is None and n_poses >= _MANY_IN_ALL else nullcontext()
+    return compiled() if _requested.get() is None and pays(n_poses) else nullcontext()
+
+
+def pays(n_poses: int, many: int = _MANY_IN_ALL) -> bool:
+    """Whether compiled code saves more time than it takes, if so many poses have to be computed.
+
+    Args:
+        n_poses: How many.
+        many: How many are worth loading code that is already compiled.
+    """
+    return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().kept())
 
 
 def compilation_requested() -> bool:
@@ -58,7 +70,11 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
         n_poses: How many poses are computed at once.
     """
     requested = _requested.get()
-    use = n_poses >= _MANY if requested is None else requested
+    use = pays(n_poses, _MANY) if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
+    return _functions()
+
+
+def _functions() -> Any:
     return import_module("calib.robots.kernels")

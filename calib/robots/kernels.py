@@ -9,15 +9,16 @@ A frame i has the pose T_i in the world, twelve numbers: its rotation column by 
 (`calib.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis is
 S_i = [v; w] in its own frame. World twists are [v; w] with v at the world's origin.
 
-Compiled code is kept beside this file, or where numba may write, so that only the first program ever waits for it, and
-says so. All of it is in this one file, because numba compiles again only where the file of a function has changed.
-Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its errors, which
-takes longer than all of the rest.
+Compiled code is kept beside this file, or where numba may write (`kept`), so that only the first program ever waits for
+it, and says so. All of it is in this one file, because numba compiles again only where the file of a function has
+changed. Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its
+errors, which takes longer than all of the rest.
 """
 
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -413,3 +414,9 @@ def motion(
             for r in range(n_rows):
                 result[k, r, column] += _dot(total[a], r, twist, 0)
     return result
+
+
+def kept() -> bool:
+    """Whether an earlier program has compiled this version of the file, or this one has."""
+    folder, version = Path(motion.stats.cache_path), Path(__file__).stat().st_mtime
+    return any(index.stat().st_mtime >= version for index in folder.glob("kernels.motion-*.nbi"))

@@ -46,7 +46,7 @@ from calib.numerics.losses import checked_loss
 from calib.planning.studies.many_calibrations import Estimate, Repeated
 from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
 from calib.planning.studies.study_result import Draws, DrawSums, Study
-from calib.robots.acceleration import compilation_requested, compiled
+from calib.robots.acceleration import compilation_requested, compiled, pays
 from calib.robots.configurations import joint_vector
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
@@ -54,7 +54,6 @@ from calib.rows.jacobian import linearise
 from calib.rows.prediction import carried
 
 _CHUNK = 50
-_MANY = 20_000  # poses of all draws for which each process may load compiled code
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +191,7 @@ def _prepared(
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
-    use_compiled = draws * len(data) >= _MANY or compilation_requested()
+    use_compiled = pays(draws * len(data)) or compilation_requested()
     return _Setting(known, settings, first, q, near, use_compiled, seed, keep_draws)
 
 

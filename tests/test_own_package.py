@@ -280,6 +280,15 @@ def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
         robot.with_terms(listed_terms("slide=hysteresis"))
 
 
+def test_a_term_by_name_that_the_measurements_cannot_show_is_told(lagging):
+    robot, _, stated = lagging
+    told = "Joint terms that these measurements cannot show: temperature (the data have no column 'temperature' that"
+    for terms, says in (("turn=temperature,turn=hysteresis", True), ("turn=hysteresis", False)):
+        fit = calib.fit(robot, stated, terms=terms)
+        for text in (fit.report(), fit.report(verbose=True)):
+            assert (told in " ".join(text.split())) == says
+
+
 def test_hysteresis_by_name_is_kept_by_the_result_and_left_out_of_files_that_cannot_hold_it(
     lagging, tmp_path, run_calib
 ):

@@ -14,7 +14,7 @@ from calib.reporting.sections.details import details
 from calib.reporting.sections.files_held import files_grid, files_lines
 from calib.reporting.sections.outliers import outliers_left_out
 from calib.reporting.sections.parameters import changed_most, parameter_grid
-from calib.reporting.sections.terms import terms_added
+from calib.reporting.sections.terms import terms_added, terms_not_shown
 
 _WIDTH = 120
 _MOST_REASONS = 3
@@ -37,7 +37,7 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
         tables = [*accuracy_text(fit), *(grid.as_text() for grid in grids if grid is not None)]
         parts = [title, *verdict_lines(verdict), *tables, *details(fit)]
     else:
-        told = [*terms_added(fit), *outliers_left_out(fit), *files_lines(fit)]
+        told = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit), *files_lines(fit)]
         parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", change_text(fit), *told, *changed_most(fit)]
     return plain_text(parts, width, wrap=True)
 

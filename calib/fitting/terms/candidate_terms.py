@@ -156,7 +156,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
     except DescriptionError as error:  # of another package, which is broken
         return Candidate(name, refused=str(error))
     joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
-    refused = _not_known(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
+    refused = not_known(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
     if refused:
         return Candidate(name, refused=refused)
     try:
@@ -183,8 +183,8 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
     return Candidate(name, sections, doubt=_OF_ORDER if doubtful else "")
 
 
-def _not_known(kind: type[JointTerm], data: Measurements) -> str:
-    """Why a term cannot be asked for, by the conditions that it depends on; empty if it can."""
+def not_known(kind: type[JointTerm], data: Measurements) -> str:
+    """Return why data cannot show a term, by the conditions that it depends on; empty if they can."""
     of_column = {
         Condition.TIME: data.conditions.time,
         Condition.TEMPERATURE: data.conditions.temperature,

@@ -12,7 +12,7 @@ from calib.reporting.sections.determination import determined_lines, held_lines,
 from calib.reporting.sections.noise import noise_lines, repeat_lines, scatter_lines
 from calib.reporting.sections.outliers import outliers_left_out
 from calib.reporting.sections.positions import position_lines
-from calib.reporting.sections.terms import curve_lines, terms_lines
+from calib.reporting.sections.terms import curve_lines, terms_lines, terms_not_shown
 
 
 def details(fit: Fit, *, brief: bool = False) -> list[str]:
@@ -25,9 +25,9 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
     """
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (
-        *(_size, noise_lines, scatter_lines, terms_lines, budget_lines, curve_lines, determined_lines),
-        *(observability_lines, held_lines, position_lines, repeat_lines, _loss, outliers_left_out, start_lines),
-        *(fold_lines, _places, _columns),
+        *(_size, noise_lines, scatter_lines, terms_lines, terms_not_shown, budget_lines, curve_lines),
+        *(determined_lines, observability_lines, held_lines, position_lines, repeat_lines),
+        *(_loss, outliers_left_out, start_lines, fold_lines, _places, _columns),
     )
     return [line for lines_of in order if not (brief and lines_of in elsewhere) for line in lines_of(fit)]
 

@@ -9,8 +9,10 @@ import numpy as np
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.base.words import listed
 from calib.fitting.fitted import Fit
+from calib.fitting.terms.candidate_terms import not_known
 from calib.fitting.terms.joint_curves import joint_curves
 from calib.fitting.terms.term_choice import TELLS
+from calib.joint_terms.terms import TERMS
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
@@ -89,6 +91,14 @@ def terms_added(fit: Fit) -> list[str]:
     added = [trial for trial in fit.terms.tried if trial.added]
     names = dict.fromkeys(" or ".join(sorted([trial.term, *trial.together])) for trial in added)
     return [f"Joint terms added: {', '.join(names) or 'none, because none improves the prediction of poses left out'}"]
+
+
+def terms_not_shown(fit: Fit) -> list[str]:
+    """Return which joint terms of the robot these measurements cannot show, in a line; none where they show all."""
+    data, names = fit.identification.data, dict.fromkeys(section.term for section in fit.robot.description.terms)
+    reasons = {name: why for name in names if (why := not_known(TERMS[name], data))}
+    words = [f"{name} ({why})" for name, why in reasons.items()]
+    return [f"Joint terms that these measurements cannot show: {listed(words, '; ')}"] if words else []
 
 
 def curve_lines(fit: Fit) -> list[str]:

@@ -23,13 +23,12 @@ from calib.judging.verdict import judge
 from calib.reporting.sections.accuracy import accuracy
 from calib.reporting.sections.budget import budget_grid, budget_table
 from calib.reporting.sections.details import details
-from calib.reporting.sections.determination import unsure
+from calib.reporting.sections.determination import position_uncertainty_table, unsure
 from calib.reporting.sections.files_held import files_grid
 from calib.reporting.sections.grid import GridNumber
 from calib.reporting.sections.noise import noise_found
 from calib.reporting.sections.outliers import outlier_grid
 from calib.reporting.sections.parameters import parameter_grid
-from calib.reporting.sections.positions import position_uncertainty_table
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars, error_map
 from viz.pose_sources import from_fit

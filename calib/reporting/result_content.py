@@ -13,12 +13,11 @@ from calib.judging.repeatability import repeatability
 from calib.judging.verdict import judge
 from calib.reporting.sections.attempts import folds_table, starts_table
 from calib.reporting.sections.budget import budget_table
-from calib.reporting.sections.determination import correlated, rank_content
+from calib.reporting.sections.determination import correlated, position_uncertainty_table, rank_content
 from calib.reporting.sections.files_held import file_entries
 from calib.reporting.sections.noise import instrument_blocks, repeat_table
 from calib.reporting.sections.outliers import excluded_rows, outlier_rows, with_excluded
 from calib.reporting.sections.parameters import parameter_rows
-from calib.reporting.sections.positions import position_uncertainty_table
 from calib.reporting.sections.terms import terms_table
 
 FORMAT_VERSION = 1

@@ -8,10 +8,9 @@ from calib.base.words import counted, listed
 from calib.fitting.fitted import Fit
 from calib.reporting.sections.attempts import fold_lines, start_lines
 from calib.reporting.sections.budget import budget_lines
-from calib.reporting.sections.determination import determined_lines, held_lines, observability_lines
+from calib.reporting.sections.determination import determined_lines, held_lines, observability_lines, position_lines
 from calib.reporting.sections.noise import noise_lines, repeat_lines, scatter_lines
 from calib.reporting.sections.outliers import outliers_left_out
-from calib.reporting.sections.positions import position_lines
 from calib.reporting.sections.terms import curve_lines, terms_lines, terms_not_shown
 
 

@@ -15,7 +15,7 @@ import viz
 from calib.base.files import image_address
 from viz.plots import error_map
 from viz.pose_sources import from_fit
-from viz.report_page import command_line, decimals_of, millimetres, number, report_page, significant
+from viz.report_page import command_line, decimals_of, millimetres, number, powers, report_page, significant
 
 COMMAND = "calib fit a.yaml b.csv --out c"
 
@@ -362,3 +362,7 @@ def test_the_logo_is_in_the_page_and_only_images_are_taken(fit, tmp_path):
             image_address(tmp_path / name)
     with pytest.raises(calib.InputError, match="no such file"):
         image_address(tmp_path / "none.png")
+
+
+def test_numbers_in_the_details_are_not_broken_after_the_sign_of_their_power():
+    assert powers("O5 7.1e-05, a re-fit, 3e+02, joint_2-3") == "O5 7.1e−05, a re-fit, 3e+02, joint_2-3"

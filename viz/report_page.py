@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import re
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -137,7 +138,7 @@ def page_environment() -> Environment:
         loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
-    environment.filters |= formats
+    environment.filters |= formats | {"powers": powers}
     return environment
 
 
@@ -197,6 +198,11 @@ def millimetres(value: float) -> str:
     """Format a length in mm with three significant digits; a dash for unknown."""
     size = abs(value)
     return number(value, 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1)
+
+
+def powers(text: str) -> str:
+    """Return text whose numbers, such as 7.1e-05, are not broken after the sign of their power."""
+    return re.sub(r"(?<=\de)-(?=\d)", "−", text)
 
 
 def decimals_of(std: float) -> int:

@@ -18,7 +18,10 @@ from calib.base.errors import CalibrationError, InputError
 from calib.base.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
 from calib.base.replacing import clear_leftovers, new_file, new_folder, replace_folder
 
-_FILE_ENDINGS = (".csv", ".html", ".json", ".pdf", ".urdf", ".xml", ".yaml", ".yml")
+_FILE_ENDINGS = (
+    *(".csv", ".html", ".json", ".pdf", ".urdf", ".xml", ".yaml", ".yml"),
+    *(".pkl", ".pickle", ".joblib", ".npz", ".npy", ".h5", ".mat", ".txt", ".zip"),
+)
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
 _PIECE = 2**20  # bytes of a large file at once

@@ -77,6 +77,8 @@ class Acceptance(Worded):
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
     """
 
+    _other_words = "judgement of new measurements"
+
     verdict: str
     ratio: float
     low95: float

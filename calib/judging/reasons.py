@@ -162,6 +162,10 @@ class Verdict(Worded):
             raise UnknownOptionError(f"Verdict: is not text; here: fit.verdict.grade == {other!r}")
         return isinstance(other, Verdict) and vars(self) == vars(other)
 
+    def __bool__(self) -> bool:
+        """Neither true nor false: a FAIL would be as true as a PASS."""
+        raise UnknownOptionError("Verdict: is not true or false; here: fit.verdict.grade == 'PASS'")
+
     def __str__(self) -> str:
         lines = [f"  {reason.grade}: {reason.text}" for reason in self.reasons]
         return "\n".join([self.grade, *(lines or ["  no reason against it was found"])])

@@ -30,6 +30,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.base.other_words import UnknownOptionError
 from calib.base.units import millimetres
 from calib.base.words import counted, listed
 from calib.joint_terms.term import Context, TermSection
@@ -66,6 +67,11 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
     measured: PositionUncertainty | None = None
 
     _other_words = "predicted positions"
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            raise UnknownOptionError(f"{type(self).__name__}: takes no ['{key}']{self._way('[]')}")
+        return super().__getitem__(key)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.positions, dtype=dtype)

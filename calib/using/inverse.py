@@ -16,7 +16,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, n
 from calib.base.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.base.other_words import worded
 from calib.base.units import millimetres
-from calib.base.words import listed
+from calib.base.words import counted, listed
 from calib.data.measurements import Poses
 from calib.joint_terms.term import Context
 from calib.robots import loops
@@ -52,6 +52,8 @@ class Solution(ReadOnlyArrays):
             is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
 
+    _other_words = "joint values of goals"
+
     q: FloatArray
     ok: BoolArray
     miss_position: FloatArray
@@ -59,6 +61,21 @@ class Solution(ReadOnlyArrays):
     positions: FloatArray
     labels: tuple[str, ...]
     expected: ExpectedError
+
+    def __str__(self) -> str:
+        n, reached = len(self.q), int(np.sum(self.ok))
+        worst = f"{millimetres(float(np.max(self.miss_position))):.2g} mm" if n else "nothing"
+        following = (
+            "send q to the robot, or write it as a file: calib solve ROBOT GOALS --out FILE"
+            if reached == n
+            else "take goals that are in reach: misses() says what is wrong with each of the others"
+        )
+        return (
+            f"{reached} of {counted(n, 'goal')} reached; the largest miss is {worst}\n"
+            f"Inside: q {self.q.shape} [m or rad]; ok, which goals are reached; miss_position [m] and miss_angle [rad];"
+            " positions, where the target is at q [m]; expected, how far off the real robot will be\n"
+            f"Next: {following}"
+        )
 
     def misses(self) -> list[str]:
         """Return a phrase for every goal that is not reached."""

@@ -89,8 +89,13 @@ class Panel {
       parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more`),
         element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));
     }
-    if (next) parts.push(element("p", { id: "next-step" }, element("strong", {}, "Next: "), next));
+    if (next) parts.push(element("p", { id: "next-step" }, element("strong", {}, "Next: "), ...this.withOptions(next)));
     return parts;
+  }
+
+  /** A sentence with a command, whose options are not broken after their hyphens. */
+  withOptions(sentence) {
+    return sentence.split(/( )/).map((word) => (word.startsWith("-") ? element("span", { class: "option" }, word) : word));
   }
 
   /** How sure the numbers are: of one reading, of a pose's mean of several, and of what the robot predicts. */

@@ -17,7 +17,7 @@ from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.left_out import left_out, rms
 from calib.photographs.scene import Placed, on_board, residuals, rows
-from calib.photographs.shared_errors import Noise
+from calib.photographs.shared_errors import ErrorSizes
 
 
 def codes(result):
@@ -29,7 +29,7 @@ def test_camera_board_and_mount_are_found_without_any_guess(mount):
     exact = scene(8, mount, noise=0.0)
     begin = starts.start(exact, INTRINSICS)
     assert begin.scene.mount == mount
-    solution = solve(begin.scene, begin.placed, (), Noise())
+    solution = solve(begin.scene, begin.placed, (), ErrorSizes())
     assert np.allclose(solution.camera, CAMERA[mount], atol=1e-9)
     assert np.allclose(solution.board, BOARD[mount], atol=1e-9)
 

@@ -7,7 +7,7 @@ from calib.photographs.arm_errors import arm_twists
 from calib.photographs.estimation import estimate
 from calib.photographs.intervals import intervals
 from calib.photographs.scene import Placed, linearised, rows
-from calib.photographs.shared_errors import Noise, criterion
+from calib.photographs.shared_errors import ErrorSizes, criterion
 
 
 def test_errors_of_the_arm_move_the_tool_as_those_of_its_denavit_hartenberg_table():
@@ -50,7 +50,7 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
     case = scene(n=6, shift=3e-4, turn=3e-4)
     placed, twists = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
     linear, ours, theirs = linearised(case, placed, ()).with_arm(twists), [], []
-    for noise in (Noise(0.2, 3e-4, 2e-4, 4e-4), Noise(0.3, 1e-4, 5e-4, 1e-4)):
+    for noise in (ErrorSizes(0.2, 3e-4, 2e-4, 4e-4), ErrorSizes(0.3, 1e-4, 5e-4, 1e-4)):
         r, j, own, by_arm = dense(case, placed, noise, twists)
         whole = own + noise.arm**2 * by_arm @ by_arm.T
         weighed = np.linalg.solve(whole, np.column_stack([j, r]))
@@ -62,11 +62,11 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
     assert np.isclose(ours[0] - ours[1], theirs[0] - theirs[1], rtol=1e-7)
 
 
-@pytest.mark.parametrize("weights", [Noise(0.3), Noise(0.2, 4e-4, 2e-4)])
+@pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])
 def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, monkeypatch):
     case = scene(n=6, shift=3e-4, turn=3e-4)
     placed, twists = Placed(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
-    noise = Noise(0.25, 3e-4, 2e-4, 5e-4)
+    noise = ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
     monkeypatch.setattr("calib.photographs.intervals.found_noise", lambda *_: noise)
     arm, covariance, _ = intervals(linearised(case, placed, ()), twists, weights, noise, None, np.zeros(0))
     _, j, own, by_arm = dense(case, placed, noise, twists)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, said, template
-from calib.functions.trees import Tree
+from calib.functions.trees import FunctionTree
 from calib.joint_terms.term import REFERENCE_TEMPERATURE
 
 _FUNCTIONS = """\
@@ -129,7 +129,7 @@ def _errors(facts: RobotFacts) -> list[str]:
     return text
 
 
-def _tree(name: str, tree: Tree) -> str:
+def _tree(name: str, tree: FunctionTree) -> str:
     """Tables of a tree, and the tree."""
     joints = [
         f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError
-from calib.functions.trees import Tree, tree_of
+from calib.functions.trees import FunctionTree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.joint_terms.term import REFERENCE_TEMPERATURE, Context
 from calib.robots import loops
@@ -58,7 +58,7 @@ SOURCES = {
 
 
 @dataclass(frozen=True)
-class Share:
+class JointShare:
     """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
 
     Attributes:
@@ -106,7 +106,7 @@ class Gravity(ReadOnlyArrays):
         acceleration: Of gravity, (3,) [m/s^2].
     """
 
-    tree: Tree
+    tree: FunctionTree
     masses: FloatArray
     moments: FloatArray
     payload: tuple[int, FloatArray]
@@ -136,8 +136,8 @@ class RobotFacts(ReadOnlyArrays):
     joints: tuple[str, ...]
     units: tuple[str, ...]
     tools: tuple[str, ...]
-    tree: Tree
-    shares: tuple[Share, ...]
+    tree: FunctionTree
+    shares: tuple[JointShare, ...]
     waves: tuple[Wave, ...]
     gravity: Gravity | None
     conditions: tuple[str, ...]
@@ -193,7 +193,7 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
     return commands[kept], np.hstack([configurations.actuated, configurations.passive])
 
 
-def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
+def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
     """The joint errors, terms of one kind for one joint added up."""
     rates: dict[tuple[int, Source, int, float], float] = {}
     series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
@@ -213,7 +213,7 @@ def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
             of_orders = series.setdefault((driven, formula.place, formula.base), {})
             for order, pair in zip(formula.orders, values.reshape(-1, 2), strict=True):
                 of_orders[order] = of_orders.get(order, np.zeros(2)) + pair
-    shares = tuple(Share(*key, rate) for key, rate in rates.items() if rate)
+    shares = tuple(JointShare(*key, rate) for key, rate in rates.items() if rate)
     waves = []
     for (driven, place, base), of_orders in series.items():
         used = [order for order, pair in of_orders.items() if np.any(pair)]

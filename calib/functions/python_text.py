@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from calib.functions.facts import MEANING, NEUTRAL, SOURCES, Gravity, RobotFacts, said, template
-from calib.functions.trees import Tree
+from calib.functions.trees import FunctionTree
 
 _OF_LIBRARY: dict[str, tuple[str, ...]] = {
     "numpy": (),
@@ -97,7 +97,7 @@ def _gravity(gravity: Gravity) -> dict[str, Any]:
     }
 
 
-def _tree(tree: Tree) -> dict[str, Any]:
+def _tree(tree: FunctionTree) -> dict[str, Any]:
     return {
         "n_driven": tree.n_driven,
         "joints": [
@@ -117,7 +117,7 @@ def _tree(tree: Tree) -> dict[str, Any]:
     }
 
 
-def _order(tree: Tree) -> list[int] | None:
+def _order(tree: FunctionTree) -> list[int] | None:
     """Which joint's value each of x is; None where that is not so for each."""
     order = {joint.coordinate: k for k, joint in enumerate(tree.joints) if joint.factor == 1.0}
     return [order[k] for k in range(len(order))] if len(tree.scale) == len(order) == len(tree.joints) else None

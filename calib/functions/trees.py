@@ -26,7 +26,7 @@ _LARGEST_TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Joint(ReadOnlyArrays):
+class TreeJoint(ReadOnlyArrays):
     """A joint that moves.
 
     Attributes:
@@ -46,7 +46,7 @@ class Joint(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Frame(ReadOnlyArrays):
+class TreeFrame(ReadOnlyArrays):
     """A frame that stands on a joint.
 
     Attributes:
@@ -75,7 +75,7 @@ class Closure:
 
 
 @dataclass(frozen=True, eq=False)
-class Tree(ReadOnlyArrays):
+class FunctionTree(ReadOnlyArrays):
     """What the kinematics of a mechanism need.
 
     Attributes:
@@ -91,8 +91,8 @@ class Tree(ReadOnlyArrays):
         tolerance: Largest residual of a closed pose [m, rad].
     """
 
-    joints: tuple[Joint, ...]
-    frames: tuple[Frame, ...]
+    joints: tuple[TreeJoint, ...]
+    frames: tuple[TreeFrame, ...]
     closures: tuple[Closure, ...]
     n_driven: int
     n_passive: int
@@ -123,7 +123,7 @@ class Tree(ReadOnlyArrays):
 
 def tree_of(
     mechanism: Mechanism, mode: AssemblyMode, frames: Sequence[int], starts: FloatArray, *, from_root: bool = False
-) -> Tree:
+) -> FunctionTree:
     """Return the facts of a mechanism.
 
     Args:
@@ -146,7 +146,7 @@ def tree_of(
         Closure(len(frames) + 2 * k, len(frames) + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)
     )
     passive_scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    return Tree(
+    return FunctionTree(
         joints=joints,
         frames=tuple(kept),
         closures=closures,
@@ -175,10 +175,10 @@ class _At:
 
 def _folded(
     mechanism: Mechanism, select: FloatArray, shared: BoolArray, needed: BoolArray
-) -> tuple[tuple[Joint, ...], list[_At]]:
+) -> tuple[tuple[TreeJoint, ...], list[_At]]:
     """Return the joints that move, and where each frame of the mechanism is."""
     identity = pin.SE3.Identity()
-    at, joints = [_At(0, identity)], list[Joint]()
+    at, joints = [_At(0, identity)], list[TreeJoint]()
     for k in range(mechanism.n_joints):
         if shared[k]:  # all frames of interest stand on it
             at.append(_At(0, identity))
@@ -197,7 +197,7 @@ def _folded(
         factor = float(select[k, follows[0]]) * length
         offset = float(mechanism.constant[k]) * length
         placement = (place * aligned).homogeneous
-        joints.append(Joint(before.after, slides, int(follows[0]), factor, offset, placement))
+        joints.append(TreeJoint(before.after, slides, int(follows[0]), factor, offset, placement))
         at.append(_At(len(joints), aligned.inverse(), True))
     return tuple(joints), at
 
@@ -209,10 +209,10 @@ def _to_z(axis: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(axis, first), axis], axis=1)
 
 
-def _frame(mechanism: Mechanism, at: list[_At], numbers: list[int], index: int) -> Frame:
+def _frame(mechanism: Mechanism, at: list[_At], numbers: list[int], index: int) -> TreeFrame:
     place = at[index]
     moved_by = mechanism.support[index][[number - 1 for number in numbers]] > 0
-    return Frame(place.after, place.place.homogeneous, moved_by)
+    return TreeFrame(place.after, place.place.homogeneous, moved_by)
 
 
 def _limits(mechanism: Mechanism) -> list[tuple[int, bool, float, float]]:

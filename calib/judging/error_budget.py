@@ -60,7 +60,7 @@ _SURE = 0.5  # mean square not explained over that of noise, below which two sta
 
 
 @dataclass(frozen=True)
-class Share:
+class CauseShare:
     """One cause: its part of the mean square error before, and the standard deviation of that [SI, squared]."""
 
     cause: str
@@ -88,7 +88,7 @@ class ErrorBudget:
     n_poses: int
     before: float
     after: float
-    shares: tuple[Share, ...]
+    shares: tuple[CauseShare, ...]
     noise_from: str
     advice: str
 
@@ -152,7 +152,7 @@ def error_budget(
     rest = path.before - np.sum(removed, axis=1)
     spread = np.einsum("kf,fg,kg->k", path.gradient, covariance, path.gradient) / n**2
     shares = [
-        Share(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
+        CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
         for cause, part, extra in zip(causes, removed.T, spread, strict=True)
     ]
     typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
@@ -160,10 +160,10 @@ def error_budget(
     noise, noise_std, source = _noise(errors, stated, width / n)
     left, left_std = float(np.mean(rest)), _std(rest, path.pose)
     if source:
-        beyond = Share(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
-        shares += [Share(NOISE, noise, noise_std), beyond]
+        beyond = CauseShare(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
+        shares += [CauseShare(NOISE, noise, noise_std), beyond]
     else:
-        shares.append(Share(REST, left, left_std))
+        shares.append(CauseShare(REST, left, left_std))
     return ErrorBudget(
         rows is not None,
         errors.main_part,
@@ -283,7 +283,7 @@ def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float,
     return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
 
 
-def _advice(left: float, noise: float, beyond: Share, source: str) -> str:
+def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
     """One sentence on whether to go on modelling."""
     if not source:
         return (

@@ -85,7 +85,7 @@ class Repeats(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class PoseScatter:
     """Errors of one instrument at one pose, reading by reading."""
 
     instrument: str
@@ -96,7 +96,7 @@ class Scatter:
     after: FloatArray
 
 
-def _repeated(errors: ErrorSet, part_name: str = "") -> list[Scatter]:
+def _repeated(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
     result = []
     for instrument, part, rows in errors.parts():
@@ -112,7 +112,9 @@ def _repeated(errors: ErrorSet, part_name: str = "") -> list[Scatter]:
         for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
             before, after = errors.before[instrument.name][group], errors.after[instrument.name][group]
             visits = readings.visits[group]
-            result.append(Scatter(instrument.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows]))
+            result.append(
+                PoseScatter(instrument.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows])
+            )
     return result
 
 
@@ -199,9 +201,9 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
     return figures, _missing(errors, several, turned, figures)
 
 
-def _distances(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
-    best: tuple[float, Scatter, Scatter, FloatArray] | None = None
+    best: tuple[float, PoseScatter, PoseScatter, FloatArray] | None = None
     commanded = [_commanded(errors, scatter) for scatter in several]
     for (a, start), (b, end) in combinations(enumerate(several), 2):
         apart: FloatArray = commanded[b] - commanded[a]
@@ -219,7 +221,7 @@ def _distances(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str
     ]
 
 
-def _commanded(errors: ErrorSet, scatter: Scatter) -> FloatArray:
+def _commanded(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
     """Mean position that was predicted, (3,) [m]."""
     instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
     read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
@@ -228,7 +230,7 @@ def _commanded(errors: ErrorSet, scatter: Scatter) -> FloatArray:
     return np.asarray((read + scatter.after).mean(axis=0))
 
 
-def _directions(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _directions(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """The vAP of every pose that was reached from several directions, where the file says from which."""
     if errors.data.approach is None:
         return []
@@ -244,7 +246,7 @@ def _directions(errors: ErrorSet, several: list[Scatter], names: Mapping[int, st
 
 
 def _drifts(
-    errors: ErrorSet, several: list[Scatter], names: Mapping[int, str], rng: np.random.Generator
+    errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str], rng: np.random.Generator
 ) -> list[IsoFigure]:
     """Both dAP and dRP of every pose with several blocks of cycles, where the file has a time."""
     time, result = errors.data.context.get("time"), []
@@ -260,7 +262,9 @@ def _drifts(
     return result
 
 
-def _missing(errors: ErrorSet, several: list[Scatter], turned: list[Scatter], figures: list[IsoFigure]) -> list[str]:
+def _missing(
+    errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
+) -> list[str]:
     """Say what the standard asks for and the data do not have."""
     cycles = [len(scatter.after) for scatter in several]
     result = []

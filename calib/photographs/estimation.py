@@ -27,7 +27,7 @@ from calib.base.errors import NotConvergedError, NotIdentifiableError
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
 from calib.photographs.scene import Placed, Scene, linearised
-from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, found_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
 """Spread about the second axis below which photographs tell little of where the camera is."""
@@ -39,7 +39,7 @@ _SINGULAR = 1e-7  # of scaled columns: a direction that the images do not show
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate(ReadOnlyArrays):
+class HandEyeEstimate(ReadOnlyArrays):
     """A solution.
 
     Attributes:
@@ -55,8 +55,8 @@ class Estimate(ReadOnlyArrays):
 
     placed: Placed
     free: tuple[int, ...]
-    noise: Noise
-    weights: Noise
+    noise: ErrorSizes
+    weights: ErrorSizes
     arm: float
     covariance: FloatArray
     freedom: FloatArray
@@ -67,8 +67,8 @@ def solve(
     scene: Scene,
     start: Placed,
     free: Sequence[int],
-    noise: Noise,
-    prior: Prior | None = None,
+    noise: ErrorSizes,
+    prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
     steps: int = _STEPS,
@@ -113,12 +113,12 @@ def estimate(
     scene: Scene,
     start: Placed,
     free: Sequence[int],
-    prior: Prior | None = None,
+    prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
     weighed: bool = False,
-    near: Noise | None = None,
-) -> Estimate:
+    near: ErrorSizes | None = None,
+) -> HandEyeEstimate:
     """Return camera, board and lens with their noise and uncertainty.
 
     Args:
@@ -156,8 +156,8 @@ def estimate(
 
 
 def plain(
-    scene: Scene, start: Placed, free: Sequence[int], prior: Prior | None = None, *, scaled: bool = False
-) -> tuple[Placed, Noise]:
+    scene: Scene, start: Placed, free: Sequence[int], prior: IntrinsicsPrior | None = None, *, scaled: bool = False
+) -> tuple[Placed, ErrorSizes]:
     """Return the solution of plain least squares, against priors with the noise that is left, and that noise.
 
     Args:
@@ -170,11 +170,11 @@ def plain(
     Raises:
         NotIdentifiableError: The images do not determine all of it.
     """
-    placed, weights = solve(scene, start, free, Noise(), scaled=scaled) if prior is None else start, Noise()
+    placed, weights = solve(scene, start, free, ErrorSizes(), scaled=scaled) if prior is None else start, ErrorSizes()
     for _ in range(1 if prior is None else _NOISE_ROUNDS):
         linear = linearised(scene, placed, free, scaled)
         left = max(float(np.sum(linear.n_rows)) - linear.jr.shape[1], 1.0)
-        before, weights = weights, Noise(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
+        before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
         if prior is not None:
             placed = solve(scene, placed, free, weights, prior, scaled=scaled)
         if abs(before.pixel - weights.pixel) < _NOISE_STANDS * weights.pixel:
@@ -184,7 +184,7 @@ def plain(
     return placed, weights
 
 
-def _alike(noise: Noise, other: Noise) -> bool:
+def _alike(noise: ErrorSizes, other: ErrorSizes) -> bool:
     first, second = (np.array([n.pixel, n.shift, n.turn]) for n in (noise, other))
     return bool(np.all(np.abs(first - second) <= _NOISE_STANDS * np.maximum(first, second) + 1e-12))
 
@@ -193,15 +193,15 @@ def _finished(
     scene: Scene,
     placed: Placed,
     free: tuple[int, ...],
-    noise: Noise,
-    weights: Noise,
-    prior: Prior | None,
+    noise: ErrorSizes,
+    weights: ErrorSizes,
+    prior: IntrinsicsPrior | None,
     scaled: bool,
-) -> Estimate:
+) -> HandEyeEstimate:
     linear = linearised(scene, placed, free, scaled)
     now = placed.intrinsics[list(free)]
     arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise, prior, now)
-    return Estimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
+    return HandEyeEstimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
 
 
 def require_determined(a: FloatArray, scene: Scene) -> None:

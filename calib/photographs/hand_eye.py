@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.photographs.estimation import Estimate
+from calib.photographs.estimation import HandEyeEstimate
 from calib.photographs.images_off import OffImage, OffPoint
 from calib.photographs.left_out import LeftOut, rms
 from calib.photographs.mistakes import Mistake
@@ -33,7 +33,7 @@ class HandEye(ReadOnlyArrays):
     """
 
     scene: Scene
-    fitted: Estimate
+    fitted: HandEyeEstimate
     left: LeftOut
     alone: FloatArray
     off: tuple[OffImage, ...]

@@ -28,10 +28,10 @@ from __future__ import annotations
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.photographs.scene import Linear
+from calib.photographs.scene import ImageSums
 from calib.photographs.shared_errors import (
-    Noise,
-    Prior,
+    ErrorSizes,
+    IntrinsicsPrior,
     criterion,
     differences,
     found_noise,
@@ -46,7 +46,12 @@ _MANY = 1e6  # degrees of freedom: as good as known
 
 
 def intervals(
-    linear: Linear, twists: FloatArray, weights: Noise, near: Noise, prior: Prior | None, now: FloatArray
+    linear: ImageSums,
+    twists: FloatArray,
+    weights: ErrorSizes,
+    near: ErrorSizes,
+    prior: IntrinsicsPrior | None,
+    now: FloatArray,
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the size of the arm's errors, the covariance of what is sought (k, k), and degrees of freedom (k,).
 

@@ -10,7 +10,7 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.photographs.estimation import solve
 from calib.photographs.scene import Placed, Scene, on_board, residuals
-from calib.photographs.shared_errors import Noise, Prior
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ def left_out(
     scene: Scene,
     placed: Placed,
     free: Sequence[int],
-    weights: Noise,
-    prior: Prior | None = None,
+    weights: ErrorSizes,
+    prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
 ) -> list[Placed]:
@@ -56,8 +56,8 @@ def predicted(
     scene: Scene,
     placed: Placed,
     free: Sequence[int],
-    weights: Noise,
-    prior: Prior | None = None,
+    weights: ErrorSizes,
+    prior: IntrinsicsPrior | None = None,
     *,
     scaled: bool = False,
 ) -> LeftOut:

@@ -19,7 +19,7 @@ from calib.numerics.chances import FALSE_ALARM
 from calib.photographs.estimation import plain
 from calib.photographs.left_out import LeftOut, predicted
 from calib.photographs.scene import Placed, Scene
-from calib.photographs.shared_errors import Prior
+from calib.photographs.shared_errors import IntrinsicsPrior
 from calib.photographs.starts import camera_alone
 
 LENSES = ("auto", "given", "found")
@@ -49,7 +49,7 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
     return result
 
 
-def lens_prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
+def lens_prior(first: FloatArray, scene: Scene, given: bool) -> IntrinsicsPrior:
     """Return what is expected of a lens: as wide as a mistake may be, so that images decide where they can.
 
     Args:
@@ -60,7 +60,7 @@ def lens_prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
     width = float(max(scene.size))
     focal = (_FOCAL if given else 1.0) * first[0]
     sigma = np.array([focal, focal, _MIDDLE * width, _MIDDLE * width, _RADIAL, _RADIAL])
-    return Prior(first[list(LENS_NUMBERS)], sigma)
+    return IntrinsicsPrior(first[list(LENS_NUMBERS)], sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,13 @@ class Choice:
 
     placed: Placed
     free: tuple[int, ...]
-    prior: Prior | None
+    prior: IntrinsicsPrior | None
     left: LeftOut
 
 
-def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArray | None, lens: str) -> list[Choice]:
+def lens_choices(
+    scene: Scene, begin: Placed, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
+) -> list[Choice]:
     """Return ways to take the lens: as given first; found, with distortion.
 
     Found without distortion is a way too, where no lens is given and single images show no distortion.
@@ -94,7 +96,7 @@ def lens_choices(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArr
         result.append(Choice(placed, (), None, predicted(scene, placed, (), weights, None)))
     for count in (6,) if intrinsics is not None or _distorted(scene, begin.intrinsics) else (4, 6):
         free = LENS_NUMBERS[:count]
-        part = Prior(prior.values[:count], prior.sigma[:count])
+        part = IntrinsicsPrior(prior.values[:count], prior.sigma[:count])
         try:
             placed, weights = plain(scene, begin, free, part)
         except (ComputationError, np.linalg.LinAlgError):

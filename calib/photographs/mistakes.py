@@ -24,12 +24,12 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import CalibrationError
 from calib.instruments.camera import NAMES
-from calib.photographs.estimation import Estimate, estimate, solve
+from calib.photographs.estimation import HandEyeEstimate, estimate, solve
 from calib.photographs.left_out import predicted, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import SIDES, Linear, Mount, Placed, Scene, linearised, residuals, rows
-from calib.photographs.shared_errors import Noise, Prior, found_noise, normal_equations
+from calib.photographs.scene import SIDES, ImageSums, Mount, Placed, Scene, linearised, residuals, rows
+from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, found_noise, normal_equations
 from calib.photographs.starts import Start, camera_alone, image_rms, start
 
 _UNKNOWN = "not_explained"
@@ -76,11 +76,11 @@ class Mistake:
 def find_mistakes(
     every: Scene,
     used: Scene,
-    fitted: Estimate,
-    prior: Prior | None,
+    fitted: HandEyeEstimate,
+    prior: IntrinsicsPrior | None,
     given: FloatArray | None,
     first: FloatArray,
-    better: Estimate,
+    better: HandEyeEstimate,
     mounts: tuple[Mount, ...],
 ) -> tuple[Mistake, ...]:
     """Return mistakes that would explain what is left, those of the whole first.
@@ -111,7 +111,9 @@ def find_mistakes(
     return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
 
-def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]) -> list[Mistake]:
+def _of_the_whole(
+    scene: Scene, fitted: HandEyeEstimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]
+) -> list[Mistake]:
     errors = residuals(scene, fitted.placed)
     image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
     typical = float(np.median(image))
@@ -144,11 +146,11 @@ def _of_the_whole(scene: Scene, fitted: Estimate, intrinsics: FloatArray, mounts
     return [Mistake(_UNKNOWN, text, True)]
 
 
-def _other_size(scene: Scene, fitted: Estimate) -> tuple[float, str, str] | None:
+def _other_size(scene: Scene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
     """Median of the images with the size of the board sought [px], and what that says; None where it has none."""
     prior = lens_prior(fitted.placed.intrinsics, scene, True)
     try:
-        placed = solve(scene, fitted.placed, LENS_NUMBERS, Noise(), prior, scaled=True)
+        placed = solve(scene, fitted.placed, LENS_NUMBERS, ErrorSizes(), prior, scaled=True)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     if not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
@@ -181,7 +183,9 @@ def _exchanged(placed: Placed, mount: Mount) -> Mistake | None:
     )
 
 
-def _likelihood(linear: Linear, near: Estimate, prior: Prior | None, now: FloatArray) -> tuple[float, FloatArray]:
+def _likelihood(
+    linear: ImageSums, near: HandEyeEstimate, prior: IntrinsicsPrior | None, now: FloatArray
+) -> tuple[float, FloatArray]:
     """Twice the log-likelihood at the best step of a linearised problem, its sizes found anew, and that step."""
     noise = found_noise(linear, prior, now, near.noise)
     a, b, c = normal_equations(linear, noise, prior, now)
@@ -192,7 +196,7 @@ def _likelihood(linear: Linear, near: Estimate, prior: Prior | None, now: FloatA
     return -(log_v + c + float(b @ step)), step
 
 
-def _square_size(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake | None:
+def _square_size(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
     """Whether the board has another size than described."""
     try:
         other = estimate(scene, fitted.placed, fitted.free, prior, scaled=True, near=fitted.noise)
@@ -218,7 +222,7 @@ def _square_size(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake
     )
 
 
-def _moved(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake | None:
+def _moved(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
     """Whether board or camera is elsewhere from some image on."""
     n = len(scene)
     if n < 8:
@@ -252,7 +256,7 @@ def _moved(scene: Scene, fitted: Estimate, prior: Prior | None) -> Mistake | Non
     )
 
 
-def _extended(linear: Linear, later: BoolArray, first: int) -> Linear:
+def _extended(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
     """The problem with six more unknowns: a step of camera or board that only later images have."""
     moved_columns = slice(first, first + 6)
     on = later.astype(float)
@@ -271,10 +275,10 @@ def _extended(linear: Linear, later: BoolArray, first: int) -> Linear:
     )
     jg = np.concatenate([linear.jg, linear.jg[:, moved_columns] * on[:, None, None]], axis=1)
     jr = np.concatenate([linear.jr, linear.jr[:, moved_columns] * on[:, None]], axis=1)
-    return Linear(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
+    return ImageSums(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
 
 
-def _explains(scene: Scene, fitted: Estimate, k: int, which: str) -> bool:
+def _explains(scene: Scene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
     """Whether images left out are told better by one move: the sum over them, each by the linear problem without it."""
     later = np.arange(len(scene)) >= k
     r, j, _ = rows(scene, fitted.placed, fitted.free)
@@ -295,7 +299,9 @@ def _explains(scene: Scene, fitted: Estimate, k: int, which: str) -> bool:
     return error(wide) < _BETTER * error(j)
 
 
-def _of_the_lens(scene: Scene, fitted: Estimate, better: Estimate, given: FloatArray | None) -> list[Mistake]:
+def _of_the_lens(
+    scene: Scene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
+) -> list[Mistake]:
     """What is wrong with intrinsics as given, (9,): by themselves, and beside those that the photographs show."""
     if given is None:
         return []
@@ -326,7 +332,7 @@ def _of_the_lens(scene: Scene, fitted: Estimate, better: Estimate, given: FloatA
     return [*result, Mistake("lens_given", text, before > _FAR_PIXELS and after < _HALVES * before)]
 
 
-def _swapped(given: FloatArray, better: Estimate) -> str:
+def _swapped(given: FloatArray, better: HandEyeEstimate) -> str:
     """Which numbers of the intrinsics given, (9,), are exchanged; nothing where no exchange explains those found."""
     real = better.placed.intrinsics[:4]
     off = {words: float(np.max(np.abs(given[list(swap)] - real))) / real[0] for words, swap in _SWAPS.items()}

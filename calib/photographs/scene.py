@@ -125,7 +125,7 @@ class Placed(ReadOnlyArrays):
     scale: float = 1.0
 
     def moved(self, step: FloatArray, free: Sequence[int]) -> Placed:
-        """Return this after a step [camera 6, board 6, intrinsics, scale], (k,) with the columns of `Linear`."""
+        """Return this after a step [camera 6, board 6, intrinsics, scale], (k,) with the columns of `ImageSums`."""
         intrinsics = self.intrinsics.copy()
         intrinsics[list(free)] += step[12 : 12 + len(free)]
         scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)
@@ -137,7 +137,7 @@ def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear(ReadOnlyArrays):
+class ImageSums(ReadOnlyArrays):
     """Residuals and derivatives, summed over the points of each image; see the module docstring.
 
     Attributes:
@@ -158,7 +158,7 @@ class Linear(ReadOnlyArrays):
     n_rows: IntArray
     n_arm: int = 0
 
-    def with_arm(self, twists: FloatArray) -> Linear:
+    def with_arm(self, twists: FloatArray) -> ImageSums:
         """Return the sums with errors of the arm as further columns, which move the tool by twists, (n, 6, k)."""
         turned = twists.transpose(0, 2, 1)
         by_arm = self.jg @ twists
@@ -167,11 +167,11 @@ class Linear(ReadOnlyArrays):
         jr = np.concatenate([self.jr, np.einsum("nak,na->nk", twists, self.gr)], axis=1)
         return replace(self, jj=jj, jg=jg, jr=jr, n_arm=twists.shape[2])
 
-    def times(self, weight: FloatArray) -> Linear:
+    def times(self, weight: FloatArray) -> ImageSums:
         """Return the sums with weights of images, (n,)."""
         parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
         jj, jg, gg, jr, gr, rr = (part * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in parts)
-        return Linear(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
+        return ImageSums(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows, self.n_arm)
 
 
 def in_camera(scene: Scene, placed: Placed) -> tuple[FloatArray, FloatArray]:
@@ -221,7 +221,7 @@ def _by_error(scene: Scene, placed: Placed, body: FloatArray) -> FloatArray:
     return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
 
 
-def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False) -> Linear:
+def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False) -> ImageSums:
     """Return residuals and derivatives, summed over the points of each image; see `rows`."""
     r, j, g = rows(scene, placed, free, scaled)
     k = j.shape[2]
@@ -230,7 +230,7 @@ def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool =
     squares = np.array([part.T @ part for part in images])
     jj, jg, gg = squares[:, :k, :k], squares[:, :k, k:-1], squares[:, k:-1, k:-1]
     jr, gr, rr = squares[:, :k, -1], squares[:, k:-1, -1], squares[:, -1, -1]
-    return Linear(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
+    return ImageSums(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
 
 
 def on_board(scene: Scene, placed: Placed) -> FloatArray:

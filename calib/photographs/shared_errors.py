@@ -33,7 +33,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.photographs.scene import Linear
+from calib.photographs.scene import ImageSums
 
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
 _FAR = 1e12  # of a criterion that cannot be computed
@@ -43,7 +43,7 @@ _STEP = 1e-3  # of logarithms, for differences
 
 
 @dataclass(frozen=True)
-class Noise:
+class ErrorSizes:
     """Sizes of the errors: of a pixel coordinate [px], and of the robot's tool, per axis [m], [rad].
 
     Attributes:
@@ -62,14 +62,14 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior(ReadOnlyArrays):
+class IntrinsicsPrior(ReadOnlyArrays):
     """How far intrinsics are expected from values: both (k,), of those that are sought; infinite sigma for nothing."""
 
     values: FloatArray
     sigma: FloatArray
 
 
-def gains(linear: Linear, noise: Noise) -> FloatArray:
+def gains(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
     """Return K_i of the module docstring, (n, 6, 6)."""
     s = noise.sizes
     inner = noise.pixel**2 * np.eye(6) + s[:, None] * linear.gg * s
@@ -77,7 +77,7 @@ def gains(linear: Linear, noise: Noise) -> FloatArray:
 
 
 def normal_equations(
-    linear: Linear, noise: Noise, prior: Prior | None, now: FloatArray
+    linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return A (k, k), b (k,) and r^T V^-1 r with the prior's part; see the module docstring.
 
@@ -104,7 +104,7 @@ def normal_equations(
     return a, b, c
 
 
-def criterion(linear: Linear, logs: FloatArray, prior: Prior | None, now: FloatArray) -> float:
+def criterion(linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
     """Return minus twice the restricted log-likelihood of the logarithms of sizes, (3,) or (4,), but for a constant."""
     noise = _noise_of(logs)
     a, b, c = normal_equations(linear, noise, prior, now)
@@ -121,18 +121,20 @@ def criterion(linear: Linear, logs: FloatArray, prior: Prior | None, now: FloatA
     return log_v + log_a + c - float((scale * b) @ np.linalg.solve(scaled, scale * b))
 
 
-def logarithms(noise: Noise, linear: Linear) -> FloatArray:
+def logarithms(noise: ErrorSizes, linear: ImageSums) -> FloatArray:
     """Return the logarithms of sizes, (3,), or (4,) with errors of the arm."""
     sizes = [noise.pixel, noise.shift, noise.turn, noise.arm][: 4 if linear.n_arm else 3]
     return np.log(np.maximum(sizes, 0.3 * _SMALLEST))
 
 
-def _noise_of(logs: FloatArray) -> Noise:
+def _noise_of(logs: FloatArray) -> ErrorSizes:
     pixel, shift, turn, *arm = map(float, np.exp(logs))
-    return Noise(pixel, 0.0 if shift < _SMALLEST else shift, 0.0 if turn < _SMALLEST else turn, *arm)
+    return ErrorSizes(pixel, 0.0 if shift < _SMALLEST else shift, 0.0 if turn < _SMALLEST else turn, *arm)
 
 
-def found_noise(linear: Linear, prior: Prior | None, now: FloatArray, near: Noise | None = None) -> Noise:
+def found_noise(
+    linear: ImageSums, prior: IntrinsicsPrior | None, now: FloatArray, near: ErrorSizes | None = None
+) -> ErrorSizes:
     """Return the sizes of the errors by restricted maximum likelihood, the intrinsics sought being `now`, (k,).
 
     Args:
@@ -141,7 +143,7 @@ def found_noise(linear: Linear, prior: Prior | None, now: FloatArray, near: Nois
         now: These, as they are.
         near: Sizes of a similar problem, to begin with.
     """
-    low = logarithms(Noise(1e-3), linear)
+    low = logarithms(ErrorSizes(1e-3), linear)
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1, 0.1]), strict=False))
 
     def cost(logs: FloatArray) -> float:

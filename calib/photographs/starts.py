@@ -26,7 +26,7 @@ from calib.instruments.hand_eye import fixed_poses
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.losses import median_length
 from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
-from calib.photographs.shared_errors import Noise, normal_equations
+from calib.photographs.shared_errors import ErrorSizes, normal_equations
 
 _TRIALS = 25
 _GOOD = 5.0  # px, of most images: then there is no need to ask subsets
@@ -198,7 +198,7 @@ def _robust(scene: Scene, placed: Placed) -> Start:
         weight = 1.0 / (1.0 + (rms / scale) ** 2)
         linear = linearised(scene, placed, ())
         part = linear.times(weight)
-        a, b, _ = normal_equations(part, Noise(), None, np.zeros(0))
+        a, b, _ = normal_equations(part, ErrorSizes(), None, np.zeros(0))
         size = 1.0 / np.sqrt(np.diag(a) + 1e-300)
         step = -size * np.linalg.solve(size[:, None] * a * size + damping * np.eye(12), size * b)
         tried = placed.moved(step, ())

@@ -37,9 +37,11 @@ def load(path: str | Path) -> Robot:
 
     Raises:
         UrdfError: The URDF is not valid.
-        DescriptionError: The description is not valid, or does not fit the URDF.
+        DescriptionError: The description is not valid, or does not fit the URDF; or the file is a table.
     """
     path = Path(path)
+    if path.suffix.lower() in (".csv", ".xlsx"):
+        raise DescriptionError(f"{path}: is a table; the robot comes first: its description or its URDF")
     if path.suffix.lower() in (".yaml", ".yml"):
         description = read_description(path)
         urdf = read_urdf(path.parent / description.urdf)
@@ -118,8 +120,6 @@ def as_robot(robot: RobotLike) -> Robot:
         InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
     """
     if isinstance(robot, (Path, str)):
-        if Path(robot).suffix in (".csv", ".xlsx"):
-            raise InputError(f"{robot}: is a table; the robot comes first: its description or its URDF")
         if Path(robot).is_dir():
             raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
         return load(robot)

@@ -10,7 +10,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.base.words import as_data
-from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _span, causes_of
+from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
 from calib.reporting.report_text import text_report
 from calib.reporting.result_content import to_dict
 from calib.reporting.sections.budget import budget_table
@@ -218,6 +218,7 @@ def test_columns_of_rounding_span_nothing():
     """Such as turns of a target, among the rows of where its point is: no direction may hang on their digits."""
     generator = np.random.default_rng(0)
     columns, rounding = generator.normal(size=(60, 4)), 1e-17 * generator.normal(size=(60, 3))
-    spanned, alone = (_span(some) for some in (np.hstack([columns, rounding]), columns))
+    spanned, alone = (some @ _root_of_span(some) for some in (np.hstack([columns, rounding]), columns))
     np.testing.assert_allclose(spanned @ spanned.T, alone @ alone.T, atol=1e-12)
-    assert _span(np.zeros((60, 2))).shape == _span(np.zeros((60, 0))).shape == (60, 0)
+    assert spanned.shape == (60, 4)
+    assert [_root_of_span(np.zeros((60, k))).shape for k in (2, 0)] == [(2, 0), (0, 0)]

@@ -123,10 +123,11 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened({"ball": setting.observed["ball"].by_joint})[:, 1]
+    by_joint = setting.whitened(setting.by_joint)[:, 1]
     z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
     r = linear.rows.residuals
-    left = z - linear.pulled @ (linear.pulled.T @ z)
+    span = linear.span[:]
+    left = z - span @ (span.T @ z)
     coefficients = np.linalg.solve(z.T @ left, z.T @ r)
     gain = r @ z @ coefficients
     variance_ratio = (gain / 2) / ((r @ r - gain) / (linear.freedom - 2))
@@ -147,9 +148,9 @@ def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_
     result = next(p for p in tested if p.detail.startswith(f"{order} "))
     assert result.significant == (height > 0)
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened({"ball": setting.observed["ball"].by_joint})[:, joint]
+    by_joint = setting.whitened(setting.by_joint)[:, joint]
     phase = np.repeat(order * q[:, joint], 3)
-    span, r = linear.pulled, linear.rows.residuals
+    span, r = linear.span[:], linear.rows.residuals
     z = by_joint[:, None] * np.column_stack([np.sin(phase), np.cos(phase)])
     left = z - span @ np.linalg.lstsq(span, z, rcond=None)[0]
     gain = np.sum((left @ np.linalg.lstsq(left, r, rcond=None)[0]) ** 2)

@@ -478,7 +478,7 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
     """The sums over visits against Q and M written out."""
     fit = calib.fit(arm, noisy(truth, rounded_to(joints(40), 0.01), SIGMA, 1))
     setting = findings.setting(fit)
-    columns = setting.whitened({"ball": setting.observed["ball"].by_joint}) * np.radians(0.01) / np.sqrt(12)
+    columns = setting.whitened(setting.by_joint) * np.radians(0.01) / np.sqrt(12)
     q = np.zeros((120, 120))
     for visit in range(40):
         rows = slice(3 * visit, 3 * visit + 3)

@@ -27,6 +27,12 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return copied
 
 
+def hold(*arrays: NDArray[Any]) -> None:
+    """Make new arrays read-only, so that who keeps them needs no copies."""
+    for array in arrays:
+        array.flags.writeable = False
+
+
 def _held_fast(value: Any) -> Any:
     """Return an array, or a tuple or dictionary of arrays, that is read-only; anything else as it is."""
     if isinstance(value, np.ndarray):

@@ -310,8 +310,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
     """Put poses and readings together."""
     return Measurements(
         poses.joints,
-        tuple(poses.labels),
-        tuple(poses.names),
+        poses.labels,
+        poses.names,
         poses.path,
         poses.ignored,
         readings,

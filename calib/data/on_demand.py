@@ -17,7 +17,7 @@ from typing import SupportsIndex, TypeVar, overload
 
 import numpy as np
 
-from calib.base.arrays import IntArray
+from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import InputError
 from calib.base.memory import scratch
 
@@ -165,6 +165,30 @@ class TextRows(OnDemand[tuple[str, ...]]):
                 yield from [cell.lstrip(" ") for cell in cells] if " " in text else cells
             else:
                 yield from (cells_of(line, self._separator)[index] for line in text.split("\n"))
+
+    def plain_numbers(self, width: int) -> dict[int, FloatArray]:
+        """Return the columns of nothing but finite numbers, as `float` reads them, (n_rows,) each, by their place.
+
+        None where cells are quoted, or hold a `_`, which `float` takes for a mark of thousands.
+
+        Args:
+            width: Number of columns.
+        """
+        columns: dict[int, FloatArray] = {index: np.empty(len(self)) for index in range(width)}
+        first = 0
+        for number in range(len(self._ends) - 1):
+            text = self._text_of(number)
+            if "_" in text or not is_plain(text):
+                return {}
+            cells = text.replace("\n", self._separator).split(self._separator)
+            rows = len(cells) // width
+            for index, column in list(columns.items()):
+                try:
+                    column[first : first + rows] = list(map(float, cells[index::width]))
+                except ValueError:
+                    del columns[index]
+            first += rows
+        return {index: column for index, column in columns.items() if np.all(np.isfinite(column))}
 
     def _made(self, k: int) -> tuple[str, ...]:
         return cells_of(self._lines(k // _PART)[k % _PART], self._separator)

@@ -20,6 +20,7 @@ import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard, cast
@@ -68,6 +69,8 @@ class Frame(Protocol):
 
 Columns = Frame | Mapping[str, Sequence[object]]
 """A table in memory: columns by their headers, which are written as in files."""
+Written = Sequence[tuple[str, Sequence[object] | FloatArray]]
+"""Columns to write: header and values of each."""
 Source = Path | str | Columns
 """Where a table comes from."""
 
@@ -158,12 +161,22 @@ class Table:
         return rows.column(index) if isinstance(rows, TextRows) else (row[index] for row in rows)
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
+        if index in self._plain:
+            return self._plain[index].copy()
         if self.separator != ",":
             self._check_marks(index)
         cells, values = self._column(index), np.empty(len(self.rows))
         for start in range(0, len(values), _PART):
             values[start : start + _PART] = self._numbers_in(list(islice(cells, _PART)), start, index, gaps=gaps)
         return values
+
+    @cached_property
+    def _plain(self) -> dict[int, FloatArray]:
+        """Columns in which nothing is to be said about any cell, (n_rows,) each, by their place."""
+        rows = self.rows
+        if not isinstance(rows, TextRows) or self.separator != ",":
+            return {}
+        return rows.plain_numbers(len(self.names))
 
     def _numbers_in(self, cells: list[str], first: int, index: int, *, gaps: bool) -> FloatArray:
         """Numbers in cells of a column, of which the first is in that row."""
@@ -403,7 +416,7 @@ def _header(
     return tuple(names), tuple(units)
 
 
-def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], comments: Sequence[str] = ()) -> str:
+def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     """Return CSV text; floats are written so that they read back exactly, and text so that no spreadsheet runs it.
 
     >>> print(format_table([("pose", ["A", "B"]), ("q1 [mm]", [0.1, 2.0])], ("two poses",)), end="")
@@ -418,6 +431,33 @@ def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], c
 
     Raises:
         ValueError: Columns of different lengths.
+    """
+    return "".join(table_pieces(columns, comments))
+
+
+def table_bytes(columns: Written, comments: Sequence[str] = ()) -> bytes:
+    """Return the text of `format_table` in UTF-8; of a long table it is there once.
+
+    Args:
+        columns, comments: As there.
+
+    Raises:
+        ValueError: As there.
+    """
+    stream = io.BytesIO()
+    for piece in table_pieces(columns, comments):
+        stream.write(piece.encode())
+    return stream.getvalue()
+
+
+def table_pieces(columns: Written, comments: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the text of `format_table`, some rows at a time.
+
+    Args:
+        columns, comments: As there.
+
+    Raises:
+        ValueError: As there.
     """
     stream = io.StringIO()
     for comment in comments:
@@ -436,7 +476,10 @@ def format_table(columns: Sequence[tuple[str, Sequence[object] | FloatArray]], c
                 (quoting if _like_comment(cells[0]) else writer).writerow(cells)
         else:
             writer.writerows(zip(*written, strict=True))
-    return stream.getvalue()
+        yield stream.getvalue()
+        stream.seek(0)
+        stream.truncate()
+    yield stream.getvalue()
 
 
 def _written_cells(values: Sequence[object] | FloatArray) -> Sequence[str | float]:

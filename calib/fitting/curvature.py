@@ -33,6 +33,7 @@ from calib.base.arrays import FloatArray
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.statistics import prior_directions
 from calib.rows.rows import Rows
+from calib.rows.unknowns import Unknowns
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
 _STEP = 0.1  # of a difference of Jacobians, in standard deviations
@@ -55,19 +56,28 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
     columns, jacobian, covariance = problem.unknowns.only(own), rows.jacobian, root @ root.T
-    here = jacobian[:, own].T @ jacobian  # in this order, products take half the time
+    here = (jacobian.T @ jacobian)[own]
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.moved(final.robot, rows.deviations + step * directions[:, i])
             evaluation = problem.evaluate_if_closed(moved, final)
             if evaluation is not None:
-                there = problem.rows(evaluation, groups, columns).jacobian.T @ jacobian
-                felt = (there - here).T / step  # J^T H t
+                felt = (_products(problem, evaluation, groups, columns, jacobian) - here).T / step  # J^T H t
                 bent = -(covariance @ felt) @ directions[own]
                 squares += np.sum(bent**2 * counts, axis=1)
                 mean += bent[:, i] / 2
                 break
     return squares + mean**2
+
+
+def _products(
+    problem: Problem, evaluation: Evaluation, groups: FloatArray, columns: Unknowns, jacobian: FloatArray
+) -> FloatArray:
+    """Product of the transposed derivative by some unknowns elsewhere with a Jacobian here, (n_columns, n_free)."""
+    if problem.weighing is not None:
+        return np.asarray(problem.rows(evaluation, groups, columns).jacobian.T @ jacobian)
+    parts = problem.derivative(evaluation, groups, columns).parts()
+    return np.asarray(sum(there.T @ jacobian[places] for places, there in parts))
 
 
 def _fewest(directions: FloatArray) -> FloatArray:

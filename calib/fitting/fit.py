@@ -41,6 +41,7 @@ from calib.numerics.observability import observability
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.observed import observe
+from calib.rows.rows import Rows, Scales
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ def fit_data(
         unknowns=solved.problem.unknowns,
         statistics=uncertainty,
         determination=determined,
-        observability=_observability(solved.problem, final, determined.free.rank),
+        observability=_observability(solved.problem, final, rows, scales, determined.free.rank),
         rows=rows,
         whitening=problem.whitening,
         scales=scales,
@@ -169,12 +170,14 @@ def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measureme
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=Nearby.of(fit))
 
 
-def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
+def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scales, rank: int) -> dict[str, float]:
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
-    rows = problem.whitening.rows(final.observed, units, own, own.deviations(final.robot.values))
-    factor = rows.factor[:, :-1]
+    if len(units) == 1 and problem.weighing is None:  # all rows are scaled alike
+        factor: FloatArray = rows.factor[:, :-1][:, problem.unknowns.family < 0] * (scales.groups / units)
+    else:
+        factor = problem.derivative(final, units, own).factor()
     return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
 
 

@@ -27,11 +27,12 @@ from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.numerics.tall import Span, squares_of_rows
 from calib.robots.configurations import Configurations
 from calib.robots.held import Holds
 from calib.robots.robot import Robot
+from calib.rows.batches import observed_in
 from calib.rows.determination import Determination
-from calib.rows.observed import observe
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
 from calib.rows.rows import Group, Rows, Scales
 from calib.rows.told_positions import ToldPositions
@@ -375,12 +376,25 @@ class Fit(ReadOnlyArrays):
         """
         if self.computed:
             return 0.0
-        observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
         scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
-        by_joint = self.whitening.joint_columns(observed)[:, : len(scale)] * scale
-        residuals = self.whitening.flatten({name: part.residuals for name, part in observed.items()})
-        leverage = np.sum((self.rows.weighted(self.weights).jacobian @ self.root) ** 2, axis=1)
+        by_joint = self.whitening.flatten(self.by_joint)[:, : len(scale)] * scale
+        residuals = self.whitening.flatten(self.identification.after)
+        leverage = squares_of_rows(Span(self.rows.weighted(self.weights).jacobian, self.root))
         return unexplained_joint_error(layout, residuals, by_joint, self.weights[layout.reading], leverage)
+
+    @cached_property
+    def by_joint(self) -> dict[str, FloatArray]:
+        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
+        readings, n_joints = self.identification.data.readings, len(self.robot.joint_names)
+        result: dict[str, FloatArray] = {
+            name: np.empty((len(own), self.robot.instrument(name).n_rows, n_joints)) for name, own in readings.items()
+        }
+        for batch, observed in observed_in(
+            self.robot, self.configurations, readings, self.whitening.batches, joints=True
+        ):
+            for name, chosen in batch.readings.items():
+                result[name][chosen] = observed[name].by_joint
+        return result
 
     @property
     def undecided(self) -> UndecidedTerms | None:
@@ -391,7 +405,7 @@ class Fit(ReadOnlyArrays):
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance as reported."""
         data = self.identification.data
-        return self.told_positions.at(data.joints, data.conditions, self.identification.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.identification.passive, turns=False)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
@@ -399,7 +413,7 @@ class Fit(ReadOnlyArrays):
         if self.validation is None:
             return None
         data = self.validation.data
-        return self.told_positions.at(data.joints, data.conditions, self.validation.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.validation.passive, turns=False)
 
     def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
@@ -408,9 +422,21 @@ class Fit(ReadOnlyArrays):
             errors: Of visits that were not used, or that were left out in turn.
         """
         data = errors.data
-        whitening = Whitening(self.robot, data, self.sigma_given)
+        before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
-        observed = observe(self.robot, configurations, data.readings)
+        jacobian = np.empty((whitening.layout.n_rows, len(self.unknowns)))
+        for batch, observed in observed_in(self.robot, configurations, data.readings, whitening.batches):
+            jacobian[batch.rows] = whitening.columns(observed, factors, self.unknowns, batch)
+        deviations = self.unknowns.deviations(self.robot.values)
+        return before, Rows(after, jacobian, self.unknowns.prior, deviations, whitening.layout)
+
+    def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals before and after calibration, (n_rows,) each, by the noise as found."""
+        return self._whitened(errors)[:2]
+
+    def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
+        """Residuals before and after (n_rows,), what whitened them, and scales of the groups (n_groups,)."""
+        whitening = Whitening(self.robot, errors.data, self.sigma_given)
         known = {
             (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
         }
@@ -420,9 +446,8 @@ class Fit(ReadOnlyArrays):
             if estimate is not None:
                 factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
         divisor = whitening.row_scale(factors)
-        rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
-        rows = replace(rows, residuals=whitening.flatten(errors.after) / divisor)
-        return whitening.flatten(errors.before) / divisor, rows
+        before, after = (whitening.flatten(state) / divisor for state in (errors.before, errors.after))
+        return before, after, whitening, factors
 
     @cached_property
     def validation_rows(self) -> Rows | None:

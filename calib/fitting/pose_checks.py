@@ -31,6 +31,7 @@ from calib.data.measurements import Measurements, with_points
 from calib.fitting.joint_conventions import joint_changes
 from calib.fitting.problem import Evaluation, Problem
 from calib.joint_terms.term import COLUMNS, Condition
+from calib.numerics.identifiability import reduced_with
 from calib.robots.configurations import close
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination, determination
@@ -160,11 +161,9 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
         NotIdentifiableError: The message names the parameters, and joints that never moved.
     """
     robot = problem.robot
-    columns = problem.whitening.flatten({name: block.jacobian for name, block in evaluation.observed.items()})
-    columns /= problem.whitening.row_scale(problem.whitening.start())[:, None]
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
-    determined = determination(columns if len(own) == columns.shape[1] else columns[:, own], parameters, free)
+    determined = determination(_columns(problem, evaluation, np.array(own, dtype=np.intp)), parameters, free)
     if determined.free.rank == 0:
         raise NotIdentifiableError(
             f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
@@ -180,6 +179,19 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
         f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
         f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses{doubt}"
     )
+
+
+def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
+    """Return the whitened derivative by parameters (n,), not scaled; of very many rows their triangular factor."""
+    whitening, groups = problem.whitening, problem.whitening.start()
+    factor: FloatArray = np.zeros((0, len(index)))
+    for batch, observed in evaluation.observed(index):
+        columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, batch, in_place=True)
+        columns /= whitening.row_scale(groups, batch)[:, None]
+        if len(evaluation.batches) == 1:
+            return columns
+        factor = reduced_with(factor, columns)
+    return factor
 
 
 def _why(problem: Problem) -> str:

@@ -12,23 +12,28 @@ loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
+from calib.instruments.kind import Readings
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import foretold
+from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
+from calib.numerics.tall import Span, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
+from calib.rows.batches import Batch, observed_in
 from calib.rows.observed import Observed, observe
 from calib.rows.rows import Rows
 from calib.rows.unknowns import Unknowns
@@ -45,17 +50,41 @@ class Evaluation:
     Attributes:
         robot: With these values.
         configurations: Its assembled visits.
-        observed: Residuals and derivatives of each instrument, by name.
+        readings: What was read, of each instrument, by name.
+        batches: In which batches it is looked at.
     """
 
     robot: Robot
     configurations: Configurations
-    observed: Mapping[str, Observed]
+    readings: Mapping[str, Readings]
+    batches: tuple[Batch, ...]
 
-    @property
+    @cached_property
+    def _all(self) -> dict[str, Observed]:
+        """Residuals and derivatives of each instrument, by name; kept of few readings alone."""
+        return observe(self.robot, self.configurations, self.readings)
+
+    def observed(self, index: IntArray) -> Iterator[tuple[Batch, Mapping[str, Observed]]]:
+        """Yield residuals and derivatives by some parameters (n,) of each instrument, by name, batch by batch."""
+        if len(self.batches) == 1:
+            yield self.batches[0], self._all
+        else:
+            yield from observed_in(self.robot, self.configurations, self.readings, self.batches, index=index)
+
+    @cached_property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
-        return {name: observed.residuals for name, observed in self.observed.items()}
+        if len(self.batches) == 1:
+            return {name: observed.residuals for name, observed in self._all.items()}
+        widths = {name: self.robot.instrument(name).n_rows for name in self.readings}
+        residuals: dict[str, FloatArray] = {
+            name: np.empty((len(readings), widths[name])) for name, readings in self.readings.items()
+        }
+        looked = observed_in(self.robot, self.configurations, self.readings, self.batches, derivatives=False)
+        for batch, observed in looked:
+            for name, places in batch.readings.items():
+                residuals[name][places] = observed[name].residuals
+        return residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +204,7 @@ class Problem(ReadOnlyArrays):
         if not np.all(closed.ok):
             return None
         configurations = configured(robot, self.data.joints, closed, columns)
-        return Evaluation(robot, configurations, observe(robot, configurations, self.data.readings))
+        return Evaluation(robot, configurations, self.data.readings, self.whitening.batches)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
@@ -189,9 +218,57 @@ class Problem(ReadOnlyArrays):
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: Parameters that count; the free ones if not given.
         """
+        return self._as_stated(evaluation, groups, unknowns).whitened(self.weighing)
+
+    def _as_stated(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+        """Return the rows without whitening for shared errors."""
         chosen = self.unknowns if unknowns is None else unknowns
-        rows = self.whitening.rows(evaluation.observed, groups, chosen, chosen.deviations(evaluation.robot.values))
-        return rows.whitened(self.weighing)
+        jacobian, deviations = (
+            self.derivative(evaluation, groups, chosen).whole(),
+            chosen.deviations(evaluation.robot.values),
+        )
+        return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
+
+    def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+        """Return the residuals of all rows, without whitening for shared errors, (n_rows,).
+
+        Args:
+            evaluation, groups: As of `rows`.
+        """
+        return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
+
+    def derivative(
+        self,
+        evaluation: Evaluation,
+        groups: FloatArray,
+        unknowns: Unknowns,
+        weights: FloatArray | None = None,
+        below: FloatArray | None = None,
+    ) -> Tall:
+        """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
+
+        Args:
+            evaluation, groups, unknowns: As of `rows`.
+            weights: Of each reading, (n_readings,).
+            below: Further rows, (n, n_unknowns).
+        """
+        layout = self.whitening.layout
+        roots = None if weights is None else np.sqrt(weights)[layout.reading]
+        n = layout.n_rows
+
+        def batches() -> Iterator[tuple[IntArray | slice, FloatArray]]:
+            for batch, observed in evaluation.observed(unknowns.index):
+                columns = self.whitening.columns(observed, groups, unknowns, batch)
+                if roots is not None:
+                    columns *= roots[batch.rows][:, None]
+                yield batch.rows, columns
+            if below is not None:
+                yield slice(n, n + len(below)), below
+
+        if len(evaluation.batches) == 1:
+            every = [rows for _, rows in batches()]
+            return Tall.of(every[0] if len(every) == 1 else np.vstack(every))
+        return Tall((n + (0 if below is None else len(below)), len(unknowns)), batches)
 
     def _model(self, rows: Rows) -> LinearModel:
         """What rows whitened by what is stated say of the noise."""
@@ -208,6 +285,23 @@ class Problem(ReadOnlyArrays):
             len(unknowns.families),
         )
 
+    def _condensed(self, evaluation: Evaluation, ones: FloatArray) -> LinearModel:
+        """The same of very many rows, by the triangular factors of the rows of each group."""
+        group, residuals = self.whitening.layout.group, self.residuals(evaluation, ones)
+        n, n_groups = len(self.unknowns), len(ones)
+        factors: list[FloatArray] = [np.zeros((0, n + 1)) for _ in range(n_groups)]
+        for places, columns in self.derivative(evaluation, ones, self.unknowns).parts():
+            for g in range(n_groups):
+                mine = group[places] == g
+                whole = bool(np.all(mine))
+                rows, right = (columns, residuals[places]) if whole else (columns[mine], residuals[places][mine])
+                factors[g] = reduced_with(factors[g], rows, right)
+        rows, numbers = np.vstack(factors), np.repeat(np.arange(n_groups), [len(factor) for factor in factors])
+        u, unknowns = self.unknowns.deviations(evaluation.robot.values), self.unknowns
+        families = unknowns.family, len(unknowns.families)
+        counts = np.bincount(group[group >= 0], minlength=n_groups)
+        return LinearModel(rows[:, n], rows[:, :n], unknowns.prior, u, numbers, self.noise_found, *families, counts)
+
     def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
 
@@ -218,7 +312,11 @@ class Problem(ReadOnlyArrays):
         Returns:
             Scales of the groups (n_groups,), factors of the families (n_families,).
         """
-        model = self._model(self.rows(evaluation, np.ones(len(groups))))
+        ones = np.ones(len(groups))
+        if len(evaluation.batches) > 1 and self.weighing is None:
+            model = self._condensed(evaluation, ones)
+        else:
+            model = self._model(self.rows(evaluation, ones))
         if self.unknowns.families:
             return found_with_families(FamilyModel.of(model), groups)
         return found_scales(model, groups).scales, np.ones(0)
@@ -230,15 +328,12 @@ class Problem(ReadOnlyArrays):
             evaluation: An evaluation near the minimum.
             groups: Scales to start from, (n_groups,).
         """
-        whitening, unknowns = self.whitening, self.unknowns
+        whitening = self.whitening
         tried = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
         if not np.any(tried):
             return self.ratios
         known = self.ratios * whitening.offset_scale(groups)
-        # whitened by what is stated alone
-        rows = whitening.rows(
-            evaluation.observed, np.ones(len(groups)), unknowns, unknowns.deviations(evaluation.robot.values)
-        )
+        rows = self._as_stated(evaluation, np.ones(len(groups)))
         components = found_components(
             self._model(rows), groups, whitening.offset_columns * tried, whitening.layout.pose_of_row, known
         )
@@ -257,7 +352,7 @@ class Problem(ReadOnlyArrays):
         """
         layout, rows = self.whitening.layout, self.rows(evaluation, groups)
         pose = layout.pose_of_row
-        errors = foretold(rows.jacobian @ rows.known.root, rows.residuals, pose)
+        errors = foretold(Span(rows.jacobian, rows.known.root), rows.residuals, pose)
         errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
         squares = (errors * self.whitening.row_scale(groups)) ** 2
         means = []
@@ -315,6 +410,7 @@ class _Way:
         self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
         self._last: tuple[Evaluation, Rows] | None = None
+        self._in_batches = len(start.batches) > 1 and problem.weighing is None
         self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
 
     def _evaluation(self, u: FloatArray) -> Evaluation | None:
@@ -336,16 +432,27 @@ class _Way:
         evaluation = self._evaluation(u)
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
-        return np.concatenate([self._rows(evaluation).residuals, self._unknowns.prior.times(u)])
+        if self._in_batches:
+            residuals = self._problem.residuals(evaluation, self._groups)
+            if self._weights is not None:
+                residuals *= np.sqrt(self._weights)[self._problem.whitening.layout.reading]
+        else:
+            residuals = self._rows(evaluation).residuals
+        return np.concatenate([residuals, self._unknowns.prior.times(u)])
 
-    def jacobian(self, u: FloatArray) -> FloatArray:
+    def jacobian(self, u: FloatArray) -> FloatArray | Tall:
         """Return their derivative by u, (n_rows, n_unknowns), and go there."""
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        rows = self._rows(evaluation)
+        priors = self._unknowns.prior.rows
+        jacobian = (
+            self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights, priors)
+            if self._in_batches
+            else np.vstack([self._rows(evaluation).jacobian, priors])
+        )
         self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
-        return np.vstack([rows.jacobian, self._unknowns.prior.rows])
+        return jacobian
 
 
 def _as_stated(

@@ -41,6 +41,7 @@ from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.least_squares import TOLERANCE
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
+from calib.numerics.tall import Span
 from calib.rows.registration import register
 from calib.rows.rows import Rows, Scales
 from calib.rows.unknowns import Unknowns
@@ -99,8 +100,7 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     solution.
     """
     unknowns = problem.unknowns
-    columns = problem.rows(placed, problem.whitening.start(), unknowns).jacobian
-    lengths = np.linalg.norm(columns, axis=0)
+    lengths = problem.derivative(placed, problem.whitening.start(), unknowns).lengths()
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
     if not np.any(blind):
         return placed
@@ -123,9 +123,10 @@ def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> F
 
 def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> bool:
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    rows = problem.rows(placed, problem.whitening.start(placed.residuals), places)
-    explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
-    return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
+    groups = problem.whitening.start(placed.residuals)
+    residuals = problem.residuals(placed, groups)
+    explained = problem.derivative(placed, groups, places).factor(residuals)[: len(places), -1]
+    return bool(explained @ explained <= _PLACED * (residuals @ residuals))
 
 
 def solve_from(
@@ -260,7 +261,7 @@ def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> t
     layout, unknowns = problem.whitening.layout, problem.unknowns
     robust = solved.factors
     slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
-    span = rows.jacobian @ slowed.known.root
+    span = Span(rows.jacobian, slowed.known.root)
     factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
     bent = (
         mean_square_beyond_linear(problem, solved.at, rows, solved.groups)
@@ -281,7 +282,7 @@ def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> t
     return rows, scales, uncertainty
 
 
-def scatter_of_poses(rows: Rows, span: FloatArray, factors: Factors, weights: FloatArray | None) -> Scatter:
+def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:
     """Return how the readings of each pose scatter together (`calib.numerics.clusters`).
 
     Args:

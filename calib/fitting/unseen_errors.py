@@ -42,14 +42,14 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.validation import readings_at
 from calib.numerics.clusters import pulls_without
+from calib.numerics.tall import Span
 from calib.robots.held import Accuracy, SeenAt
-from calib.rows.observed import observe
+from calib.rows.batches import observed_in
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
 _DECIDES = 1.0 - 1e-6
 """Part of a direction that one pose decides, from which the others cannot foretell it."""
-_READINGS_AT_ONCE = 4096
 
 
 def accuracy(fit: Fit) -> Accuracy:
@@ -85,18 +85,18 @@ def limit95(lengths: FloatArray) -> float:
 def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
     data, rows = fit.identification.data, fit.rows.weighted(fit.weights)
-    observed = observe(fit.robot, fit.configurations, data.readings)
     _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
     pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
     n_poses = int(pose_of_visit.max()) + 1
-    pulls, decided = pulls_without(rows.jacobian @ fit.root, rows.residuals, pose_of_row, n_poses)
-    steps = (fit.unknowns.scales[:, None] * (fit.root @ pulls.T)).T
+    pulls, decided = pulls_without(Span(rows.jacobian, fit.root), rows.residuals, pose_of_row, n_poses)
+    root = fit.unknowns.scales[:, None] * fit.root
     after = {name: errors.copy() for name, errors in fit.identification.after.items()}
-    for name, block in observed.items():
-        poses, jacobian = pose_of_visit[data.readings[name].visits], block.by(fit.unknowns.index)
-        for start in range(0, len(poses), _READINGS_AT_ONCE):
-            some = slice(start, start + _READINGS_AT_ONCE)
-            after[name][some] += np.einsum("nrk,nk->nr", jacobian[some], steps[poses[some]])
+    index = fit.unknowns.index
+    at = fit.robot, fit.configurations, data.readings, fit.whitening.batches
+    for batch, observed in observed_in(*at, index=index):
+        for name, chosen in batch.readings.items():
+            steps = pulls[pose_of_visit[data.readings[name].visits[chosen]]] @ root.T
+            after[name][chosen] += np.matmul(observed[name].by(index), steps[:, :, None])[:, :, 0]
     foretold = (decided <= _DECIDES)[pose_of_visit]
     whole = replace(fit.identification, after=after)
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None

@@ -38,10 +38,9 @@ from calib.instruments.kind import FrameInstrument, Instrument
 from calib.joint_terms.periodic import TURN
 from calib.judging.effect_kinds import Kind
 from calib.numerics.variance_components import SharedError
-from calib.robots import kinematics
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
-from calib.rows.observed import Observed
+from calib.rows.jacobian import relative_poses
 from calib.rows.rows import Scales
 from calib.rows.whitening import Whitening
 
@@ -61,7 +60,7 @@ class EffectSetting:
         robot: The calibrated robot.
         data: Its measurements.
         configurations: Its assembled visits.
-        observed: The measurements compared with the robot, with derivatives by the joints.
+        by_joint: Derivative of the readings by the joints, of each instrument, (n, n_rows, n_actuated) [SI].
         whitening: What whitened the rows.
         scales: What was assumed of the noise.
         weights: Of each reading, (n_readings,).
@@ -70,7 +69,7 @@ class EffectSetting:
     robot: Robot
     data: Measurements
     configurations: Configurations
-    observed: Mapping[str, Observed]
+    by_joint: Mapping[str, FloatArray]
     whitening: Whitening
     scales: Scales
     weights: FloatArray
@@ -91,7 +90,13 @@ class EffectSetting:
         layout, whole = self.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
         of_first = layout.group == self._first
         squares = (whole[of_first] * self.metre) ** 2
-        return float(np.sqrt(np.sum(squares) / len(np.unique(layout.reading[of_first]))))
+        return float(np.sqrt(np.sum(squares) / self._n_of_first))
+
+    @cached_property
+    def _n_of_first(self) -> int:
+        """Number of readings of `dimension`."""
+        layout = self.whitening.layout
+        return len(np.unique(layout.reading[layout.group == self._first]))
 
     def per_visit(self, values: FloatArray) -> FloatArray:
         """Return values of the visits, (n_visits, ...), for each row."""
@@ -203,7 +208,7 @@ def scale(setting: EffectSetting) -> FloatArray:
 
 def gains(setting: EffectSetting) -> FloatArray:
     """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
-    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
+    by_joint = setting.whitened(setting.by_joint)
     return by_joint * setting.per_visit(setting.data.joints - np.mean(setting.data.joints, axis=0))
 
 
@@ -234,7 +239,7 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
 
 def _of_joints(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
     robot, data = setting.robot, setting.data
-    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
+    by_joint = setting.whitened(setting.by_joint)
     in_course = setting.per_visit(_curves(setting.course))
     still = unmoved_joints(robot, data.joints)
     for j, name in enumerate(robot.joint_names):
@@ -314,15 +319,12 @@ def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
         name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
     }
     result: dict[str, dict[str, FloatArray]] = {}
-    joints = robot.mechanism.all_joints(setting.configurations.actuated, setting.configurations.passive)
     for name, readings in all_readings.items():
         instrument = robot.instrument(name)
         rows = _position_rows(instrument)
         if len(rows) != 3 or not isinstance(instrument, FrameInstrument):
             continue
-        pairs = robot.pairs(instrument)
-        swept = kinematics.sweep(robot.mechanism, joints, pairs)
-        poses = np.stack([kinematics.relative_pose(swept, pair) for pair in pairs])
+        poses = relative_poses(robot.mechanism, setting.configurations, robot.pairs(instrument))
         moved = result.setdefault(instrument.target, {other: zeros.copy() for other, zeros in none.items()})
         moved[name][:, rows] = -poses[readings.pairs, readings.visits, :3, :3]
     return result

@@ -34,7 +34,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,9 +43,10 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
 from calib.judging.repeatability import repeatability
-from calib.numerics.identifiability import RANK_TOLERANCE
+from calib.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.numerics.tall import Tall, in_parts
 from calib.robots.robot import Robot
-from calib.rows.observed import observe
+from calib.rows.batches import Batch, batches_of, observed_in
 from calib.rows.rows import Layout, Rows
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
@@ -196,46 +197,57 @@ def _along(
     """
     way = after.values - before.values
     steps = (members * way[unknowns.index]).T
-    places = _cause_of_places(unknowns, members)
-    removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
-    end, _ = _seen(after, errors, unknowns, layout, counted)
+    places, n_causes = _cause_of_places(unknowns, members), len(members)
+    removed = np.zeros((layout.n_rows, n_causes))
+    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        jacobian, residuals = _seen(robot, errors, unknowns, layout, counted)
-        placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
-        total = np.sum(moved, axis=1)
-        absorbed = placing @ (placing.T @ total)
-        moved -= placing @ (placing.T @ moved)
+        n_places = int(np.sum(unknowns.placement))
+        residuals, moved, by_places = _empty(layout.n_rows, 1, n_causes, n_places)
+        for batch, jacobian, there in _seen(robot, errors, unknowns, layout):
+            residuals[batch.rows, 0], moved[batch.rows] = there, jacobian @ steps
+            by_places[batch.rows] = jacobian[:, unknowns.placement]
+        by_places, moved = _counted(by_places, counted), _counted(moved, counted)
+        root, total = _root_of_span(by_places), np.sum(moved, axis=1)
+        absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
+        moved -= by_places @ (root @ (root.T @ (by_places.T @ moved)))
         moved[:, places] += absorbed
-        direct = members * (end.T @ (total - absorbed))
-        direct[places] += end.T @ absorbed
-        removed -= weight * residuals[:, None] * moved
-        gradient += weight / 2.0 * (direct + (end.T @ moved).T)
-    of_reading = layout.reading[counted]
-    chosen, number = np.unique(of_reading, return_inverse=True)
-    squares, sums = np.zeros(len(chosen)), np.zeros((len(chosen), len(members)))
-    np.add.at(squares, number, _flat(errors.before, layout)[counted] ** 2)
-    np.add.at(sums, number, removed)
-    return _Path(squares, sums, gradient, layout.pose[chosen])
+        removed[counted] -= weight * residuals[counted] * moved
+        pulling[counted] += weight / 2.0 * np.column_stack([total - absorbed, absorbed, moved])
+    pulled = np.zeros((len(unknowns), pulling.shape[1]))
+    for batch, jacobian, _ in _seen(after, errors, unknowns, layout):
+        own = counted[batch.rows]
+        pulled += _counted(jacobian, own).T @ _counted(pulling[batch.rows], own)
+    gradient = members * pulled[:, 0] + pulled[:, 2:].T
+    gradient[places] += pulled[:, 1]
+    chosen = np.unique(layout.reading[counted])
+    squares = np.where(counted, _flat(errors.before, layout), 0.0) ** 2
+    columns = (np.bincount(layout.reading, column) for column in (squares, *removed.T))
+    sums: FloatArray = np.stack([column[chosen] for column in columns], axis=1).astype(float)
+    return _Path(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
+
+
+def _empty(n_rows: int, *widths: int) -> list[FloatArray]:
+    """Arrays to fill, (n_rows, width) each."""
+    return [np.empty((n_rows, width)) for width in widths]
 
 
 def _seen(
-    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout, counted: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Derivative (n_counted, n_free) and residuals (n_counted,) of the rows that count, under a robot on the way."""
+    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout
+) -> Iterator[tuple[Batch, FloatArray, FloatArray]]:
+    """Yield batches of rows with their derivative (n, n_free) and residuals (n,), under a robot on the way."""
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
-    observed = observe(robot, configurations, data.readings)
-    jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
-    residuals = _flat({name: block.residuals for name, block in observed.items()}, layout)
-    return _counted(jacobian, counted), residuals[counted]
+    for batch, observed in observed_in(robot, configurations, data.readings, batches_of(layout), index=unknowns.index):
+        jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
+        yield batch, jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
-    jacobian = _counted(rows.jacobian, counted)
+    jacobian = _reduced(rows.jacobian, counted)  # of rows alone that count: sums over them stay as they are
     pulled = (jacobian @ rows.known.root) @ rows.known.root.T
-    placing = _span(jacobian[:, unknowns.placement])
+    placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian
     leverage: FloatArray = members @ np.sum((jacobian - placing @ absorbed) * pulled, axis=0)
     leverage[_cause_of_places(unknowns, members)] += float(np.sum(absorbed * (placing.T @ pulled)))
@@ -247,12 +259,16 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
     return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
 
 
-def _span(columns: FloatArray) -> FloatArray:
-    """Return orthonormal directions of what columns (n, k) span, (n, rank); columns of rounding alone count as zero."""
-    length = np.linalg.norm(columns, axis=0)
+def _root_of_span(columns: FloatArray) -> FloatArray:
+    """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
+    factor = reduced(columns)
+    length = np.linalg.norm(factor, axis=0)
     nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
-    u, s, _ = np.linalg.svd(columns[:, nonzero] / length[nonzero], full_matrices=False)
-    return u[:, s > RANK_TOLERANCE * np.max(s, initial=0.0)]
+    _, s, right = np.linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
+    kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
+    root = np.zeros((columns.shape[1], int(np.sum(kept))))
+    root[nonzero] = (right[kept] / s[kept, None]).T / length[nonzero, None]
+    return root
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
@@ -264,6 +280,12 @@ def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
 def _counted(jacobian: FloatArray, counted: BoolArray) -> FloatArray:
     """The rows that count; without a copy where all do, as it is large for many poses."""
     return jacobian if np.all(counted) else jacobian[counted]
+
+
+def _reduced(rows: FloatArray, counted: BoolArray) -> FloatArray:
+    """Return the triangular factor of the rows that count."""
+    parts = ((part, _counted(rows[part], counted[part])) for part in in_parts(len(rows)))
+    return Tall((len(rows), rows.shape[1]), lambda: parts).factor()
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:

@@ -23,7 +23,7 @@ from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.residual_patterns import LinearFit, Pattern
 from calib.numerics import losses
 from calib.numerics.losses import Studentised
-from calib.rows.observed import observe
+from calib.numerics.tall import Span
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
 
@@ -91,8 +91,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
 def setting(fit: Fit) -> EffectSetting:
     """Return what effects that the model may leave out are made of."""
     data = fit.identification.data
-    observed = observe(fit.robot, fit.configurations, data.readings, joints=True)
-    return EffectSetting(fit.robot, data, fit.configurations, observed, fit.whitening, fit.scales, fit.weights)
+    return EffectSetting(fit.robot, data, fit.configurations, fit.by_joint, fit.whitening, fit.scales, fit.weights)
 
 
 @remembered
@@ -103,7 +102,7 @@ def linear(fit: Fit) -> LinearFit:
     rows = fit.rows.weighted(fit.weights)
     shared = fit.statistics.shared
     pose_freedom = np.inf if shared is None else shared.freedom
-    return LinearFit(rows, rows.jacobian @ fit.root, fit.statistics.freedom, factor, pose_freedom)
+    return LinearFit(rows, Span(rows.jacobian, fit.root), fit.statistics.freedom, factor, pose_freedom)
 
 
 @remembered

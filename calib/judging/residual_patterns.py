@@ -22,8 +22,8 @@ file, which must be the order of measurement.
 
 Waves. A test needs Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r only. The waves of a joint have columns
 h_i sin(k q_i), h_i cos(k q_i) that differ by a factor of each visit, so the sums over the rows of a visit are made once
-and serve all orders; the powers exp(i k q) follow from one another. Time and memory grow with the rows, and no order
-has columns of its own.
+and serve all orders; the powers exp(i k q) follow from one another. Time grows with the rows, and no order has columns
+of its own.
 
 When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
 named. F supposes normal noise.
@@ -39,21 +39,23 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 from calib.base.words import joints_named
 from calib.judging.effect_kinds import Family, Kind, Trait
 from calib.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.numerics.clusters import foretold
+from calib.numerics.tall import Span
 from calib.rows.rows import Rows
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
 PARTS_PER_MILLION = 1e6
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
-_VISITS_AT_ONCE = 2048
+_VISITS_AT_ONCE = 512  # their powers stay in the processor's cache
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
 
@@ -89,7 +91,7 @@ class LinearFit:
 
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
-        pulled: J T, whose span it has absorbed, (n_rows, rank), with T of `calib.numerics.observability`.
+        span: J T, which it has absorbed, (n_rows, rank), with T of `calib.numerics.observability`.
         freedom: Degrees of freedom.
         factor: Found over assumed noise.
         pose_freedom: Degrees of freedom of the scatter of poses, where they scatter by more than independent readings
@@ -97,14 +99,14 @@ class LinearFit:
     """
 
     rows: Rows
-    pulled: FloatArray
+    span: Span
     freedom: float
     factor: float
     pose_freedom: float = np.inf
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
-        return effect - self.pulled @ (self.pulled.T @ effect)
+        return effect - self.span.times(self.span.pulled(effect))
 
     def beside(self, effects: FloatArray) -> LinearFit:
         """Return the fit as it would be if effects Z (n_rows, k) were parameters too, as far as they can be seen."""
@@ -119,7 +121,7 @@ class LinearFit:
         return replace(
             self,
             rows=replace(self.rows, residuals=residuals),
-            pulled=np.hstack([self.pulled, absorbed]),
+            span=self.span.beside(absorbed),
             freedom=self.freedom - fewer,
             pose_freedom=self.pose_freedom - fewer,
         )
@@ -184,9 +186,9 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     result = []
     for effect in _columns_of(setting, kept):
         test, times = kept[effect.kind, effect.name, effect.detail]
-        columns = effect.columns - residuals.pulled @ test.effect.absorbed  # as `after_fit`, in half the time
-        explained = columns @ test.coefficients
-        p = min(1.0, _chance(residuals, test, columns, explained, FALSE_ALARM / times) * times)
+        absorbed = residuals.span.times(test.effect.absorbed @ test.coefficients)
+        explained = effect.columns @ test.coefficients - absorbed  # of `after_fit`, in less time
+        p = min(1.0, _chance(residuals, test, effect.columns, explained, FALSE_ALARM / times) * times)
         size = setting.size(explained)
         significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
         amount = (
@@ -246,34 +248,54 @@ def _moments(residuals: LinearFit, effect: Effect | JointWaves) -> Iterator[_Mom
     else:
         z = effect.columns
         score = z.T @ residuals.rows.residuals
-        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.pulled.T @ z, score)
+        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.span.pulled(z), score)
 
 
 def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Moments]:
     """Yield the moments of all waves of a joint; see the module docstring."""
-    n_visits, n_orders, rank = len(waves.phase), len(ORDERS), residuals.pulled.shape[1]
     if not waves.orders:
         return
-
-    def by_visit(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(waves.visit, weights=values, minlength=n_visits), dtype=float)
-
-    weights = by_visit(waves.column**2)
-    others = [*residuals.pulled.T, residuals.rows.residuals]
-    sums = np.stack([by_visit(waves.column * other) for other in others])
-    squares, products = np.zeros((3, n_orders)), np.zeros((len(others), 2 * n_orders))
-    for first in range(0, n_visits, _VISITS_AT_ONCE):
-        block = slice(first, first + _VISITS_AT_ONCE)
-        turned = np.exp(1j * waves.phase[block, None])
-        powers = np.cumprod(np.broadcast_to(turned, (len(turned), n_orders)), axis=1)  # orders count from 1
+    span, n_orders, rank = residuals.span, len(ORDERS), residuals.span.shape[1]
+    others = [span.jacobian, residuals.rows.residuals[:, None], *([] if span.more is None else [span.more])]
+    n = span.root.shape[0]
+    squares, products = np.zeros((3, n_orders)), np.zeros((n + 1 + rank - span.root.shape[1], 2 * n_orders))
+    for rows, firsts, visits in _visits_together(waves.visit):
+        column = waves.column[rows, None]
+        sums = np.add.reduceat(np.hstack([column * other[rows] for other in others]), firsts)
+        weights = np.add.reduceat(column[:, 0] ** 2, firsts)
+        powers = _powers(np.exp(1j * waves.phase[visits]), n_orders)
         cosine, sine = powers.real, powers.imag
-        squares += [weights[block] @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
-        products += sums[:, block] @ powers.view(float)
+        squares += [weights @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
+        products += sums.T @ powers.view(float)
+    products = np.vstack([span.root.T @ products[:n], products[n + 1 :], products[n : n + 1]])
     for order in waves.orders:
         k = order - ORDERS.start
         normal = squares[[[0, 1], [1, 2]], k]
         own = products[:, 2 * k : 2 * k + 2]
         yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, own[:rank], own[rank])
+
+
+def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray, IntArray]]:
+    """Yield rows of some visits, those of a visit together; where each of these begins among them, and the visits."""
+    order: IntArray | None = None if np.all(visit[1:] >= visit[:-1]) else np.argsort(visit, kind="stable")
+    arranged = visit if order is None else visit[order]
+    firsts = np.flatnonzero(np.append(True, arranged[1:] != arranged[:-1]))
+    for k in range(0, len(firsts), _VISITS_AT_ONCE):
+        some = firsts[k : k + _VISITS_AT_ONCE]
+        last = firsts[k + _VISITS_AT_ONCE] if k + _VISITS_AT_ONCE < len(firsts) else len(visit)
+        rows = slice(int(some[0]), int(last))
+        yield rows if order is None else order[rows], some - some[0], arranged[some]
+
+
+def _powers(turned: FloatArray, count: int) -> NDArray[np.complex128]:
+    """Return z, z^2, ... of complex numbers z (n,), (n, count)."""
+    powers = np.empty((len(turned), count), dtype=complex)
+    powers[:, 0], known = turned, 1
+    while known < count:
+        more = min(known, count - known)
+        np.multiply(powers[:, :more], powers[:, known - 1 : known], out=powers[:, known : known + more])
+        known += more
+    return powers
 
 
 def _tests(residuals: LinearFit, effects: list[_Moments]) -> list[_Tested]:
@@ -320,13 +342,13 @@ def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explaine
     Args:
         residuals: The fit.
         tested: The effect.
-        columns: M Z, (n_rows, k).
+        columns: Z, (n_rows, k).
         explained: M Z c, (n_rows,).
         limit: Chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
-    basis = scipy.linalg.orth(columns, rcond=np.sqrt(_ABSORBED))
+    basis = scipy.linalg.orth(columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
     pose = np.unique(residuals.rows.layout.pose_of_row, return_inverse=True)[1]
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
@@ -340,7 +362,7 @@ def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explaine
     result = chance(left)
     if result >= limit:
         return result
-    return chance(foretold(np.hstack([residuals.pulled, basis]), left, pose))
+    return chance(foretold(residuals.span.beside(basis), left, pose))
 
 
 @dataclass(frozen=True)

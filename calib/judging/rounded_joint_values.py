@@ -28,6 +28,7 @@ from calib.base.units import DISPLAY_UNIT, PER_SI, Dimension, display_scale
 from calib.base.words import listed
 from calib.fitting.fitted import Fit
 from calib.judging import findings
+from calib.numerics.clusters import of_equal_length
 from calib.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
@@ -98,20 +99,20 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
-    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()}) * scatter
+    by_joint = setting.whitened(setting.by_joint) * scatter
     visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
-    pulled = linear.pulled
     mean = square = statistic = 0.0
-    through = np.zeros((pulled.shape[1], pulled.shape[1]))
+    through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
     twice = 0.0
-    for rows in np.split(np.argsort(visit, kind="stable"), np.cumsum(np.bincount(visit))[:-1]):
-        a, p = by_joint[rows], pulled[rows]
-        ap, aa = a.T @ p, a.T @ a
-        statistic += float(np.sum((a.T @ linear.rows.residuals[rows]) ** 2))
-        mean += float(np.trace(aa))
+    for rows in of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
+        across = by_joint[rows].transpose(0, 2, 1)
+        ap, aa = np.matmul(across, linear.span[rows]), np.matmul(across, across.transpose(0, 2, 1))
+        statistic += float(np.sum(np.matmul(across, linear.rows.residuals[rows][:, :, None]) ** 2))
+        mean += float(np.einsum("njj->", aa))
         square += float(np.sum(aa**2))
-        twice += float(np.sum((ap @ ap.T) * aa))  # tr(P^T Q Q P)
-        through += ap.T @ ap  # P^T Q P
+        twice += float(np.sum(np.matmul(ap, ap.transpose(0, 2, 1)) * aa))  # tr(P^T Q Q P)
+        flat = ap.reshape(-1, ap.shape[2])
+        through += flat.T @ flat  # P^T Q P
     mean -= float(np.trace(through))
     square += -2.0 * twice + float(np.sum(through**2))
     if mean <= 0 or square <= 0:

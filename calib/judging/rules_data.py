@@ -156,8 +156,8 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     used, other = fit.identification.data, fit.validation.data
     label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
     same_pose = np.isin(label[len(used) :], label[: len(used)])
-    known = {key for keys in _reading_keys(used) for key in keys}
-    same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
+    known = {key for keys in _reading_keys(used, np.arange(len(used))) for key in keys}
+    same_reading = [bool(keys & known) for keys in _reading_keys(other, np.flatnonzero(same_pose))]
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
         overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Code.USED_FOR_BOTH.says(
@@ -195,11 +195,13 @@ def copied(fit: Fit) -> Iterator[Reason]:
     data = fit.identification.data
     if fit.computed:
         return
-    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in zip(data.joints, _reading_keys(data), strict=True)]
+    repeated = _same_joints(data.joints)
+    read = zip(data.joints[repeated], _reading_keys(data, repeated), strict=True)
+    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in read]
     copies = len(rows) - len(set(rows))
-    if copies > COPIED * len(rows):
+    if copies > COPIED * len(data):
         yield Code.COPIED.says(
-            f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit, so intervals are too"
+            f"{copies} of {counted(len(data), 'reading')} are copies of others to the last digit, so intervals are too"
             " narrow. Leave the copies out"
         )
 
@@ -214,12 +216,25 @@ def _conditions(used: Measurements, other: Measurements) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _reading_keys(data: Measurements) -> list[set[bytes]]:
-    """What was read at each visit, to the last digit."""
-    keys: list[set[bytes]] = [set() for _ in range(len(data))]
+def _same_joints(joints: FloatArray) -> IntArray:
+    """Visits whose joint values (n_visits, n_actuated) may be those of another one, (n,)."""
+    left = np.arange(len(joints))
+    for column in joints.T:
+        _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
+        left = left[count[number] > 1]
+    return left
+
+
+def _reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:
+    """What was read at some visits (n,), to the last digit."""
+    place = np.full(len(data), -1)
+    place[visits] = np.arange(len(visits))
+    keys: list[set[bytes]] = [set() for _ in range(len(visits))]
     for name, readings in data.readings.items():
-        for visit, values, details in zip(readings.visits, readings.values, readings.details, strict=True):
-            keys[visit].add(name.encode() + values.tobytes() + details.tobytes())
+        of_these = place[readings.visits] >= 0
+        parts = (readings.visits, readings.values, readings.details)
+        for visit, values, details in zip(*(part[of_these] for part in parts), strict=True):
+            keys[place[visit]].add(name.encode() + values.tobytes() + details.tobytes())
     return keys
 
 

@@ -110,9 +110,9 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
     """
     if fit.computed:
         return
-    before, rows = fit.whitened(fit.identification)
-    layout, believed = rows.layout, fit.weights > BELIEVED
-    squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in (before, rows.residuals)]
+    layout, believed = fit.rows.layout, fit.weights > BELIEVED
+    whitened = fit.whitened_errors(fit.identification)
+    squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in whitened]
     sums = [float(np.sum(by_reading[believed])) for by_reading in squares]
     if sums[1] > HARM**2 * sums[0]:
         yield Code.RESIDUALS_GREW.says(
@@ -250,8 +250,7 @@ def _chance_of_gain(fit: Fit) -> float:
     """
     layout = fit.rows.layout
     root = np.sqrt(fit.weights)[layout.reading]
-    whitened, rows = fit.whitened(fit.identification)
-    before, after = ((root * residuals) ** 2 for residuals in (whitened, rows.residuals))
+    before, after = ((root * residuals) ** 2 for residuals in fit.whitened_errors(fit.identification))
     k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
     if k < 0.5 or np.sum(after) <= 0:
         return 0.0

@@ -14,7 +14,7 @@ from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.effects import gains, scale
 from calib.judging.reasons import Code, Reason
-from calib.numerics.identifiability import reduced
+from calib.numerics.tall import Tall, in_parts
 
 PLAUSIBLE = 4.0
 """Expected errors (sigmas) that a parameter may be away from nominal."""
@@ -86,8 +86,9 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         return
     turned = gains(setting)
     linear, k = findings.linear(fit), 1 + turned.shape[1]
-    columns = [lengths, turned, linear.rows.jacobian, linear.rows.residuals[:, None]]
-    measured = reduced(np.hstack(columns)) / linear.factor  # once: any of these columns have the same products
+    columns, n_rows = [lengths, turned, linear.rows.jacobian, linear.rows.residuals[:, None]], len(lengths)
+    together = Tall((n_rows, k + len(fit.unknowns) + 1), lambda: _beside(columns))
+    measured = together.factor() / linear.factor  # once: any of these columns have the same products
     scaled, part = _cost_with(fit, measured[:, :1], measured[:, k:], is_scale=True)
     if abs(part) <= SCALED:
         return
@@ -99,6 +100,11 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
             f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
             " of the measurements, the scale of the instrument and the size of the artefact"
         )
+
+
+def _beside(columns: list[FloatArray]) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield columns (n_rows, k) each beside one another, some rows at a time."""
+    return ((part, np.hstack([own[part] for own in columns])) for part in in_parts(len(columns[0])))
 
 
 def _scaled(part: float) -> str:

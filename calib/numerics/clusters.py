@@ -38,6 +38,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.tall import Span
 
 _OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
 _ROWS_AT_ONCE = 30_000
@@ -72,7 +73,9 @@ class Scatter(ReadOnlyArrays):
         return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
 
 
-def scatter(span: FloatArray, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float) -> Scatter:
+def scatter(
+    span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
+) -> Scatter:
     """Return how the rows of blocks scatter together.
 
     Args:
@@ -85,7 +88,7 @@ def scatter(span: FloatArray, residuals: FloatArray, noise: FloatArray, block: I
     k = span.shape[1]
     core, leverage, moved, mean, squares = np.zeros((k, k)), np.zeros((k, k)), 0.0, 0.0, 0.0
     decided_parts, fourth = 0.0, 0.0
-    for rows in _of_equal_length(block):
+    for rows in of_equal_length(block):
         values, errors, directions = _directions(span[rows], residuals[rows])
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
@@ -111,8 +114,12 @@ def scatter(span: FloatArray, residuals: FloatArray, noise: FloatArray, block: I
     return Scatter(core, float(np.sqrt(square)), chance, behind, total_freedom)
 
 
-def _of_equal_length(block: IntArray) -> Iterator[IntArray]:
-    """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each)."""
+def of_equal_length(block: IntArray) -> Iterator[IntArray]:
+    """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each).
+
+    Args:
+        block: Block of each row, (n_rows,); -1 for rows that belong to none.
+    """
     order = np.argsort(block, kind="stable")
     order = order[block[order] >= 0]
     _, first, counts = np.unique(block[order], return_index=True, return_counts=True)
@@ -144,7 +151,7 @@ def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Fl
 
 
 def pulls_without(
-    span: FloatArray, residuals: FloatArray, block: IntArray, n_blocks: int
+    span: FloatArray | Span, residuals: FloatArray, block: IntArray, n_blocks: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return c_b = U_b^T (1 - H_b)^-1 r_b of each block, (n_blocks, k), and the largest w of it, (n_blocks,).
 
@@ -158,7 +165,7 @@ def pulls_without(
         n_blocks: Number of blocks, some of which may have no rows.
     """
     pulls, largest = np.zeros((n_blocks, span.shape[1])), np.zeros(n_blocks)
-    for rows in _of_equal_length(block):
+    for rows in of_equal_length(block):
         values, errors, directions = _directions(span[rows], residuals[rows])
         numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
@@ -167,7 +174,7 @@ def pulls_without(
     return pulls, largest
 
 
-def foretold(span: FloatArray, residuals: FloatArray, block: IntArray) -> FloatArray:
+def foretold(span: FloatArray | Span, residuals: FloatArray, block: IntArray) -> FloatArray:
     """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
 
     Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
@@ -178,7 +185,7 @@ def foretold(span: FloatArray, residuals: FloatArray, block: IntArray) -> FloatA
         block: Block of each row, (n_rows,).
     """
     result = residuals.copy()
-    for rows in _of_equal_length(block):
+    for rows in of_equal_length(block):
         own, errors = span[rows], residuals[rows][:, :, None]
         across = own.transpose(0, 2, 1)
         if own.shape[1] <= own.shape[2]:

@@ -106,13 +106,27 @@ def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
         rows: (n_rows, n_columns).
         right: One more column, (n_rows,).
     """
-    factor = np.zeros((0, rows.shape[1] + (right is not None)))
+    return reduced_with(np.zeros((0, rows.shape[1] + (right is not None))), rows, right)
+
+
+def reduced_with(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
+    """Return what `reduced` gives of rows below others.
+
+    Args:
+        factor: What it gave of the others, (n, n_columns), with `right` (n, n_columns + 1).
+        rows: Further rows, (n_rows, n_columns).
+        right: One more column of these, (n_rows,).
+    """
     for start in range(0, len(rows), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        more = rows[part] if right is None else np.column_stack([rows[part], right[part]])
-        more = np.vstack([factor, more]) if start else more
+        above = len(factor)
+        more = np.empty((above + len(rows[part]), factor.shape[1]), order="F")  # as LAPACK has it: not copied again
+        more[:above], more[above:, : rows.shape[1]] = factor, rows[part]
+        if right is not None:
+            more[above:, -1] = right[part]
         n = min(more.shape)
-        factor = np.triu(scipy.linalg.lapack.dgeqrt(min(n, _BLOCK), more)[0][:n]) if n else more[:n]
+        block = min(n, _BLOCK)
+        factor = np.triu(scipy.linalg.lapack.dgeqrt(block, more, overwrite_a=1)[0][:n]) if n else more[:n]
     return factor
 
 

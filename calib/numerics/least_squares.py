@@ -88,6 +88,7 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError
 from calib.numerics.linear_point import ON_RADIUS, LinearPoint
+from calib.numerics.tall import Tall
 
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
@@ -116,7 +117,7 @@ class Solution:
     Attributes:
         x: The unknowns, (n,).
         residuals: r(x), (m,).
-        jacobian: J(x), (m, n).
+        jacobian: J(x) as it was given, (m, n).
         cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
         evaluations: How many points were evaluated.
@@ -125,7 +126,7 @@ class Solution:
 
     x: FloatArray
     residuals: FloatArray
-    jacobian: FloatArray
+    jacobian: FloatArray | Tall
     cost: float
     converged: bool
     evaluations: int
@@ -134,7 +135,7 @@ class Solution:
 
 def minimise(
     residuals: Callable[[FloatArray], FloatArray],
-    jacobian: Callable[[FloatArray], FloatArray],
+    jacobian: Callable[[FloatArray], FloatArray | Tall],
     start: FloatArray,
     *,
     scaling: Literal["unit", "jacobian"] = "unit",
@@ -145,7 +146,8 @@ def minimise(
 
     Args:
         residuals: x (n,) -> r (m,); NaN where r has no value.
-        jacobian: x (n,) -> dr/dx (m, n); asked for only where r was finite, and where the iteration goes back to.
+        jacobian: x (n,) -> dr/dx (m, n), as an array or in parts; asked for only where r was finite, and where the
+            iteration goes back to.
         start: Where to begin, (n,).
         scaling: D of the module docstring.
         tolerance: Promised decrease, relative to the cost, that ends the iteration.
@@ -173,7 +175,7 @@ def minimise(
         message = path.ended()
     evaluations += path.go_back(jacobian)
     best = path.current
-    return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
+    return Solution(best.x, best.residuals, best.given, best.cost, bool(message), evaluations, message or _LIMIT)
 
 
 def _cost(values: FloatArray) -> float:
@@ -259,7 +261,7 @@ class _Path:
         last = self.current.x - before.x
         along = float(last @ self._step) / float(last @ last)
         way = along * (self._step - 0.5 * along * last)
-        return np.asarray(self.current.jacobian @ way - before.jacobian @ way)
+        return self.current.jacobian.times(way) - before.jacobian.times(way)
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
         """Return what takes a bend away, (n,)."""
@@ -272,10 +274,10 @@ class _Path:
             return None
         if not np.isfinite(reached) or self.current.cost - reached >= _GOOD * promised:
             return None
-        back = self._back(values - self.current.residuals - self.current.jacobian @ self._taken)
+        back = self._back(values - self.current.residuals - self.current.jacobian.times(self._taken))
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
-    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> int:
+    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | Tall]) -> int:
         """Take the step to x (n,) with these residuals (m,), or stay; return how many further evaluations that took."""
         reached, length = _cost(values), min(self._length(self._step), self._radius)
         self._undone = not reached < self.lowest.cost
@@ -299,7 +301,7 @@ class _Path:
         self._rescale(trial)
         return 0
 
-    def go_back(self, jacobian: Callable[[FloatArray], FloatArray]) -> int:
+    def go_back(self, jacobian: Callable[[FloatArray], FloatArray | Tall]) -> int:
         """Go back to the bottom of the valley for good, if the path is away; return how many evaluations that takes."""
         if self._left is None:
             return 0
@@ -313,7 +315,8 @@ class _Path:
             return self._radius
         length = self._length(self._step)
         if self._cautious and length >= (1.0 - ON_RADIUS) * self._radius:
-            left = float(np.linalg.norm(trial.residuals - self.current.residuals - self.current.jacobian @ self._step))
+            linear = self.current.residuals + self.current.jacobian.times(self._step)
+            left = float(np.linalg.norm(trial.residuals - linear))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf
         if part < _POOR:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray
-from calib.numerics.identifiability import reduced
+from calib.numerics.tall import Tall
 
 ON_RADIUS = 0.1
 """Relative length within which a step counts as being on the ball that holds it."""
@@ -31,11 +31,11 @@ class LinearPoint:
         jacobian: J(x), (m, n).
     """
 
-    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray) -> None:
-        self.x, self.residuals, self.jacobian = x, residuals, jacobian
+    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | Tall) -> None:
+        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, Tall.of(jacobian)
         self.cost = float(residuals @ residuals)
         n = len(x)
-        factor = reduced(jacobian, residuals)
+        factor = self.jacobian.factor(residuals)
         self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
         self.unseen = float(np.sum(factor[n:, n] ** 2))  # what no step takes away, to first order
 
@@ -62,8 +62,8 @@ class LinearPoint:
         if not past or not self.sees_all:
             return None
         points = [*past, self]
-        left = self.residuals + self.jacobian @ self.newton
-        pulls = np.stack([point.jacobian.T @ left for point in points], axis=1)
+        left = self.residuals + self.jacobian.times(self.newton)
+        pulls = np.stack([point.jacobian.pulled(left) for point in points], axis=1)
         steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
         images = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)[:, ::-1]
         length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
@@ -97,7 +97,7 @@ class LinearPoint:
         """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
         if not self.sees_all:
             return None
-        right = scipy.linalg.solve_triangular(self.triangle, self.jacobian.T @ bend, trans=1)
+        right = scipy.linalg.solve_triangular(self.triangle, self.jacobian.pulled(bend), trans=1)
         step = -scipy.linalg.solve_triangular(self.triangle, right)
         if np.linalg.norm(scale * step) <= limit:
             return np.asarray(step)

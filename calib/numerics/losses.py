@@ -65,6 +65,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.statistics import Factors
+from calib.numerics.tall import ROWS_AT_ONCE, in_parts
 from calib.numerics.variance_components import require_freedom
 
 Loss = Literal["none", "huber", "cauchy", "tukey"]
@@ -266,6 +267,16 @@ class Blocks:
     weights: FloatArray
 
 
+def _leverage(columns: FloatArray, root: FloatArray) -> FloatArray:
+    """Return h of each reading, (n, k, k), from its columns (n, k, n_free) and T (n_free, rank)."""
+    n, width, n_free = columns.shape
+    leverage = np.empty((n, width, width))
+    for part in in_parts(n, max(ROWS_AT_ONCE // width, 1)):
+        pulled = (columns[part].reshape(-1, n_free) @ root).reshape(-1, width, root.shape[1])  # T is read once
+        leverage[part] = pulled @ pulled.transpose(0, 2, 1)
+    return leverage
+
+
 def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: float | None = None) -> Studentised:
     """Judge every reading.
 
@@ -277,9 +288,7 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     """
     sizes, leverages, largest = [], [], []
     for block in blocks:
-        n, width, n_free = block.columns.shape
-        pulled = (block.columns.reshape(-1, n_free) @ root).reshape(n, width, -1)  # one product: T is read once
-        leverage = pulled @ pulled.transpose(0, 2, 1)
+        leverage = _leverage(block.columns, root)
         values, vectors = np.linalg.eigh(
             np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
         )

@@ -27,7 +27,7 @@ Reference: kass1989; patterson1971; mackay1992; chung2013.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -131,6 +131,7 @@ class FamilyModel:
     def of(model: LinearModel) -> FamilyModel:
         """Return that of rows."""
         products = Products.of(model.jacobian, model.residuals, model.group, len(model.unstated))
+        products = replace(products, count=model.n_rows)
         return FamilyModel(products, model.prior, model.deviations, model.unstated, model.family, model.n_families)
 
     def freedom(self, solved: SizedModel) -> float:

@@ -51,6 +51,7 @@ from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
 from calib.numerics.prior import Prior
+from calib.numerics.tall import Span, in_parts, squares_of_rows
 from calib.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
@@ -229,7 +230,7 @@ def effective_parameters(known: Information, prior: Prior) -> float:
 
 def found_factors(
     residuals: FloatArray,
-    span: FloatArray,
+    span: FloatArray | Span,
     groups: IntArray,
     n_groups: int,
     confirmed: FloatArray | None = None,
@@ -248,7 +249,7 @@ def found_factors(
         NotIdentifiableError: No degrees of freedom are left.
     """
     read = groups >= 0
-    pulled = np.einsum("ij,ij->i", span, span)
+    pulled = squares_of_rows(span)
     squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups).astype(float)
     freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
     if confirmed is not None:
@@ -261,7 +262,7 @@ def found_factors(
 
 
 def statistics(
-    span: FloatArray,
+    span: FloatArray | Span,
     groups: IntArray,
     known: Information,
     factors: Factors,
@@ -290,9 +291,12 @@ def statistics(
     shared = _beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    for group, factor in enumerate(factors.effective if shared is None else ()):
-        pulled = span[groups == group]
-        core += (factors.slope * factor) ** 2 * (pulled.T @ pulled)
+    if shared is None:
+        for part in in_parts(len(span)):
+            pulled, number = span[part], groups[part]
+            for group, factor in enumerate(factors.effective):
+                own = pulled[number == group]
+                core += (factors.slope * factor) ** 2 * (own.T @ own)
     scaled_covariance = root @ core @ root.T
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes

@@ -151,6 +151,7 @@ class LinearModel:
         unstated: Which groups' scales are to be found, (n_groups,).
         family: Family of each parameter, -1 for none, (n_free,); empty where there are none.
         n_families: Number of families.
+        counts: Number of rows of each group, (n_groups,), where the rows here are their triangular factors.
     """
 
     residuals: FloatArray
@@ -161,6 +162,13 @@ class LinearModel:
     unstated: BoolArray
     family: IntArray
     n_families: int = 0
+    counts: IntArray | None = None
+
+    @property
+    def n_rows(self) -> IntArray:
+        """Number of rows of each group, (n_groups,)."""
+        counted = np.bincount(self.group[self.group >= 0], minlength=len(self.unstated))
+        return counted if self.counts is None else self.counts
 
 
 def found_scales(model: LinearModel, start: FloatArray) -> Components:
@@ -175,8 +183,7 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    members = [model.group == g for g in range(len(start))]
-    counts = np.array([int(np.sum(rows)) for rows in members])
+    members, counts = [model.group == g for g in range(len(start))], model.n_rows
     parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
     factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
     scales = start.copy()

@@ -27,8 +27,9 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.files import write_folder
 from calib.base.units import ERROR_UNIT, error_scale
 from calib.data.measurement_columns import header, joint_columns, shown
+from calib.data.on_demand import picked
 from calib.data.parameter_files import format_parameters
-from calib.data.tables import format_table
+from calib.data.tables import format_table, table_bytes
 from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
@@ -94,7 +95,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
         "parameters.csv": _parameter_table(fit, remark).encode(),
         "covariance.csv": _covariance_table(fit).encode(),
-        "residuals.csv": _residual_table(fit).encode(),
+        "residuals.csv": _residual_table(fit),
         **nominal,
     }
     if fit.undecided is not None:
@@ -146,7 +147,7 @@ def _said_inside(verdict: Verdict, how: str) -> list[str]:
     return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
 
 
-def _residual_table(fit: Fit) -> str:
+def _residual_table(fit: Fit) -> bytes:
     """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
 
     A cell is empty where there is no number: of readings that were not fitted, of robots without loops. Readings that
@@ -160,6 +161,8 @@ def _residual_table(fit: Fit) -> str:
         by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
         blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
     blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
+    if len(blocks) == 1 and np.array_equal(blocks[0][0], np.arange(count)):
+        return table_bytes(list(blocks[0][1].items()))
     columns: dict[str, NDArray[Any]] = {}
     for places, block in blocks:
         for head, values in block.items():
@@ -169,7 +172,7 @@ def _residual_table(fit: Fit) -> str:
             else:
                 column = columns.setdefault(head, np.full(count, "", dtype=object))
                 column[places] = np.fromiter(values, dtype=object, count=len(places))
-    return format_table(list(columns.items()))
+    return table_bytes(list(columns.items()))
 
 
 def _residual_columns(
@@ -187,7 +190,7 @@ def _residual_columns(
     visits, n = layout.visit[of_instrument], len(readings)
     columns: dict[str, Sequence[object] | FloatArray] = {
         "set": [label] * n,
-        "pose": [error_set.data.names[visit] for visit in visits],
+        "pose": picked(error_set.data.names, visits),
         "target": [name] * n,
     }
     setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))

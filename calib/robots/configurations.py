@@ -36,6 +36,11 @@ class Configurations(ReadOnlyArrays):
     slope: FloatArray
     term_columns: tuple[FloatArray, ...] = ()
 
+    def at(self, part: slice) -> Configurations:
+        """Return some of them."""
+        phi = tuple(columns[part] for columns in self.term_columns)
+        return Configurations(self.actuated[part], self.passive[part], self.slope[part], phi)
+
 
 def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
     """Check actuated joint values and return them as (n, n_actuated).

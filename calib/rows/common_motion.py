@@ -29,10 +29,10 @@ import pinocchio as pin
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.numerics.rigid import cross_matrices
-from calib.robots import kinematics
 from calib.robots.configurations import Configurations
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
+from calib.rows.jacobian import relative_poses
 
 _HARDLY_MOVES = 0.03  # positions, of a motion of 1 [m per m]
 _ROUNDS = 50
@@ -221,9 +221,7 @@ class CommonMotion(ReadOnlyArrays):
 def target_poses(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:
     """Return positions (n, n_targets, 3) [m] and rotations (n, n_targets, 3, 3) of the targets."""
     mechanism = robot.mechanism
-    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    swept = kinematics.sweep(mechanism, joints, mechanism.targets)
-    poses = np.stack([kinematics.relative_pose(swept, target) for target in mechanism.targets], axis=1)
+    poses = relative_poses(mechanism, configurations, mechanism.targets).swapaxes(0, 1)
     return poses[..., :3, 3], poses[..., :3, :3]
 
 

@@ -30,7 +30,7 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.robots.robot import Robot
 
-_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
+_CHUNK_COMPILED = 1024  # compiled code needs no regressors, but its poses stay in the cache too
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +126,24 @@ def sweeps(
             yield part, kinematics.sweep(mechanism, joints[part], needed, shared)
         else:
             yield part, kinematics.compiled_sweep(shared, joints[part])
+
+
+@one_blas_thread
+def relative_poses(
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+) -> FloatArray:
+    """Return the poses of frames b in frames a, (n_pairs, n, 4, 4) [m].
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        pairs: The frames.
+    """
+    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
+    for part, swept in sweeps(mechanism, configurations, pairs):
+        for pair, to in zip(pairs, poses, strict=True):
+            to[part] = kinematics.relative_pose(swept, pair)
+    return poses
 
 
 def relative_motion(
@@ -246,7 +264,8 @@ def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArra
     first = k = robot.coefficients.start
     filled = int(np.sum(index < first))
     if filled == len(index):
-        return derivative[:, :, index]
+        every = filled > 0 and index[-1] - index[0] == filled - 1
+        return derivative[:, :, index[0] : index[-1] + 1].copy() if every else derivative[:, :, index]
     result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
     result[:, :, :filled] = derivative[:, :, index[:filled]]
     for term, phi in zip(robot.terms, columns, strict=True):

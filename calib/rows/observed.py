@@ -42,7 +42,7 @@ class Observed:
         robot: The robot.
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
         derivative: Of these by the parameters that are no coefficients of joint terms, then by the driven joints where
-            these were wanted, (n, n_rows, k + n_driven).
+            these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
         term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
     """
 
@@ -69,7 +69,13 @@ class Observed:
 
 @one_blas_thread
 def observe(
-    robot: Robot, configurations: Configurations, readings: Mapping[str, Readings], *, joints: bool = False
+    robot: Robot,
+    configurations: Configurations,
+    readings: Mapping[str, Readings],
+    *,
+    joints: bool = False,
+    derivatives: bool = True,
+    index: IntArray | None = None,
 ) -> dict[str, Observed]:
     """Compare readings with what the robot predicts, with derivatives.
 
@@ -78,13 +84,18 @@ def observe(
         configurations: Its assembled visits.
         readings: Of each instrument, by name; visits are indices into the configurations.
         joints: Whether derivatives by the actuated joints are wanted too.
+        derivatives: Whether derivatives are wanted at all.
+        index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.
     """
     mechanism = robot.mechanism
     n_driven = len(mechanism.driven) if joints or robot.terms else 0
     twists = parameter_twists(robot)
+    if index is not None:
+        twists *= np.isin(np.arange(twists.shape[1]), index)
     if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
-    works = [_Work(robot, robot.instrument(name), own, n_driven) for name, own in readings.items()]
+    width = robot.coefficients.start + n_driven if derivatives else 0
+    works = [_Work(robot, robot.instrument(name), own, width) for name, own in readings.items()]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for work in works:
@@ -95,13 +106,13 @@ def observe(
 class _Work:
     """Fills the arrays of one instrument, chunk by chunk of visits."""
 
-    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, n_driven: int) -> None:
+    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
         self.all_pairs = robot.pairs(instrument)
         self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if self.all_pairs else ()
         self._by_joint, n = robot.coefficients.start, len(readings)  # where columns by joints begin
         self._residuals = np.empty((n, instrument.n_rows))
-        self._columns = np.empty((n, instrument.n_rows, self._by_joint + n_driven))  # each is filled once
+        self._columns = np.empty((n, instrument.n_rows, width))  # each is filled once
         self._order = np.argsort(readings.visits, kind="stable")
         self._sorted = readings.visits[self._order]
 
@@ -132,12 +143,14 @@ class _Work:
         poses = kinematics.relative_pose(swept, pair)[at]
         comparison = self._compare(chosen, View(poses[:, :3, :3], poses[:, :3, 3]))
         assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+        if not self._columns.shape[2]:
+            return
         angular = bool(np.any(comparison.by_twist[:, :, 3:]))
         motion = relative_motion(self.robot.mechanism, swept, pair, slope, twists, angular=angular)
         by_twist = comparison.by_twist[:, :, : motion.shape[1]]
         if len(at) != len(motion) or np.any(at != np.arange(len(at))):
             motion = motion[at]
-        self._columns[_run(chosen)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+        self._columns[as_slice(chosen)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
         self._add_unknowns(chosen, comparison)
 
     def _fill_joint(
@@ -155,8 +168,10 @@ class _Work:
         joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
         comparison = self._compare(chosen, joints[at, index])
         assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
+        if not self._columns.shape[2]:
+            return
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
-        self._columns[_run(chosen)] = comparison.by_joint[:, :, None] * motion[at]
+        self._columns[as_slice(chosen)] = comparison.by_joint[:, :, None] * motion[at]
         self._add_unknowns(chosen, comparison)
         if self._columns.shape[2] > self._by_joint:
             self._columns[chosen, :, self._by_joint :] += (
@@ -167,7 +182,7 @@ class _Work:
         """Ask the kind, and keep residuals."""
         unknowns = self.robot.unknowns(self.instrument.name)
         comparison = self.instrument.compare(seen, self.robot.values[unknowns], _some(self.readings, chosen))
-        self._residuals[_run(chosen)] = comparison.residuals
+        self._residuals[as_slice(chosen)] = comparison.residuals
         return comparison
 
     def _add_unknowns(self, chosen: IntArray, comparison: Comparison | JointComparison) -> None:
@@ -178,7 +193,7 @@ class _Work:
 
     def result(self, configurations: Configurations) -> Observed:
         """Return what was filled in."""
-        visits = _run(self.readings.visits)
+        visits = as_slice(self.readings.visits)
         phi = tuple(columns[visits] for columns in configurations.term_columns)
         return Observed(self.robot, self._residuals, self._columns, phi)
 
@@ -186,8 +201,13 @@ class _Work:
 def _some(readings: Readings, chosen: IntArray) -> Readings:
     if len(chosen) == len(readings) and np.array_equal(chosen, np.arange(len(chosen))):
         return readings
+    return some_readings(readings, chosen)
+
+
+def some_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
+    """Return the readings at some places (n,), with visits counted from `first`."""
     return Readings(
-        readings.visits[chosen],
+        readings.visits[chosen] - first,
         readings.pairs[chosen],
         readings.values[chosen],
         None if readings.covariance is None else readings.covariance[chosen],
@@ -195,8 +215,8 @@ def _some(readings: Readings, chosen: IntArray) -> Readings:
     )
 
 
-def _run(chosen: IntArray) -> IntArray | slice:
-    """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
+def as_slice(chosen: IntArray) -> IntArray | slice:
+    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
     first = int(chosen[0]) if len(chosen) else 0
     span = slice(first, first + len(chosen))
     return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen

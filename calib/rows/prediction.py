@@ -21,7 +21,7 @@ Reference: jcgm100 (GUM), section 5.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
 from calib.base.other_words import UnknownOptionError
 from calib.base.units import millimetres
 from calib.base.words import counted, listed
@@ -38,8 +38,10 @@ from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 
-CHUNK = 4096
+CHUNK = 1024
 """Poses at once."""
+ROWS = (slice(3), slice(3, 6))
+"""Rows of positions and of turns."""
 _DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
 _CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
@@ -287,8 +289,8 @@ class UncertainLinear(ReadOnlyArrays):
         robot: The robot, with joint terms that are undecided, coefficients zero.
         configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
-        jacobian: Of positions and small turns, (n_poses, n_targets, 6, n_uncertain): by the free parameters, by
-            coefficients of undecided terms, then by the joints that are off.
+        jacobian: Of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the free
+            parameters, by coefficients of undecided terms, then by the joints that are off.
     """
 
     robot: Robot
@@ -358,7 +360,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         return total
 
     def linearised(
-        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None
+        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
     ) -> UncertainLinear:
         """Linearise positions and turns of all targets by all that is uncertain.
 
@@ -367,6 +369,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             q: Commands, (n_poses, n_actuated) [m or rad].
             context: Under which conditions they are given.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether turns are wanted.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -377,11 +380,26 @@ class ParameterUncertainty(ReadOnlyArrays):
             place = {p.name: k for k, p in enumerate(whole.parameters)}
             index = np.array([place[name] for name in (*self._free_names(robot), *self._more(robot))], dtype=np.intp)
         configurations = whole.assemble(q, near, context=context)
-        linear = linearise(whole, configurations, turns=True, joints=self.joint_error > 0.0)
+        linear = linearise(whole, configurations, turns=turns, joints=self.joint_error > 0.0)
         jacobian = linear.jacobian[..., index]
         if linear.by_joint is not None:
             jacobian = np.concatenate([jacobian, linear.by_joint * whole.mechanism.joint_scale], axis=-1)
         return UncertainLinear(whole, configurations, linear.positions, jacobian)
+
+    def linearised_in_parts(
+        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
+    ) -> Iterator[tuple[slice, UncertainLinear]]:
+        """Yield which poses, and what `linearised` returns of these.
+
+        Args:
+            robot, context, turns: As there.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+        """
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            yield some, self.linearised(robot, q[some], context.at(some), seed, turns=turns)
 
     def _free_names(self, robot: Robot) -> list[str]:
         return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
@@ -396,7 +414,13 @@ class ParameterUncertainty(ReadOnlyArrays):
         return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 
     def at(
-        self, robot: Robot, q: FloatArray, context: Context | None = None, near: FloatArray | None = None
+        self,
+        robot: Robot,
+        q: FloatArray,
+        context: Context | None = None,
+        near: FloatArray | None = None,
+        *,
+        turns: bool = True,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -405,18 +429,18 @@ class ParameterUncertainty(ReadOnlyArrays):
             q: Commands, (n_poses, n_actuated) [m or rad].
             context: Under which conditions they are given; joint terms may depend on it.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether the covariance of the orientations is wanted.
 
         Raises:
             UnreachablePoseError: A loop stays open.
         """
         context = Context.neutral(*q.shape) if context is None else context
-        known = self.covariance_of(robot)
-        positions, spread, turned = [], [], []
-        for start in range(0, len(q), CHUNK):
-            some = slice(start, start + CHUNK)
-            linear = self.linearised(robot, q[some], context.at(some), None if near is None else near[some])
-            positions.append(linear.positions)
-            spread.append(carried(linear.jacobian[:, :, :3], known))
-            turned.append(carried(linear.jacobian[:, :, 3:], known))
-        points, covariance, turn_covariance = (np.concatenate(part) for part in (positions, spread, turned))
-        return PositionUncertainty(points, covariance, self.coverage_factor, turn_covariance, robot.left_out)
+        known, shape = self.covariance_of(robot), (len(q), len(robot.mechanism.targets), 3)
+        points, covariances = np.empty(shape), [np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]]
+        for some, linear in self.linearised_in_parts(robot, q, context, near, turns=turns):
+            points[some] = linear.positions
+            for covariance, rows in zip(covariances, ROWS, strict=False):
+                covariance[some] = carried(linear.jacobian[:, :, rows], known)
+        hold(points, *covariances)
+        turned = covariances[1] if turns else None
+        return PositionUncertainty(points, covariances[0], self.coverage_factor, turned, robot.left_out)

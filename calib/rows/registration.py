@@ -22,10 +22,10 @@ from calib.data.measurements import Measurements
 from calib.data.on_demand import picked
 from calib.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.numerics.placement import MovingPoint, Placement, place
-from calib.robots import kinematics
 from calib.robots.described_instruments import MEASUREMENT_FRAME, pair_names
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
+from calib.rows.jacobian import relative_poses
 from calib.rows.observed import observe, seen_by
 
 _SQUARED_ROUNDING = 1e-30  # squares below are rounding
@@ -281,9 +281,7 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     parents = mechanism.model.parents
     pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
     configurations = robot.assemble(data.joints[chosen], None, picked(data.labels, chosen), data.conditions.at(chosen))
-    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    swept = kinematics.sweep(mechanism, joints, pairs)
-    return [kinematics.relative_pose(swept, pair) for pair in pairs]
+    return list(relative_poses(mechanism, configurations, pairs))
 
 
 def _named(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:

@@ -17,14 +17,14 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays, hold
 from calib.base.threads import one_blas_thread
 from calib.joint_terms.term import Context
 from calib.robots.robot import Robot
 from calib.rows.common_motion import CommonMotion, Loose, target_poses
 from calib.rows.frames import poses_of_agreement
 from calib.rows.known_robot import KnownRobot
-from calib.rows.prediction import CHUNK, ParameterUncertainty, PositionUncertainty, carried
+from calib.rows.prediction import ROWS, ParameterUncertainty, PositionUncertainty, carried
 
 OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
 """Which frame it is where that is not the measurement frame."""
@@ -66,33 +66,42 @@ class ToldPositions(ReadOnlyArrays):
         """Say in which frame it is told, where that is not the measurement frame."""
         return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
 
-    def at(self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None) -> PositionUncertainty:
+    def at(
+        self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None, *, turns: bool = True
+    ) -> PositionUncertainty:
         """Predict positions in the measurement frame, with their covariance in the frame of the report.
 
         Args:
             q: Commands, (n_poses, n_actuated) [m or rad].
             context: Under which conditions they are given; joint terms may depend on it.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether the covariance of the orientations is wanted.
 
         Raises:
             UnreachablePoseError: A loop stays open.
         """
-        measured = self.uncertainty.at(self.robot, q, context, near)
         if self.motion is None:
-            return measured
+            return self.uncertainty.at(self.robot, q, context, near, turns=turns)
         context = Context.neutral(*q.shape) if context is None else context
-        known, spread = self.uncertainty.covariance_of(self.robot), []
-        for start in range(0, len(q), CHUNK):
-            some = slice(start, start + CHUNK)
-            seed = None if near is None else near[some]
-            linear = self.uncertainty.linearised(self.robot, q[some], context.at(some), seed)
-            jacobian = (
-                linear.jacobian
-                - self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
-            )
-            spread.append([carried(jacobian[:, :, rows], known) for rows in _ROWS])
-        covariance, turned = (np.concatenate(part) for part in zip(*spread, strict=True))
-        return replace(measured, covariance=covariance, turn_covariance=turned, frame=OWN_FRAME, measured=measured)
+        known, shape = self.uncertainty.covariance_of(self.robot), (len(q), len(self.robot.mechanism.targets), 3)
+        points, measured, told = (
+            np.empty(shape),
+            *([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2)),
+        )
+        for some, linear in self.uncertainty.linearised_in_parts(self.robot, q, context, near, turns=turns):
+            points[some] = linear.positions
+            common = self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+            common = common[:, :, : linear.jacobian.shape[2]]
+            for to, jacobian in ((measured, linear.jacobian), (told, linear.jacobian - common)):
+                for covariance, rows in zip(to, ROWS, strict=False):
+                    covariance[some] = carried(jacobian[:, :, rows], known)
+        hold(points, *measured, *told)
+        factor, left_out = self.uncertainty.coverage_factor, self.robot.left_out
+        turned, told_turned = (covariances[1] if turns else None for covariances in (measured, told))
+        in_measured = PositionUncertainty(points, measured[0], factor, turned, left_out)
+        return replace(
+            in_measured, covariance=told[0], turn_covariance=told_turned, frame=OWN_FRAME, measured=in_measured
+        )
 
     @cached_property
     def _following(self) -> FloatArray:
@@ -101,6 +110,3 @@ class ToldPositions(ReadOnlyArrays):
         joints = self.motion.joints
         linear = self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
         return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
-
-
-_ROWS = (slice(3), slice(3, 6))  # of positions and of turns

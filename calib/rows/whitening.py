@@ -14,6 +14,7 @@ from calib.instruments.kind import Instrument, Part, Readings
 from calib.instruments.noise import Noise, PartNoise
 from calib.numerics.variance_components import SharedError
 from calib.robots.robot import Robot
+from calib.rows.batches import Batch, batches_of
 from calib.rows.observed import Observed
 from calib.rows.rows import Group, Layout, Rows, Scales
 from calib.rows.unknowns import Unknowns
@@ -61,11 +62,19 @@ class Whitening:
         """Groups of rows whose noise has one scale."""
         return self.layout.groups
 
-    def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """The rows in batches of whole visits; few rows are one."""
+        return batches_of(self.layout)
+
+    def flatten(
+        self, arrays: Mapping[str, FloatArray], batch: Batch | None = None, *, in_place: bool = False
+    ) -> FloatArray:
         """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
             arrays: By instrument.
+            batch: Of which readings they are; all if not given.
             in_place: Whether the arrays may be used up, so that large ones are not copied.
 
         Returns:
@@ -74,7 +83,7 @@ class Whitening:
         parts = []
         for name in self._names:
             array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            inverse = self._inverse[name]
+            inverse = self._inverse[name] if batch is None else self._inverse[name][batch.readings[name]]
             if inverse.ndim == 2:  # no correlations: divide
                 scale = inverse if array.ndim == 2 else inverse[:, :, None]
                 scaled = np.multiply(array, scale, out=array if in_place else None)
@@ -85,9 +94,14 @@ class Whitening:
             parts.append(scaled.reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def row_scale(self, groups: FloatArray) -> FloatArray:
-        """Return the scale of each row from those of the groups, 1 for rows that were not read, (n_rows,)."""
-        number = self.layout.group
+    def row_scale(self, groups: FloatArray, batch: Batch | None = None) -> FloatArray:
+        """Return the scale of each row, or of those of a batch, 1 for rows that were not read, (n_rows,).
+
+        Args:
+            groups: Of each group, (n_groups,).
+            batch: Which rows; all if not given.
+        """
+        number = self.layout.group if batch is None else self.layout.group[batch.rows]
         return np.where(number >= 0, groups[number], 1.0)
 
     def rows(
@@ -105,11 +119,23 @@ class Whitening:
             unknowns: The parameters that count.
             deviations: u of these, (n_free,).
         """
-        divisor = self.row_scale(groups)
-        residuals = self.flatten({name: observed[name].residuals for name in self._names}) / divisor
-        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, in_place=True)
-        columns *= unknowns.scales / divisor[:, None]
-        return Rows(residuals, columns, unknowns.prior, deviations, self.layout)
+        residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
+        return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
+
+    def columns(
+        self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, batch: Batch | None = None
+    ) -> FloatArray:
+        """Return the whitened derivative of the rows of a batch, or of all, by the scaled unknowns, (n_rows, n_free).
+
+        Args:
+            observed, groups, unknowns: As of `rows`.
+            batch: Of which readings they are.
+        """
+        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, batch, in_place=True)
+        columns *= unknowns.scales
+        if np.any(groups != 1.0):
+            columns /= self.row_scale(groups, batch)[:, None]
+        return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
         """Return offsets as estimates are weighed for them, whatever the scales are; None without any.

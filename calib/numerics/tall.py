@@ -1,0 +1,118 @@
+"""Matrices of very many rows, of which no more is ever there than is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.numerics.identifiability import reduced_with
+
+ROWS_AT_ONCE = 1 << 13
+Places = IntArray | slice
+"""Which rows."""
+
+
+class Tall:
+    """A matrix whose rows are made where they are looked at.
+
+    Args:
+        shape: Of the matrix.
+        parts: Makes its rows: yields their places, and the rows, (n_of_part, n_columns).
+        is_cut: Whether there is more than one part.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], parts: Callable[[], Iterable[tuple[Places, FloatArray]]], *, is_cut: bool = True
+    ) -> None:
+        self.shape, self.parts, self.is_cut = shape, parts, is_cut
+
+    @staticmethod
+    def of(matrix: FloatArray | Tall) -> Tall:
+        """Return a matrix (n_rows, n_columns) that is there as a whole as such a one."""
+        if isinstance(matrix, Tall):
+            return matrix
+        return Tall((len(matrix), matrix.shape[1]), lambda: [(slice(None), matrix)], is_cut=False)
+
+    def whole(self) -> FloatArray:
+        """Return all rows, (n_rows, n_columns)."""
+        result: FloatArray = np.empty(self.shape if self.is_cut else (0, 0))
+        for places, rows in self.parts():
+            if not self.is_cut:
+                return rows
+            result[places] = rows
+        return result
+
+    def factor(self, right: FloatArray | None = None) -> FloatArray:
+        """Return the triangular factor of the matrix, with one more column (n_rows,) if given, (n, n)."""
+        factor: FloatArray = np.zeros((0, self.shape[1] + (right is not None)))
+        for places, rows in self.parts():
+            factor = reduced_with(factor, rows, None if right is None else right[places])
+        return factor
+
+    def times(self, column: FloatArray) -> FloatArray:
+        """Return the product with a column (n_columns,), (n_rows,)."""
+        result = np.empty(self.shape[0])
+        for places, rows in self.parts():
+            result[places] = rows @ column
+        return result
+
+    def pulled(self, column: FloatArray) -> FloatArray:
+        """Return the product of its transpose with a column (n_rows,), (n_columns,)."""
+        return np.asarray(sum(rows.T @ column[places] for places, rows in self.parts()))
+
+    def lengths(self) -> FloatArray:
+        """Return the length of each column, (n_columns,)."""
+        return np.sqrt(sum(np.einsum("ij,ij->j", rows, rows) for _, rows in self.parts()))
+
+
+class Span:
+    """U = J T of a tall J (n_rows, n) and a small T (n, k), multiplied where rows of it are looked at.
+
+    Args:
+        jacobian: J.
+        root: T.
+        more: Further columns of U, (n_rows, n_more).
+    """
+
+    def __init__(self, jacobian: FloatArray, root: FloatArray, more: FloatArray | None = None) -> None:
+        self.jacobian, self.root, self.more = jacobian, root, more
+        self.shape = len(jacobian), root.shape[1] + (0 if more is None else more.shape[1])
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: Places) -> FloatArray:
+        """Return some rows, (..., k)."""
+        known = self.jacobian[rows] @ self.root
+        return np.asarray(known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1))
+
+    def beside(self, more: FloatArray) -> Span:
+        """Return it with further columns, (n_rows, n_more)."""
+        return Span(self.jacobian, self.root, more if self.more is None else np.hstack([self.more, more]))
+
+    def times(self, columns: FloatArray) -> FloatArray:
+        """Return U times columns (k, ...), (n_rows, ...)."""
+        n = self.root.shape[1]
+        known = self.jacobian @ (self.root @ columns[:n])
+        return np.asarray(known if self.more is None else known + self.more @ columns[n:])
+
+    def pulled(self, columns: FloatArray) -> FloatArray:
+        """Return U^T times columns (n_rows, ...), (k, ...)."""
+        known = self.root.T @ (self.jacobian.T @ columns)
+        return known if self.more is None else np.concatenate([known, self.more.T @ columns])
+
+
+def in_parts(n_rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
+    """Yield which rows to look at together, one part after another; none of no rows."""
+    return (slice(start, min(start + at_once, n_rows)) for start in range(0, n_rows, at_once))
+
+
+def squares_of_rows(matrix: FloatArray | Span) -> FloatArray:
+    """Return the sum of the squares of each row, (n_rows,)."""
+    result = np.empty(len(matrix))
+    for part in in_parts(len(matrix)):
+        rows = matrix[part]
+        result[part] = np.einsum("ij,ij->i", rows, rows)
+    return result

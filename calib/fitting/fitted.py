@@ -100,7 +100,8 @@ class Residuals(ReadAsArray, dict[str, FloatArray], Worded):
         return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
 
     def __missing__(self, key: object) -> NoReturn:
-        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}; np.asarray(fit.residuals) is an array")
+        whole = "; np.asarray(fit.residuals) is an array" if len(self) == 1 else ""
+        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}{whole}")
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if len(self) != 1:

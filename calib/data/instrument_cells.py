@@ -41,9 +41,9 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
         if hint is not None:
             raise DataError(f"{table.path}, {hint}")
         raise DataError(
-            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)}. The robot description has"
-            f" '{instrument.name}': change this name there ('calib init URDF --out robot.yaml' writes one), or change"
-            " the column"
+            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)} (the robot description has"
+            f" '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml' writes a"
+            " description)"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))

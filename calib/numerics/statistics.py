@@ -300,7 +300,8 @@ def statistics(
     scaled_covariance = root @ core @ root.T
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
-    covariance = scales[:, None] * scaled_covariance * scales
+    scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # to the last digit
+    covariance = np.multiply.outer(scales, scales) * scaled_covariance
     beyond = np.zeros(len(scales)) if beyond_linear is None else scales**2 * beyond_linear
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)

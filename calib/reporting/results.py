@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import html
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -231,13 +232,23 @@ def _covariance_table(fit: Fit) -> str:
     """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
     free = [fit.parameters[name] for name in fit.free_names]
     scale = np.array([estimate.per_si for estimate in free])
-    shown = np.asarray(fit.covariance) * scale[:, None] * scale
-    columns: list[tuple[str, list[str] | FloatArray]] = [
-        ("parameter", [estimate.name for estimate in free]),
-        ("unit", [estimate.unit for estimate in free]),
-        *((estimate.name, column) for estimate, column in zip(free, shown.T, strict=True)),
-    ]
-    return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))
+    shown = np.asarray(fit.covariance) * np.multiply.outer(scale, scale)
+    comment = "covariance of the free parameters: unit of the row times unit of the column"
+    header = format_table([("parameter", []), ("unit", []), *((estimate.name, []) for estimate in free)], (comment,))
+    rows = format_table([("", [estimate.name for estimate in free]), ("", [estimate.unit for estimate in free])])
+    return header + _symmetric(rows.splitlines()[1:], shown)
+
+
+def _symmetric(rows: list[str], matrix: FloatArray) -> str:
+    """Return the lines of a symmetric matrix (n, n) behind their first cells.
+
+    With hundreds of parameters, their covariance is most of what is written: each number becomes text once.
+    """
+    below = [[repr(x) if math.isfinite(x) else "" for x in row[: k + 1]] for k, row in enumerate(matrix.tolist())]
+    return "".join(
+        ",".join([first, *own, *(other[k] for other in below[k + 1 :])]) + "\n"
+        for k, (first, own) in enumerate(zip(rows, below, strict=True))
+    )
 
 
 def _undecided_table(robot: Robot, undecided: UndecidedTerms) -> str:

@@ -177,5 +177,9 @@ def _matched(pattern: BoolArray) -> IntArray:
 
 def block_signs(slope: FloatArray, rows: tuple[IntArray, ...], columns: tuple[IntArray, ...]) -> FloatArray:
     """Return the sign of the determinant of each block of C_p (n, n_passive, n_passive): (n, n_blocks)."""
-    signs = [np.sign(np.linalg.det(slope[:, row[:, None], column])) for row, column in zip(rows, columns, strict=True)]
-    return np.stack(signs, axis=1)
+    signs = np.empty((len(slope), len(rows)))
+    for size in {len(row) for row in rows}:  # blocks of one size together: most robots have several of them
+        alike = [k for k, row in enumerate(rows) if len(row) == size]
+        row, column = (np.stack([indices[k] for k in alike]) for indices in (rows, columns))
+        signs[:, alike] = np.sign(np.linalg.det(slope[:, row[:, :, None], column[:, None]]))
+    return signs

@@ -42,9 +42,9 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
         n: How many there are.
         size: How many are good at once.
     """
-    ends = np.linspace(0, n, max(round(n / size), min(n, 1)) + 1).astype(np.intp)
-    for start, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        yield slice(start, end)
+    count = max(round(n / size), min(n, 1))
+    for k in range(count):
+        yield slice(k * n // count, (k + 1) * n // count)
 
 
 @dataclass(frozen=True, eq=False)

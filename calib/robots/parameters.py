@@ -130,10 +130,17 @@ class OriginComponents:
         return pin.SE3(nominal.rotation @ pin.exp3(moved[3:]), nominal.translation + moved[:3])
 
     def _deviations(self, values: FloatArray) -> dict[str, FloatArray]:
-        moved: dict[str, FloatArray] = {name: np.zeros(6) for name in self.nominal}
-        for parameter, (name, component), value in zip(self.parameters, self.places, values, strict=True):
-            moved[name][component] = value - parameter.nominal_si
-        return moved
+        moved = np.zeros((len(self.nominal), 6))
+        row, component, nominal = self._moves
+        moved[row, component] = values - nominal
+        return dict(zip(self.nominal, moved, strict=True))
+
+    @cached_property
+    def _moves(self) -> tuple[list[int], list[int], FloatArray]:
+        """Row of the origin, component and nominal value of each parameter."""
+        rows = {name: row for row, name in enumerate(self.nominal)}
+        nominal = np.array([parameter.nominal_si for parameter in self.parameters])
+        return [rows[name] for name, _ in self.places], [component for _, component in self.places], nominal
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,8 @@ from typing import Any
 
 from calib.robots.mechanism import Mechanism
 
-_MANY = 5000  # poses at once, for which loading numba is worth it
+MANY = 5000
+"""Poses at once, or batch after batch, for which loading numba is worth it."""
 _MANY_IN_ALL = 20_000  # poses of a task, for which each process may load it
 _TO_COMPILE = 5  # times as many poses are worth compiling it first: a pose of a fit saves 0.2 ms, one of a study 0.1 ms
 _AVAILABLE = find_spec("numba") is not None
@@ -38,13 +39,14 @@ def compiled(use: bool = True) -> Iterator[None]:
         _requested.reset(before)
 
 
-def compiled_for(n_poses: int) -> AbstractContextManager[None]:
+def compiled_for(n_poses: int, many: int = _MANY_IN_ALL) -> AbstractContextManager[None]:
     """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless told otherwise.
 
     Args:
         n_poses: How many, one part after the other.
+        many: How many are worth loading code that is already compiled.
     """
-    return compiled() if _requested.get() is None and pays(n_poses) else nullcontext()
+    return compiled() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
 
 def pays(n_poses: int, many: int = _MANY_IN_ALL) -> bool:
@@ -70,7 +72,7 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
         n_poses: How many poses are computed at once.
     """
     requested = _requested.get()
-    use = pays(n_poses, _MANY) if requested is None else requested
+    use = pays(n_poses, MANY) if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
     return _functions()

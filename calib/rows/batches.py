@@ -21,6 +21,7 @@ import numpy as np
 
 from calib.base.arrays import IntArray
 from calib.instruments.kind import Readings
+from calib.robots.acceleration import MANY, compiled_for
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.observed import Observed, as_slice, observe, some_readings
@@ -96,4 +97,6 @@ def observed_in(
             name: some_readings(readings[name], chosen, batch.visits.start) for name, chosen in batch.readings.items()
         }
         at = configurations.at(batch.visits)
-        yield batch, observe(robot, at, own, joints=joints, derivatives=derivatives, index=index)
+        with compiled_for(len(configurations.actuated), MANY):
+            observed = observe(robot, at, own, joints=joints, derivatives=derivatives, index=index)
+        yield batch, observed

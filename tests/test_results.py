@@ -4,18 +4,20 @@ import json
 import re
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import calib
 from calib.base.errors import CalibrationError, ComputationError, DataError, InputError
 from calib.base.files import write_folder
 from calib.data.tables import read_table
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
-from calib.reporting.results import save
+from calib.reporting.results import _covariance_table, save
 from calib.robots.description import description_yaml, read_description
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
@@ -296,6 +298,18 @@ def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tm
         (tmp_path / "result.json").write_text(json.dumps(result))
     with pytest.raises(CalibrationError, match="parameters"):
         load_calibrated(tmp_path, fitted.nominal)
+
+
+def test_results_are_written_with_one_blas_thread(fitted, tmp_path):
+    threads = set()
+
+    def looking(fit):
+        threads.update(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+        return _covariance_table(fit)
+
+    with threadpool_limits(2, user_api="blas"), mock.patch("calib.reporting.results._covariance_table", looking):
+        save(fitted, tmp_path / "out")
+    assert threads == {1}
 
 
 def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fitted, folder):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.table import Table
 
+from calib.base.threads import one_blas_thread
 from calib.base.words import counted, plain_text
 from calib.fitting.fitted import Fit
 from calib.judging.reasons import Verdict
@@ -20,6 +21,7 @@ _WIDTH = 120
 _MOST_REASONS = 3
 
 
+@one_blas_thread
 def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     """Return a fit as text.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+from calib.base.threads import one_blas_thread
 from calib.base.version import PROGRAM
 from calib.base.words import as_data
 from calib.fitting.fitted import Fit
@@ -27,6 +28,7 @@ UNDECIDED = "undecided_terms.csv"
 """File of a result folder: what joint terms leave uncertain that `--terms auto` did not decide on."""
 
 
+@one_blas_thread
 def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
     """Return the content of `result.json`; see the contract in docs.
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.files import write_folder
+from calib.base.threads import one_blas_thread
 from calib.base.units import ERROR_UNIT, error_scale
 from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.on_demand import picked
@@ -67,6 +68,7 @@ RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
 """What a result folder may hold of a fit."""
 
 
+@one_blas_thread
 def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
     """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages.
 

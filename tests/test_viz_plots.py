@@ -150,6 +150,12 @@ def test_long_joint_names_do_not_reach_into_their_neighbours_panel():
     assert any("…" in text for text in result)
 
 
+def test_a_joint_that_stands_has_few_digits_on_its_axis():
+    shown = dataclasses.replace(table(), joints=np.full((60, 1), 3.1e-5))
+    result = texts(residual_by_joint(of_positions(shown), (Joint("still", "deg", 180 / np.pi),)).svg)
+    assert max(len(text) for text in result[: result.index("still [deg]")]) <= len("−0.25")
+
+
 def test_long_names_lose_their_middle():
     assert shortened("short") == "short"
     assert shortened("abcdefghij", 5) == "ab…ij"

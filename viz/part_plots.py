@@ -17,6 +17,8 @@ from viz.poses import PoseTable
 from viz.scene import Joint
 from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, plain_ticks, styled, thinned
 
+_STANDS = 0.01  # range of a joint [deg, mm] below which it did not move
+
 
 @dataclass(frozen=True, eq=False)
 class PartErrors(ReadOnlyArrays):
@@ -206,6 +208,8 @@ def draw_residuals(axes: Any, errors: PartErrors, joint: Joint, number: int) -> 
             zorder=2 + axis,
         )
     axes.axhline(0.0, color="black", linewidth=0.8)
+    if len(values) and np.ptp(values) < _STANDS:
+        axes.set_xlim(np.mean(values) - 0.5, np.mean(values) + 0.5)
     axes.set_xlabel(in_lines(f"{joint.name} [{joint.unit}]"))
 
 

@@ -32,8 +32,9 @@ from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DataError
-from calib.numerics.identifiability import reduced
+from calib.numerics.identifiability import reduced, reduced_with
 from calib.numerics.rigid import cross_matrices
+from calib.numerics.tall import in_parts
 
 _RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
@@ -164,23 +165,36 @@ class _System:
 
 def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
     free = np.array([point.sigma > 0 for point in points], dtype=bool)
-    n_free, n = int(free.sum()), len(weights)
-    rows = np.zeros((len(points), n, 3, n_free + 10))
+    n_free, parts = int(free.sum()), list(in_parts(len(weights)))  # rows of all readings at once take much memory
+    mean = np.zeros((3, n_free + 10))
+    if frame_known:
+        mean[:, -1] = guess.translation
+    else:
+        sums = (np.einsum("n,jnac->ac", weights[part], _plain_rows(points, free, part)) for part in parts)
+        mean += sum(sums) / weights.sum() / len(points)
+    factor: FloatArray = np.zeros((0, n_free + 10))
+    squares = 0.0
+    for part in parts:
+        rows = np.sqrt(weights[part])[:, None, None] * (_plain_rows(points, free, part) - mean)
+        squares += float(np.sum(rows[..., n_free:-1] ** 2))
+        factor = reduced_with(factor, rows.reshape(-1, n_free + 10))
+    extent = float(np.sqrt(squares / weights.sum() / len(points) / 3))
+    sigma = np.concatenate([point.sigma[point.sigma > 0] for point in points])
+    return _System(factor, mean, free, sigma, float(np.sqrt(weights.sum() * len(points))), extent)
+
+
+def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> FloatArray:
+    """[A M s] of some readings of each point, (n_points, n, 3, n_free + 10), before anything is taken off."""
+    n_free = int(free.sum())
+    rows = np.zeros((len(points), part.stop - part.start, 3, n_free + 10))
     for j, point in enumerate(points):
-        first = int(free[:j].sum())
-        turns = point.T_base_link[:, :3, :3]
+        first, poses = int(free[:j].sum()), point.T_base_link[part]
+        turns = poses[:, :3, :3]
         rows[j, :, :, first : first + int(free[j].sum())] = turns[:, :, free[j]]
         for axis in range(3):
-            rows[j, :, axis, n_free + 3 * axis : n_free + 3 * axis + 3] = point.measured
-        rows[j, :, :, -1] = turns @ point.guess + point.T_base_link[:, :3, 3]
-    mean = np.einsum("n,jnac->ac", weights, rows) / weights.sum() / len(points)
-    if frame_known:
-        mean = np.zeros_like(mean)
-        mean[:, -1] = guess.translation
-    rows = (np.sqrt(weights)[:, None, None] * (rows - mean)).reshape(-1, n_free + 10)
-    extent = float(np.sqrt(np.sum(rows[:, n_free:-1] ** 2) / weights.sum() / len(points) / 3))
-    sigma = np.concatenate([point.sigma[point.sigma > 0] for point in points])
-    return _System(reduced(rows), mean, free, sigma, float(np.sqrt(weights.sum() * len(points))), extent)
+            rows[j, :, axis, n_free + 3 * axis : n_free + 3 * axis + 3] = point.measured[part]
+        rows[j, :, :, -1] = turns @ point.guess + poses[:, :3, 3]
+    return rows
 
 
 @dataclass(frozen=True, eq=False)

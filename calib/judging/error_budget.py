@@ -200,20 +200,21 @@ def _along(
     places, n_causes = _cause_of_places(unknowns, members), len(members)
     removed = np.zeros((layout.n_rows, n_causes))
     pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
+    of_counted = slice(None) if np.all(counted) else counted
+    residuals, along, at_places = _empty(layout.n_rows, 1, n_causes, int(np.sum(unknowns.placement)))
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        n_places = int(np.sum(unknowns.placement))
-        residuals, moved, by_places = _empty(layout.n_rows, 1, n_causes, n_places)
         for batch, jacobian, there in _seen(robot, errors, unknowns, layout):
-            residuals[batch.rows, 0], moved[batch.rows] = there, jacobian @ steps
-            by_places[batch.rows] = jacobian[:, unknowns.placement]
-        by_places, moved = _counted(by_places, counted), _counted(moved, counted)
+            residuals[batch.rows, 0], along[batch.rows] = there, jacobian @ steps
+            at_places[batch.rows] = jacobian[:, unknowns.placement]
+        by_places, moved = at_places[of_counted], along[of_counted]
         root, total = _root_of_span(by_places), np.sum(moved, axis=1)
         absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
         moved -= by_places @ (root @ (root.T @ (by_places.T @ moved)))
         moved[:, places] += absorbed
-        removed[counted] -= weight * residuals[counted] * moved
-        pulling[counted] += weight / 2.0 * np.column_stack([total - absorbed, absorbed, moved])
+        removed[of_counted] -= weight * residuals[of_counted] * moved
+        for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
+            pulling[of_counted, k] += weight / 2.0 * column
     pulled = np.zeros((len(unknowns), pulling.shape[1]))
     for batch, jacobian, _ in _seen(after, errors, unknowns, layout):
         own = counted[batch.rows]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.base.errors import DataError, InputError
-from calib.data.on_demand import Packed, cells_of, picked
+from calib.data.on_demand import Packed, cells_of, held, picked
 from calib.data.tables import check_plausible, format_table, read_number, read_table
 
 
@@ -304,6 +304,16 @@ def test_some_of_many_names_are_those_of_a_tuple():
     assert some == tuple(names[k] for k in places) == picked(tuple(names), places)
     assert picked(some, np.array([1, 0])) == ("pose 17", "pose 3")
     assert some.index("pose 4") == 2
+
+
+def test_texts_on_demand_are_shown_as_a_tuple_and_few_become_one():
+    texts = Packed(["a", "b"])
+    assert repr(texts) == "('a', 'b')"
+    assert repr(picked(texts, np.array([1]))) == "('b',)"
+    assert held(texts) == ("a", "b")
+    assert isinstance(held(texts), tuple)
+    many = Packed(map(str, range(20_000)))
+    assert held(many) is many
 
 
 def test_cells_of_an_array_without_a_number_are_empty():

@@ -19,7 +19,7 @@ from calib.base.other_words import worded
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.base.words import pandas, titled_html
 from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
-from calib.data.on_demand import Texts, picked
+from calib.data.on_demand import Texts, held, picked
 from calib.data.pose_groups import shuffled_poses
 from calib.instruments.kind import FrameInstrument, Instrument, Readings
 from calib.joint_terms.term import Context
@@ -310,8 +310,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
     """Put poses and readings together."""
     return Measurements(
         poses.joints,
-        poses.labels,
-        poses.names,
+        held(poses.labels),
+        held(poses.names),
         poses.path,
         poses.ignored,
         readings,

@@ -23,6 +23,7 @@ from calib.base.memory import scratch
 
 Item = TypeVar("Item")
 _PART = 256  # rows that are kept together
+_FEW = 10_000  # texts of which a copy weighs nothing
 
 
 class OnDemand(Sequence[Item]):
@@ -50,12 +51,15 @@ class OnDemand(Sequence[Item]):
 
     __hash__ = None  # type: ignore[assignment]
 
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
 
 Texts = tuple[str, ...] | OnDemand[str]
 """Names or labels, of few or of very many."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Numbered(OnDemand[str]):
     """Texts that end with a number, such as `pose 7`, or with a name after it.
 
@@ -76,7 +80,7 @@ class Numbered(OnDemand[str]):
         return f"{self.before}{self.numbers[k]}" + ("" if self.names is None else f" (pose {self.names[k]})")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Picked(OnDemand[str]):
     """Some of many texts.
 
@@ -93,6 +97,11 @@ class _Picked(OnDemand[str]):
 
     def _made(self, k: int) -> str:
         return self.every[int(self.places[k])]
+
+
+def held(texts: Texts) -> Texts:
+    """Return a tuple of few texts; very many as they are, because a copy of them takes more memory than the rest."""
+    return tuple(texts) if len(texts) <= _FEW else texts
 
 
 def picked(texts: Texts, index: IntArray) -> Texts:

@@ -230,3 +230,18 @@ def test_columns_that_are_copies_are_named_in_the_verdict_once(arm, data):
 def test_a_first_point_that_is_the_origin_of_the_frame_is_no_lost_sight(arm, data):
     first = with_points(arm, data, data.points(arm) - data.points(arm)[:1])
     assert not {"zero_readings", "likely_mistake"} & set(calib.fit(arm, first).verdict.to_dict()["codes"])
+
+
+def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, monkeypatch):
+    def fails(*_):
+        raise calib.ComputationError("the robot cannot be assembled")
+
+    monkeypatch.setattr("calib.calibrating.calibrate.fit_data", fails)
+    wrong = data.points(arm).copy()
+    wrong[[2, 7]] = 0.0
+    dead = with_points(arm, replace(data, joints=data.joints[::-1]), wrong)  # and the rows are other poses'
+    said = "cannot be assembled; 2 poses were read at exactly 0, 0, 0, .*: row 2, row 7; leave them out$"
+    with pytest.raises(calib.ComputationError, match=said):
+        calib.fit(arm, dead)
+    with pytest.raises(calib.ComputationError, match=r"the robot cannot be assembled$"):
+        calib.fit(arm, replace(data, joints=data.joints[::-1]))

@@ -29,7 +29,7 @@ from calib.data.measurements import Measurements
 from calib.fitting.fit import Nearby, fit_data, of_a_part
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, left_out_with
-from calib.fitting.pose_checks import likely_mistake
+from calib.fitting.pose_checks import likely_mistake, zeros_in_words
 from calib.fitting.settings import Settings
 from calib.fitting.terms.candidate_terms import TermChoice, missing_terms
 from calib.fitting.terms.term_choice import choose_terms
@@ -102,7 +102,7 @@ def _calibrated(
             robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
         fit = fit_data(robot, settings, data, validation, workers, steps)
     except (UnreachablePoseError, ComputationError) as error:
-        mistake = likely_mistake(robot, data)
+        mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:

@@ -328,6 +328,17 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
     return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *visits]))
 
 
+def zeros_in_words(data: Measurements, robot: Robot) -> str:
+    """Return what to do about readings of 0, 0, 0 (`zero_visits`); empty if there are none."""
+    zeros = zero_visits(data, robot)
+    if len(zeros) == 0:
+        return ""
+    return (
+        f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when they"
+        f" see nothing: {listed([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out"
+    )
+
+
 def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:
     """Return pairs of measured columns that vary and yet are the same wherever both were read.
 

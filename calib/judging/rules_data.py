@@ -14,7 +14,7 @@ from calib.data.measurements import Measurements
 from calib.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, outliers_in_words
-from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
+from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits, zeros_in_words
 from calib.judging import findings
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.repeatability import beyond_repeatability
@@ -245,11 +245,7 @@ def dead_readings(fit: Fit) -> Iterator[Reason]:
     left = np.zeros(len(data))
     np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
     if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
-        yield Code.ZERO_READINGS.says(
-            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which some programs write when"
-            f" they see nothing: {listed([data.labels[k] for k in zeros])};"
-            f" leave {'it' if len(zeros) == 1 else 'them'} out"
-        )
+        yield Code.ZERO_READINGS.says(zeros_in_words(data, fit.nominal))
     for first, second in equal_columns(data, fit.nominal):
         yield Code.EQUAL_COLUMNS.says(
             f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
@@ -129,14 +130,15 @@ class ReadOnlyArrays(Worded):
         ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
 
 
-class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin):
+class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
     """Base of what is read as one array wherever NumPy takes arrays: `1e3 * residuals`, `predicted - measured`.
 
     A subclass says by `__array__` which array that is.
     """
 
+    @abstractmethod
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        raise NotImplementedError
+        """Return the array."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         """Compute with the arrays; where each of them would be repeated along the other, that is an `InputError`."""

@@ -16,6 +16,7 @@ import growth
 import numpy as np
 import pinocchio as pin
 import scipy
+import waiting
 import whole_commands
 from hand_written import Arm, fit
 from timing import least
@@ -235,6 +236,14 @@ this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. T
 `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
+    yield """
+## What people wait for
+
+In a program that runs already: a fit with verdict, of few rows that are not spread, too; one more pose of a robot that
+is watched while it is measured; a fit that chooses joint terms. The times are those of the machine that made this page.
+This table alone: `python tests/benchmarks/waiting.py --data FOLDER`.
+"""
+    yield from waiting.table(folder, max(rounds // 5, 1))
     yield """
 ## Evaluations
 

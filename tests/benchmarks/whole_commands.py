@@ -24,6 +24,7 @@ from medrue.workspace import target_workspace
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.figure"]
+SOME = 10_000
 MANY = 100_000
 MOST = 1_000_000
 COMPILED = 6000
@@ -60,22 +61,31 @@ def joint_columns(robot, q):
         yield f"{name} [{units[dimension]}]", list(values * PER_SI[dimension][units[dimension]])
 
 
+def written(path, robot, parts):
+    """Write joint values part by part: the memory of this program counts as that of the commands."""
+    with path.open("w") as file:
+        for k, q in enumerate(parts):
+            text = format_table(list(joint_columns(robot, q)))
+            file.write(text if k == 0 else text.partition("\n")[2])
+
+
 def prepared(folder):
     """Write the inputs, and return the commands by name."""
     robots = {"arm": EXAMPLES / "arm.yaml", "five-bar": EXAMPLES / "five_bar.yaml", "MedRUE": Path(robot_file())}
     medrue, rng = calib.load(robots["MedRUE"]), np.random.default_rng(0)
     q = np.array(target_workspace().q)
-    places = millimetres(medrue.positions(q[rng.integers(len(q), size=1000)])[:, 0])
     target = medrue.target_names[0]
-    columns = [(f"{target}_{axis} [mm]", list(column)) for axis, column in zip("xyz", places.T, strict=True)]
-    (folder / "targets.csv").write_text(format_table(columns))
-    for n in (MOST, MANY):
-        with (folder / f"candidates-{n}.csv").open("w") as file:
-            for start in range(0, n, MANY):  # part by part: the memory of this program counts as theirs
-                spread = 0.03 * medrue.mechanism.joint_scale * rng.standard_normal((MANY, q.shape[1]))
-                many = q[rng.integers(len(q), size=MANY)] + spread
-                text = format_table(list(joint_columns(medrue, many)))
-                file.write(text if start == 0 else text.partition("\n")[2])
+    for where, poses in (("", q[rng.integers(len(q), size=1000)]), (" anywhere", medrue.sample(1000, seed=3))):
+        places = millimetres(medrue.positions(poses)[:, 0])
+        columns = [(f"{target}_{axis} [mm]", list(column)) for axis, column in zip("xyz", places.T, strict=True)]
+        (folder / f"targets{where}.csv").write_text(format_table(columns))
+    for n in (MANY, MOST):
+        spread = 0.03 * medrue.mechanism.joint_scale
+        parts = (
+            q[rng.integers(len(q), size=MANY)] + spread * rng.standard_normal((MANY, q.shape[1]))
+            for _ in range(n // MANY)
+        )
+        written(folder / f"candidates-{n}.csv", medrue, parts)
     commands = {"`calib --version`": ["--version"]}
     for pages in (False, True):
         for name, path in robots.items():
@@ -83,24 +93,36 @@ def prepared(folder):
             arguments = ["fit", str(path), f"{name}.csv", "--out", f"{name}-{pages}", *["--no-pages"] * (not pages)]
             commands[f"`calib fit`, 30 poses, {name}{', with pages' * pages}"] = arguments
     commands["`calib check` without data, MedRUE"] = ["check", str(robots["MedRUE"])]
-    commands["`calib solve`, 1000 targets, MedRUE"] = [
-        *("solve", str(robots["MedRUE"]), "targets.csv"),
-        *("--skip-unreachable", "--out", "solved.csv"),
+    for where in ("", " anywhere"):
+        commands[f"`calib solve`, 1000 targets{where}, MedRUE"] = [
+            *("solve", str(robots["MedRUE"]), f"targets{where}.csv"),
+            *("--skip-unreachable", "--out", "solved.csv"),
+        ]
+    sample = ("sample", str(robots["MedRUE"]), "--out", "sampled.csv", "--count")
+    taken(["-m", "calib", *sample, str(SOME)], folder)
+    (folder / "program.csv").write_bytes((folder / "sampled.csv").read_bytes())
+    commands[f"`calib sample`, {MANY} poses, MedRUE"] = [*sample, str(MANY)]
+    commands[f"`calib compensate`, {SOME} poses, MedRUE"] = [
+        *("compensate", "MedRUE-False", "program.csv"),
+        *("--skip-unreachable", "--out", "compensated.csv"),
     ]
     for n in (MANY, MOST):
         commands[f"`calib select`, 84 of {n} poses, MedRUE"] = [
             *("select", str(robots["MedRUE"]), f"candidates-{n}.csv", "--count", "84", "--out", "chosen.csv")
         ]
-    for name in ("arm", "MedRUE"):
+    for name, counts in (("arm", (MANY, MOST)), ("MedRUE", (MANY,))):
         robot = calib.load(robots[name])
-        poses = robot.sample(MANY, seed=1) if name == "arm" else many
-        (folder / f"{name}-many.csv").write_text(format_table(list(joint_columns(robot, poses))))
-        simulate = ["simulate", str(robots[name]), f"{name}-many.csv", "--seed", "2", "--out", f"{name}-read.csv"]
-        taken(["-m", "calib", *simulate], folder)
-        some_rows(folder / f"{name}-read.csv", folder / f"{name}-some.csv", COMPILED)
+        for n in counts:
+            poses = folder / f"candidates-{n}.csv"
+            if name == "arm":
+                poses = folder / f"arm-{n}.csv"
+                written(poses, robot, (robot.sample(MANY, seed=k) for k in range(n // MANY)))
+            simulate = ["simulate", str(robots[name]), str(poses), "--seed", "2", "--out", f"{name}-read-{n}.csv"]
+            taken(["-m", "calib", *simulate], folder)
+            fit = ["fit", str(robots[name]), f"{name}-read-{n}.csv", "--no-pages", "--out", f"{name}-many"]
+            commands[f"`calib fit`, {n} poses, {name}"] = fit
+        some_rows(folder / f"{name}-read-{MANY}.csv", folder / f"{name}-some.csv", COMPILED)
         taken(["-m", "calib", "fit", str(robots[name]), f"{name}-some.csv", "--no-pages", "--out", "compiled"], folder)
-        fit = ["fit", str(robots[name]), f"{name}-read.csv", "--no-pages", "--out", f"{name}-many"]
-        commands[f"`calib fit`, {MANY} poses, {name}"] = fit
     for command in ("study", "experiment"):
         commands[f"`medrue {command} --quick`"] = [command, "--quick", "--jobs", "1", "--out", command]
     return commands

@@ -97,6 +97,7 @@ def test_outliers_are_listed_and_the_verdict_says_why():
     assert fit.verdict.grade == "CHECK"
     assert "Verdict: CHECK" in text(html)[:300]
     assert all(str(escape(reason.text)) in html for reason in fit.verdict.reasons)
+    assert "Next: fit again without the outliers: calib fit ROBOT DATA --exclude-outliers" in text(html)
 
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():

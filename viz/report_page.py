@@ -20,6 +20,7 @@ import numpy as np
 from calib import Fit, Robot
 from calib.base.version import PROGRAM
 from calib.base.words import sentence
+from calib.judging.next_step import next_step
 from calib.judging.verdict import judge
 from calib.reporting.sections.accuracy import accuracy
 from calib.reporting.sections.budget import budget_grid, budget_table
@@ -85,6 +86,7 @@ def report_page(
             fit=fit,
             robot=fit.nominal,
             verdict=judge(fit),
+            following=next_step(fit),
             headline=headline(tables, judged_by(fit).main_part),
             space=_space(shown, judged_by(fit).main_part.name),
             accuracy=tables,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.numerics.clusters import foretold, scatter
+from calib.numerics.clusters import LeftOut, scatter
 from calib.numerics.observability import information
 from calib.numerics.prior import Prior
 
@@ -60,7 +60,10 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
         rest = block != b
         normal = jacobian[rest].T @ jacobian[rest] + np.diag(1.0 * has_prior)
         expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
-    np.testing.assert_allclose(foretold(jacobian @ root, residuals, block), expected, rtol=1e-9, atol=1e-9)
+    span = jacobian @ root
+    np.testing.assert_allclose(LeftOut(span, block).foretold(residuals), expected, rtol=1e-9, atol=1e-9)
+    of_fewer = LeftOut(span[:, :-2], block)
+    np.testing.assert_allclose(of_fewer.foretold(residuals, span[:, -2:]), expected, rtol=1e-9, atol=1e-9)
 
 
 def draws(seed, lengths, shared, n=400):

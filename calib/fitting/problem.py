@@ -24,7 +24,7 @@ from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
 from calib.instruments.kind import Readings
 from calib.numerics.chances import UNLIKELY
-from calib.numerics.clusters import foretold
+from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
@@ -352,7 +352,7 @@ class Problem(ReadOnlyArrays):
         """
         layout, rows = self.whitening.layout, self.rows(evaluation, groups)
         pose = layout.pose_of_row
-        errors = foretold(Span(rows.jacobian, rows.known.root), rows.residuals, pose)
+        errors = LeftOut(Span(rows.jacobian, rows.known.root), pose).foretold(rows.residuals)
         errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
         squares = (errors * self.whitening.row_scale(groups)) ** 2
         means = []

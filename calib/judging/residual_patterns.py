@@ -47,7 +47,7 @@ from calib.base.words import joints_named
 from calib.judging.effect_kinds import Family, Kind, Trait
 from calib.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
-from calib.numerics.clusters import foretold
+from calib.numerics.clusters import LeftOut
 from calib.numerics.tall import Span
 from calib.rows.rows import Rows
 
@@ -125,6 +125,16 @@ class LinearFit:
             freedom=self.freedom - fewer,
             pose_freedom=self.pose_freedom - fewer,
         )
+
+    @cached_property
+    def pose(self) -> IntArray:
+        """Number of the pose of each row, from 0 on, (n_rows,)."""
+        return np.unique(self.rows.layout.pose_of_row, return_inverse=True)[1]
+
+    @cached_property
+    def without_poses(self) -> LeftOut:
+        """The fit with poses left out in turn."""
+        return LeftOut(self.span, self.pose)
 
     @cached_property
     def square(self) -> float:
@@ -349,12 +359,11 @@ def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explaine
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
     basis = scipy.linalg.orth(columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
-    pose = np.unique(residuals.rows.layout.pose_of_row, return_inverse=True)[1]
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
 
     def chance(left: FloatArray) -> float:
-        scores = [np.bincount(pose, direction * left) for direction in basis.T]
+        scores = [np.bincount(residuals.pose, direction * left) for direction in basis.T]
         inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
         return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
 
@@ -362,7 +371,7 @@ def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explaine
     result = chance(left)
     if result >= limit:
         return result
-    return chance(foretold(residuals.span.beside(basis), left, pose))
+    return chance(residuals.without_poses.foretold(left, basis))
 
 
 @dataclass(frozen=True)

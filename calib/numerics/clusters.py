@@ -174,28 +174,49 @@ def pulls_without(
     return pulls, largest
 
 
-def foretold(span: FloatArray | Span, residuals: FloatArray, block: IntArray) -> FloatArray:
-    """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
-
-    Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
+class LeftOut:
+    """Blocks left out in turn, of a fit and of others that have further parameters each.
 
     Args:
-        span: U = J T of whitened rows, (n_rows, k).
-        residuals: r, whitened, (n_rows,).
+        span: U = J T of whitened rows of the fit, (n_rows, k).
         block: Block of each row, (n_rows,).
     """
-    result = residuals.copy()
-    for rows in of_equal_length(block):
-        own, errors = span[rows], residuals[rows][:, :, None]
-        across = own.transpose(0, 2, 1)
-        if own.shape[1] <= own.shape[2]:
-            values, vectors = np.linalg.eigh(np.matmul(own, across))
-            gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
-            added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
-        else:
-            values, vectors = np.linalg.eigh(np.matmul(across, own))
-            gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
-            pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
-            added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))
-        result[rows] += added[:, :, 0]
-    return result
+
+    def __init__(self, span: FloatArray | Span, block: IntArray) -> None:
+        self._span = span
+        self._hats = [(rows, self._hat(rows)) for rows in of_equal_length(block)]
+
+    def _hat(self, rows: IntArray) -> FloatArray | None:
+        """H_b of blocks (n, m, m); None where it is larger than what it is made of."""
+        if rows.shape[1] > self._span.shape[1]:
+            return None
+        own = self._span[rows]
+        return np.matmul(own, own.transpose(0, 2, 1))
+
+    def foretold(self, residuals: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+        """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
+
+        Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
+
+        Args:
+            residuals: r, whitened, (n_rows,).
+            beside: Further columns of U, (n_rows, n_further); none if not given.
+        """
+        result = residuals.copy()
+        for rows, hat in self._hats:
+            errors, further = residuals[rows][:, :, None], None if beside is None else beside[rows]
+            if hat is not None:
+                if further is not None:
+                    hat = hat + np.matmul(further, further.transpose(0, 2, 1))
+                values, vectors = np.linalg.eigh(hat)
+                gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
+                added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
+            else:
+                own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
+                across = own.transpose(0, 2, 1)
+                values, vectors = np.linalg.eigh(np.matmul(across, own))
+                gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
+                pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
+                added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))
+            result[rows] += added[:, :, 0]
+        return result

@@ -85,8 +85,9 @@ class Span:
 
     def __getitem__(self, rows: Places) -> FloatArray:
         """Return some rows, (..., k)."""
-        known = self.jacobian[rows] @ self.root
-        return np.asarray(known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1))
+        some = self.jacobian[rows]  # as one matrix: T is read once, not for every block of rows
+        known = (some.reshape(-1, some.shape[-1]) @ self.root).reshape(*some.shape[:-1], self.root.shape[1])
+        return known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1)
 
     def beside(self, more: FloatArray) -> Span:
         """Return it with further columns, (n_rows, n_more)."""

@@ -176,3 +176,14 @@ def test_a_way_that_does_not_come_down_again_is_gone_back():
     assert sum(np.array_equal(x, np.zeros(2)) for x in looked_at) == 2
     assert minimum.converged
     np.testing.assert_allclose(minimum.x, [5.0, 25.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("condition", [1e3, 1e7])
+def test_many_unknowns_are_found_however_badly_they_are_seen(condition):
+    rng = np.random.default_rng(0)
+    left, right = (np.linalg.qr(rng.standard_normal((n, 150)))[0] for n in (400, 150))
+    jacobian, truth = left * np.geomspace(1.0, 1.0 / condition, 150) @ right.T, rng.standard_normal(150)
+    minimum = minimise(lambda x: jacobian @ (x - truth), lambda x: jacobian, np.zeros(150))
+    assert minimum.converged
+    assert minimum.evaluations <= 3
+    np.testing.assert_allclose(minimum.x, truth, atol=1e-12)

@@ -32,6 +32,7 @@ def test_the_triangular_factor_has_the_same_products(matrix):
     factor, whole = cut(matrix).factor(right), np.column_stack([matrix, right])
     assert factor.shape == (5, 5)
     np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, atol=1e-12)
+    np.testing.assert_allclose(cut(matrix).products(right), whole.T @ whole, atol=1e-12)
     np.testing.assert_allclose(np.abs(cut(matrix).factor()), np.abs(reduced(matrix)), atol=1e-12)
 
 

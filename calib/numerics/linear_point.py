@@ -2,6 +2,10 @@
 
 r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r stands beside it as K. Symbols and
 derivation are those of `calib.numerics.least_squares`, which goes from point to point.
+
+R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
+That squares the condition of J: with 1e5 at most, a step is off by a millionth of itself at worst, which the next one
+takes away. Beyond, rotations are used, whatever time they take.
 """
 
 from __future__ import annotations
@@ -19,6 +23,8 @@ ON_RADIUS = 0.1
 _BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
 _DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
+_MANY = 128  # columns from which products are used
+_EXACT = 1e-5  # inverse of the condition down to which they are exact enough
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 
@@ -34,10 +40,7 @@ class LinearPoint:
     def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | Tall) -> None:
         self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, Tall.of(jacobian)
         self.cost = float(residuals @ residuals)
-        n = len(x)
-        factor = self.jacobian.factor(residuals)
-        self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
-        self.unseen = float(np.sum(factor[n:, n] ** 2))  # what no step takes away, to first order
+        self.triangle, self.projected, self.unseen = _reduced(self.jacobian, residuals)
 
     @cached_property
     def sees_all(self) -> bool:
@@ -134,3 +137,16 @@ class LinearPoint:
             else:
                 high = middle
         return np.asarray((vectors @ step) / scale)
+
+
+def _reduced(jacobian: Tall, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return R, Q^T r, and the square of r that no step takes away, to first order."""
+    n = jacobian.shape[1]
+    if n >= _MANY:
+        products = jacobian.products(residuals)
+        triangle, failed = scipy.linalg.lapack.dpotrf(products[:n, :n])
+        if not failed and scipy.linalg.lapack.dtrcon(triangle)[0] >= _EXACT:
+            projected = scipy.linalg.solve_triangular(triangle, products[:n, n], trans=1)
+            return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
+    factor = jacobian.factor(residuals)
+    return factor[:n, :n], factor[:n, n], float(np.sum(factor[n:, n] ** 2))

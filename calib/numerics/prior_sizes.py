@@ -41,6 +41,7 @@ _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
 _SMALLEST = 1e-3  # size below which a family does not fall at once
 _SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
+_BLOCK = 96  # columns of a triangle that LAPACK inverts as fast
 _RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding has made singular
 
 
@@ -99,7 +100,8 @@ class Products:
 
     def only(self, use: IntArray) -> Products:
         """Return those of some columns, by place (n_used,)."""
-        return Products(self.gram[:, use[:, None], use], self.pull[:, use], self.square, self.count)
+        gram = self.gram.take(use, 1).take(use, 2)  # a third of the time of both at once
+        return Products(gram, self.pull[:, use], self.square, self.count)
 
     def weighed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
@@ -142,8 +144,10 @@ class FamilyModel:
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
         """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""
         factor = np.append(sizes, 1.0)[self.family]
-        gram, pull = self.products.weighed(scales)
-        matrix = self.prior.added_to(factor[:, None] * gram * factor)
+        matrix, pull = self.products.weighed(scales)
+        matrix *= factor[:, None]  # in place: such matrices are large, and there are many
+        matrix *= factor
+        matrix = self.prior.added_to(matrix)
         deviations = self.deviations / factor
         right = factor * pull + self.prior.pull(deviations)
         root = inverse_root(matrix)
@@ -181,11 +185,24 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
 
     A matrix that rounding has made singular gets 1e-12 of its diagonal more.
     """
-    try:
-        lower = np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        lower = np.linalg.cholesky(matrix + _RIDGE * np.diag(np.diag(matrix)))
-    return np.asarray(scipy.linalg.lapack.dtrtri(lower.T, lower=0)[0])
+    upper, failed = scipy.linalg.lapack.dpotrf(matrix.T)  # as LAPACK has it: not copied twice
+    if failed:
+        upper = scipy.linalg.cholesky(matrix + _RIDGE * np.diag(np.diag(matrix)))
+    return _inverse_of_triangle(upper)
+
+
+def _inverse_of_triangle(upper: FloatArray) -> FloatArray:
+    """Return the inverse of an upper triangular matrix, (n, n), by halves: nearly all of the work is in products."""
+    n = len(upper)
+    if n <= _BLOCK:
+        return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
+    first, last = slice(n // 2), slice(n // 2, n)
+    inverse = np.zeros((n, n), order="F")
+    above, below = (_inverse_of_triangle(upper[part, part]) for part in (first, last))
+    between = scipy.linalg.blas.dtrmm(-1.0, above, upper[first, last])
+    inverse[first, first], inverse[last, last] = above, below
+    inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
+    return inverse
 
 
 def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -51,6 +51,16 @@ class Tall:
             factor = reduced_with(factor, rows, None if right is None else right[places])
         return factor
 
+    def products(self, right: FloatArray) -> FloatArray:
+        """Return the products of its columns and one more (n_rows,) with each other, (n, n)."""
+        n = self.shape[1]
+        products = np.zeros((n + 1, n + 1))
+        for places, rows in self.parts():
+            products[:n, :n] += rows.T @ rows
+            products[:n, n] += rows.T @ right[places]
+        products[n, :n], products[n, n] = products[:n, n], right @ right
+        return products
+
     def times(self, column: FloatArray) -> FloatArray:
         """Return the product with a column (n_columns,), (n_rows,)."""
         result = np.empty(self.shape[0])

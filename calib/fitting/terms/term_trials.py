@@ -385,7 +385,5 @@ class Trials:
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve a symmetric system, (n, n) and (n,), that rounding may have made indefinite."""
-    try:
-        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix, lower=True), right))
-    except np.linalg.LinAlgError:
-        return np.linalg.solve(matrix, right)
+    upper, failed = scipy.linalg.lapack.dpotrf(matrix.T, clean=0)  # as LAPACK has it: not copied twice
+    return np.linalg.solve(matrix, right) if failed else np.asarray(scipy.linalg.lapack.dpotrs(upper, right)[0])

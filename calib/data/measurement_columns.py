@@ -6,6 +6,7 @@ joint values. Cells that nothing stands in are empty text.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -39,7 +40,7 @@ def cells_of(values: FloatArray) -> list[object]:
 
     15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them.
     """
-    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]
+    return [float(f"{value:.15g}") if math.isfinite(value) else "" for value in values.tolist()]
 
 
 def condition_columns(

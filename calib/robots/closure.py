@@ -181,5 +181,6 @@ def block_signs(slope: FloatArray, rows: tuple[IntArray, ...], columns: tuple[In
     for size in {len(row) for row in rows}:  # blocks of one size together: most robots have several of them
         alike = [k for k, row in enumerate(rows) if len(row) == size]
         row, column = (np.stack([indices[k] for k in alike]) for indices in (rows, columns))
-        signs[:, alike] = np.sign(np.linalg.det(slope[:, row[:, :, None], column[:, None]]))
+        entries = slope[:, row[:, :, None], column[:, None]]
+        signs[:, alike] = np.sign(entries[..., 0, 0] if size == 1 else np.linalg.det(entries))
     return signs

@@ -123,7 +123,7 @@ def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 def in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
     """Return changes of passive joints (n, n_passive) [m or rad] with lengths over the characteristic length."""
-    return np.where(mechanism.is_metre_column, passive / mechanism.length, passive)
+    return passive / np.where(mechanism.is_metre_column, mechanism.length, 1.0)
 
 
 def follow(
@@ -279,29 +279,31 @@ def _continue(
     Where the last step failed, several shorter ones are tried together while few poses are left; the longest counts
     that is accepted, as if they had been tried one after the other.
     """
-    start_a = start[0]
-    at_a, at_p = start_a.copy(), start[1].copy()
-    _, slope, slope_a, _ = newton(mechanism, mode, at_a, at_p)  # of solved poses: only their slopes
+    start_a, at_p = start[0], start[1].copy()
+    way = goal - start_a
+    _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # of solved poses: only their slopes
+    tangent = solved_for(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of the passive joints, for the way
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):
         halved = part[active, None] / 2 ** np.arange(lengths)
         row, length = np.nonzero(halved >= smallest)
         who = active[row]
-        step = np.minimum(halved[row, length], 1 - done[who])[:, None]
-        next_a = np.where(done[who, None] + step >= 1, goal[who], at_a[who] + step * (goal - start_a)[who])
-        change = np.matmul(slope_a[who], (next_a - at_a[who])[:, :, None])
-        predicted = at_p[who] - solved_for(slope[who], change[:, :, 0])
+        step = np.minimum(halved[row, length], 1 - done[who])
+        come = (done[who] + step)[:, None]
+        next_a = np.where(come < 1, start_a[who] + come * way[who], goal[who])
+        predicted = at_p[who] - step[:, None] * tangent[who]
         solved, new_slope, new_slope_a, accepted = newton(mechanism, mode, next_a, predicted)
         accepted &= np.max(np.abs(in_radians(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
         part[active] = halved[:, -1] / 2
         good, first = np.unique(who[accepted], return_index=True)
         took = np.flatnonzero(accepted)[first]
-        at_a[good], at_p[good] = next_a[took], solved[took]
-        slope[good], slope_a[good] = new_slope[took], new_slope_a[took]
-        done[good] += step[took, 0]
-        done[good[np.all(at_a[good] == goal[good], axis=1)]] = 1.0
+        at_p[good], slope[good] = solved[took], new_slope[took]
+        done[good] += step[took]
         part[good] = 2 * halved[row[took], length[took]]
         lengths = 1 if len(good) == len(active) else max(1, _TOGETHER // len(active))
+        further = done[good] < 1
+        on, took = good[further], took[further]
+        tangent[on] = solved_for(new_slope[took], np.matmul(new_slope_a[took], way[on, :, None])[:, :, 0])
         active = active[(done[active] < 1) & (part[active] >= smallest)]
     return at_p, slope, done >= 1

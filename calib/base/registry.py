@@ -6,7 +6,9 @@ calls `register`. Names are looked up when they are asked for, so that nothing o
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from typing import Any, Generic, TypeVar
@@ -17,6 +19,19 @@ from calib.base.errors import DescriptionError, nearest
 from calib.base.sections import Section
 
 Class = TypeVar("Class")
+
+
+def installed(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group, in the order of their names.
+
+    All installed packages are looked through, once for each search path of modules: that takes longer than many fits.
+    """
+    return _installed(group, tuple(sys.path))
+
+
+@lru_cache(maxsize=32)
+def _installed(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=group), key=lambda entry: entry.name))
 
 
 class Registry(Mapping[str, type[Class]], Generic[Class]):
@@ -86,7 +101,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
             DescriptionError: Two packages give one name, or one gives that of a class of this package.
         """
         entries: dict[str, EntryPoint] = {}
-        for entry in entry_points(group=self.group):
+        for entry in installed(self.group):
             other = entries.setdefault(entry.name, entry)
             if entry.name in self._built_in or other.value != entry.value:
                 known = f" ({other.value})" if other.value != entry.value else ""

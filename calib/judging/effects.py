@@ -241,13 +241,13 @@ def _of_joints(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
     robot, data = setting.robot, setting.data
     by_joint = setting.whitened(setting.by_joint)
     in_course = setting.per_visit(_curves(setting.course))
-    still = unmoved_joints(robot, data.joints)
+    still, directions = unmoved_joints(robot, data.joints), data.approach_directions
     for j, name in enumerate(robot.joint_names):
         column, q = by_joint[:, j : j + 1], data.joints[:, j]
         if name in still:
             continue
         yield Effect(Kind.JOINT, name, column * setting.per_visit(_curves(q)))
-        yield Effect(Kind.APPROACH, name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
+        yield Effect(Kind.APPROACH, name, column * setting.per_visit(directions[:, j])[:, None])
         yield Effect(Kind.ZERO, name, column * in_course)
         for neighbour in (j - 1, j + 1):
             if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:

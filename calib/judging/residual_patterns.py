@@ -310,40 +310,46 @@ def _powers(turned: FloatArray, count: int) -> NDArray[np.complex128]:
 
 def _tests(residuals: LinearFit, effects: list[_Moments]) -> list[_Tested]:
     """Test those effects that can be seen; all with equally many columns at once, for there are hundreds."""
-    shown = [effect for effect in effects if np.all(np.diag(effect.squares) > 0)]
-    widths = np.array([len(effect.score) for effect in shown], dtype=np.intp)
-    tests: dict[int, _Tested | None] = {}
+    widths = np.array([len(effect.score) for effect in effects], dtype=np.intp)
+    tests: dict[int, _Tested] = {}
     for width in np.unique(widths):
         numbers = np.flatnonzero(widths == width).tolist()
-        tests |= zip(numbers, _tests_at_once(residuals, [shown[k] for k in numbers]), strict=True)
-    return [test for k in range(len(shown)) if (test := tests[k]) is not None]
+        which, tested = _tests_at_once(residuals, [effects[k] for k in numbers])
+        tests |= zip((numbers[k] for k in which), tested, strict=True)
+    return [tests[k] for k in sorted(tests)]
 
 
-def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> list[_Tested | None]:
-    """Test effects with equally many columns; None for one that the fit absorbs."""
-    squares = np.stack([effect.squares for effect in effects])
+def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> tuple[list[int], list[_Tested]]:
+    """Test effects with equally many columns.
+
+    Returns:
+        Which of them are tested, and their tests. The others do nothing that the fit does not absorb, or leave no
+        degree of freedom to compare the gain with.
+    """
+    squares = np.array([effect.squares for effect in effects])
     size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
-    absorbed = np.stack([effect.absorbed for effect in effects]) / size[:, None, :]
+    shown = np.all(size > 0, axis=1)
+    size = np.where(shown[:, None], size, 1.0)
+    absorbed = np.array([effect.absorbed for effect in effects]) / size[:, None, :]
     left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
     values, vectors = np.linalg.eigh(left)
     determined = values > _ABSORBED
-    score = np.stack([effect.score for effect in effects]) / size
+    score = np.array([effect.score for effect in effects]) / size
     score = np.where(determined, np.matmul(score[:, None, :], vectors)[:, 0], 0.0)
     along = score / np.where(determined, values, 1.0)
-    gains, numbers = np.sum(score * along, axis=1).tolist(), np.sum(determined, axis=1).tolist()
+    gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
     coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
-    parts = zip(effects, gains, numbers, coefficients, strict=True)
-    return [_tested(residuals, *part) for part in parts]
-
-
-def _tested(residuals: LinearFit, effect: _Moments, gain: float, k: int, coefficients: FloatArray) -> _Tested | None:
-    """Return the test of an effect that k columns are left of; None if none is, or nothing to compare the gain with."""
-    freedom = k, residuals.freedom - k
-    if k == 0 or freedom[1] < 1:
-        return None
-    rest = max(residuals.square - gain, 1e-12 * residuals.square) / freedom[1]
-    ratio = max(gain / k / rest, 0.0)
-    return _Tested(effect, float(scipy.special.fdtrc(*freedom, ratio)), ratio, freedom, gain, coefficients)
+    beside = residuals.freedom - k
+    which = np.flatnonzero(shown & (k > 0) & (beside >= 1))
+    k, beside, gains = k[which], beside[which], gains[which]
+    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / beside
+    ratios = np.maximum(gains / k / rest, 0.0)
+    chances = scipy.special.fdtrc(k, beside, ratios)
+    numbers = (column.tolist() for column in (which, chances, ratios, k, beside, gains))
+    return which.tolist(), [
+        _Tested(effects[number], chance, ratio, (count, freedom), gain, coefficients[number])
+        for number, chance, ratio, count, freedom, gain in zip(*numbers, strict=True)
+    ]
 
 
 def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray
+from calib.base.remembered import remembered
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.base.words import counted, joints_named, listed
 from calib.fitting.fitted import Fit
@@ -56,7 +57,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
-        at_used = _uncertain(_relative(fit, _at_used(fit)), fit.covariance.values)
+        at_used = _uncertain_at_used(fit)
         away = _uncertain(_relative(fit, elsewhere), fit.covariance.values) if len(elsewhere.actuated) else 0.0
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
@@ -100,12 +101,14 @@ def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
     return configured(robot, q[which], closed.at(which))
 
 
-def _at_used(fit: Fit) -> Configurations:
-    """Poses that were used, as many of them as are looked at."""
+@remembered
+def _uncertain_at_used(fit: Fit) -> float:
+    """Root mean square uncertainty of positions at poses that were used, as many of them as are looked at [m]."""
     data, passive = fit.identification.data, fit.identification.passive
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
     near = None if passive is None else passive[used]
-    return fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+    configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+    return _uncertain(_relative(fit, configurations), fit.covariance.values)
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
@@ -215,7 +218,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     if len(configurations.actuated) == 0:
         return ""
     covariance, flat = fit.covariance.values, _relative(fit, configurations)
-    at_used = _uncertain(_relative(fit, _at_used(fit)), covariance)
+    at_used = _uncertain_at_used(fit)
     away, alone = _uncertain(flat, covariance), _uncertain(flat, _given(covariance, terms))
     if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""

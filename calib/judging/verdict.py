@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from importlib.metadata import entry_points
 from typing import Self
 
 import numpy as np
 
 from calib.base.errors import InputError
+from calib.base.registry import installed
 from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
 from calib.data.in_memory import PosesLike, as_poses
@@ -134,7 +134,7 @@ def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
     """Ask the rules of other packages, in the order of their names."""
-    for entry in sorted(entry_points(group="calib.reasons"), key=lambda entry: entry.name):
+    for entry in installed("calib.reasons"):
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:
             given = list(entry.load()(fit))

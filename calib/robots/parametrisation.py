@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import entry_points
 
 import numpy as np
 
 from calib.base.errors import DescriptionError, InputError, ParameterError, nearest
 from calib.base.parameter import Parameter, index_of
+from calib.base.registry import installed
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.instruments.kind import Place
@@ -175,7 +175,7 @@ def _component_parameter(
 
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
-    plugins = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
+    plugins = {entry.name: entry for entry in installed(ENTRY_POINTS)}
     if name not in plugins and name not in _OWN:
         known = (*plugins, *_OWN)
         raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, known)}")

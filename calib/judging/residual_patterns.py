@@ -33,7 +33,7 @@ Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -55,6 +55,7 @@ SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
 PARTS_PER_MILLION = 1e6
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
+_NUMBERS_AT_ONCE = 1 << 22  # of effects' columns that are tested together
 _VISITS_AT_ONCE = 512  # their powers stay in the processor's cache
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
@@ -186,7 +187,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     if residuals.factor * setting.metre < EXACT:
         return ()
     tested = (effect for effect in effects(setting) if effect.kind in kinds)
-    tests = _tests(residuals, [moments for effect in tested for moments in _moments(residuals, effect)])
+    tests = _tests(residuals, list(_moments(residuals, tested)))
     kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
     for family in Family:
         members = [test for test in tests if test.effect.kind.family is family]
@@ -251,14 +252,30 @@ def visible(residuals: LinearFit, column: FloatArray) -> float:
     return _SURELY * residuals.factor / (size * float(np.sqrt(left))) if left > _ABSORBED else float("inf")
 
 
-def _moments(residuals: LinearFit, effect: Effect | JointWaves) -> Iterator[_Moments]:
-    """Yield the moments of an effect, or those of all waves of a joint."""
-    if isinstance(effect, JointWaves):
-        yield from _moments_of_waves(residuals, effect)
-    else:
-        z = effect.columns
-        score = z.T @ residuals.rows.residuals
-        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.span.pulled(z), score)
+def _moments(residuals: LinearFit, some: Iterable[Effect | JointWaves]) -> Iterator[_Moments]:
+    """Yield the moments of effects, those of several at once, and of all waves of joints."""
+    at_once, together, width = max(_NUMBERS_AT_ONCE // len(residuals.rows.residuals), 1), list[Effect](), 0
+    for effect in some:
+        if isinstance(effect, JointWaves):
+            yield from _moments_of_waves(residuals, effect)
+            continue
+        if together and width + effect.columns.shape[1] > at_once:
+            yield from _moments_at_once(residuals, together)
+            together, width = [], 0
+        together.append(effect)
+        width += effect.columns.shape[1]
+    if together:
+        yield from _moments_at_once(residuals, together)
+
+
+def _moments_at_once(residuals: LinearFit, some: list[Effect]) -> Iterator[_Moments]:
+    columns = some[0].columns if len(some) == 1 else np.hstack([effect.columns for effect in some])
+    absorbed, score = residuals.span.pulled(columns), columns.T @ residuals.rows.residuals
+    first = 0
+    for effect in some:
+        z, own = effect.columns, slice(first, first + effect.columns.shape[1])
+        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, absorbed[:, own], score[own])
+        first = own.stop
 
 
 def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Moments]:

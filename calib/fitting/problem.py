@@ -27,7 +27,7 @@ from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
-from calib.numerics.prior_sizes import FamilyModel, found_with_families
+from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
 from calib.numerics.tall import Span, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
@@ -313,13 +313,21 @@ class Problem(ReadOnlyArrays):
             Scales of the groups (n_groups,), factors of the families (n_families,).
         """
         ones = np.ones(len(groups))
-        if len(evaluation.batches) > 1 and self.weighing is None:
-            model = self._condensed(evaluation, ones)
-        else:
-            model = self._model(self.rows(evaluation, ones))
         if self.unknowns.families:
-            return found_with_families(FamilyModel.of(model), groups)
+            return found_with_families(self._with_families(evaluation, ones), groups)
+        in_batches = len(evaluation.batches) > 1 and self.weighing is None
+        model = self._condensed(evaluation, ones) if in_batches else self._model(self.rows(evaluation, ones))
         return found_scales(model, groups).scales, np.ones(0)
+
+    def _with_families(self, evaluation: Evaluation, ones: FloatArray) -> FamilyModel:
+        """What rows whitened by what is stated say of the noise and of families."""
+        if self.weighing is not None:
+            return FamilyModel.of(self._model(self.rows(evaluation, ones)))
+        residuals, unknowns = self.residuals(evaluation, ones), self.unknowns
+        columns, group = self.derivative(evaluation, ones, unknowns), self.whitening.layout.group
+        products, u = Products.of(columns, residuals, group, len(ones)), unknowns.deviations(evaluation.robot.values)
+        families = unknowns.family, len(unknowns.families)
+        return FamilyModel(products, unknowns.prior, u, self.noise_found, *families)
 
     def found_ratios(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).

@@ -35,6 +35,7 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.chances import EXACT
 from calib.numerics.prior import Prior
+from calib.numerics.tall import Tall
 from calib.numerics.variance_components import LinearModel
 
 _ROUNDS = 100
@@ -87,16 +88,19 @@ class Products:
     count: IntArray
 
     @staticmethod
-    def of(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
+    def of(jacobian: FloatArray | Tall, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
         """Return those of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
         n = jacobian.shape[1]
-        gram, pull = np.empty((n_groups, n, n)), np.empty((n_groups, n))
-        square, count = np.empty(n_groups), np.bincount(group[group >= 0], minlength=n_groups)
-        for g in range(n_groups):
-            in_group = group == g
-            rows, right = (jacobian, residuals) if np.all(in_group) else (jacobian[in_group], residuals[in_group])
-            gram[g], pull[g], square[g] = rows.T @ rows, rows.T @ right, right @ right
-        return Products(gram, pull, square, count)
+        gram, pull, square = np.zeros((n_groups, n, n)), np.zeros((n_groups, n)), np.zeros(n_groups)
+        for places, columns in Tall.of(jacobian).parts():
+            groups, rights = group[places], residuals[places]
+            for g in range(n_groups):
+                in_group = groups == g
+                rows, right = (columns, rights) if np.all(in_group) else (columns[in_group], rights[in_group])
+                gram[g] += rows.T @ rows
+                pull[g] += rows.T @ right
+                square[g] += right @ right
+        return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
 
     def only(self, use: IntArray) -> Products:
         """Return those of some columns, by place (n_used,)."""

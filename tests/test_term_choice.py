@@ -218,8 +218,9 @@ class Tabled:
         key = "".join(sorted(term[0] for term in terms))
         evidence, *squares = self.table[key]
         squares = tuple(np.full(4, value) for value in squares)
-        prediction = Prediction(squares, 1e-3 * np.sqrt(np.sum(squares[0])), 1e-6 * self.unsure.get(key, 0.0))
-        return Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), lambda: prediction)
+        prediction = Prediction(squares, 1e-3 * np.sqrt(np.sum(squares[0])))
+        unsure = 1e-6 * self.unsure.get(key, 0.0)
+        return Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), lambda: prediction, lambda: unsure)
 
 
 def search_in(*made_up):

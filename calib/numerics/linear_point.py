@@ -4,8 +4,8 @@ r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r 
 derivation are those of `calib.numerics.least_squares`, which goes from point to point.
 
 R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
-That squares the condition of J: with 1e5 at most, a step is off by a millionth of itself at worst, which the next one
-takes away. Beyond, rotations are used, whatever time they take.
+That squares the condition of J: with 1e6 at most, a step is off by some ten-thousandths of itself at worst, which the
+next one takes away. Beyond, rotations are used, whatever time they take.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newto
 _DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _MANY = 128  # columns from which products are used
-_EXACT = 1e-5  # inverse of the condition down to which they are exact enough
+_EXACT = 1e-6  # inverse of the condition down to which they are exact enough
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 

@@ -204,14 +204,14 @@ class _Search:
     def guessed(self, group: Group, without: Trial, trial: Trial) -> str:
         """Return why a group of a trial is a guess that costs more than it brings; empty if it is not."""
         now, before = trial.prediction, without.prediction
-        if now.unsure - before.unsure <= before.rms**2 - now.rms**2:
+        if trial.unsure - without.unsure <= before.rms**2 - now.rms**2:
             return ""
         alike = list(group[1:]) or [
             name for name, other in self.instead(group[0], trial).items() if trial.evidence - other.evidence < TELLS
         ]
         if not alike:
             return ""
-        known, otherwise = (millimetres(float(np.sqrt(prediction.unsure))) for prediction in (now, before))
+        known, otherwise = (millimetres(float(np.sqrt(which.unsure))) for which in (trial, without))
         return (
             f"the data cannot tell it from {listed(alike)}, and its cost is larger than its gain: at other combinations"
             f" of measured joint values, positions are known to {known:.3g} mm with, to {otherwise:.3g} mm without it"

@@ -9,7 +9,7 @@ When it fails. All of it is linear: joint errors of many milliradians look curve
 
 Products of the rows are made once for each block, and a trial takes those of its columns: its work grows with columns
 alone, however many poses there are. Blocks are left out of a trial when that is first asked for: about half of all
-trials are told by their evidence alone.
+trials are told by their evidence alone. Joint values are combined in other ways only for a guess.
 
 Reference: mackay1992; roberts2017.
 """
@@ -51,18 +51,15 @@ _LOST = 1e-9  # part of a place's information below which only the poses that ar
 
 @dataclass(frozen=True, eq=False)
 class Prediction(ReadOnlyArrays):
-    """What the linear model with some terms says of what it has not seen.
+    """What the linear model with some terms says of poses that it has not seen.
 
     Attributes:
         squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
         rms: Root mean square of the main part, blocks of the first partition left out in turn [SI].
-        unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
-            part of the readings is no length, which nothing can be weighed against.
     """
 
     squares: tuple[FloatArray, ...]
     rms: float
-    unsure: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +72,7 @@ class Trial:
         n_sizes: How many sizes were found.
         sizes: Largest size found of each term, over what is expected.
         predict: Computes `prediction`.
+        combine: Computes `unsure`.
     """
 
     terms: tuple[str, ...]
@@ -82,11 +80,20 @@ class Trial:
     n_sizes: int
     sizes: dict[str, float]
     predict: Callable[[], Prediction]
+    combine: Callable[[], float]
 
     @cached_property
     def prediction(self) -> Prediction:
-        """What it says of what it has not seen."""
+        """What it says of poses that it has not seen."""
         return self.predict()
+
+    @cached_property
+    def unsure(self) -> float:
+        """Variance of positions at other combinations of joint values, mean over these [m^2].
+
+        0 where the main part of the readings is no length, which nothing can be weighed against.
+        """
+        return self.combine()
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +202,8 @@ class Trials:
         self.fit = fit
         added = (section for candidate in tried for section in candidate.sections)
         self.robot = fit.robot.with_terms((*fit.robot.description.terms, *added))
-        configurations = self.robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        near = fit.configurations.passive
+        configurations = self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings)
         unknowns = Unknowns.of(self.robot)
         owner = {
@@ -211,7 +219,6 @@ class Trials:
         self._by_column = {
             name: self._design.columns(block.by(unknowns.index) * unknowns.scales) for name, block in observed.items()
         }
-        self._elsewhere = self._design.columns(self._combined()[:, unknowns.index] * unknowns.scales)
         partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             partitions.append(stretches(data, BLOCKS))
@@ -229,17 +236,21 @@ class Trials:
         layout = self.fit.whitening.layout
         return _Part(self._design, layout.group, len(layout.groups), which)
 
-    def _combined(self) -> FloatArray:
-        """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_parameters)."""
+    @cached_property
+    def _elsewhere(self) -> FloatArray:
+        """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_columns)."""
         data, robot = self.fit.identification.data, self.robot
         q = other_combinations(data.joints, _COMBINATIONS)
-        closes = robot.close(q).ok
+        closed = robot.close(q)
+        closes = closed.ok
         if self.fit.identification.main_part.dimension != "length" or not np.any(closes):
-            return np.zeros((0, len(robot.parameters)))
+            return np.zeros((0, len(self._design.owner)))
         places = np.linspace(0, len(data) - 1, len(q)).astype(np.intp)
-        linear = linearise(robot, robot.assemble(q[closes], context=data.conditions.at(places[closes])))
+        conditions = data.conditions.at(places[closes])
+        linear = linearise(robot, robot.assemble(q[closes], closed.passive[closes], context=conditions))
         positions, rows = linear.positions[:, robot.located], linear.jacobian[:, robot.located]
-        return beside_common_motion(positions, rows).reshape(-1, rows.shape[-1])
+        by_parameters = beside_common_motion(positions, rows).reshape(-1, rows.shape[-1])
+        return self._design.columns(by_parameters[:, self._unknowns.index] * self._unknowns.scales)
 
     def of(self, terms: tuple[str, ...]) -> Trial:
         """Return the linear model with some terms; each is computed once."""
@@ -313,29 +324,32 @@ class Trials:
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
         solved = model.solved(scales, sizes)
         if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
-            return Trial(terms, -np.inf, model.n_families, dict.fromkeys(terms, np.inf), self._nothing_foretold)
+            infinite = dict.fromkeys(terms, np.inf)
+            return Trial(terms, -np.inf, model.n_families, infinite, self._nothing_foretold, lambda: np.inf)
         of_term = {
             term: max(float(solved.factor[k]) for k, column in enumerate(use) if self._design.owner[column] == term)
             for term in terms
         }
         evidence = log_evidence(model, solved, scales)
-        return Trial(terms, evidence, model.n_families, of_term, partial(self._foretold, terms, scales, sizes))
+        predict, combine = partial(self._foretold, terms, scales, sizes), partial(self._unsure, terms, scales, sizes)
+        return Trial(terms, evidence, model.n_families, of_term, predict, combine)
 
     def _nothing_foretold(self) -> Prediction:
         """Of a trial that leaves no noise to any group that has some."""
-        return Prediction(tuple(np.full(len(parts), np.inf) for parts in self._partitions), np.inf, np.inf)
+        return Prediction(tuple(np.full(len(parts), np.inf) for parts in self._partitions), np.inf)
 
     def _foretold(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> Prediction:
         use, model = self._model(terms)
         solved = model.solved(scales, sizes)  # again: the matrices of all trials together would be too large to keep
         left_out = [self._left_out(solved, model.prior, scales, use, parts) for parts in self._partitions]
+        return Prediction(tuple(squares for squares, _ in left_out), left_out[0][1])
+
+    def _unsure(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> float:
+        use, model = self._model(terms)
+        solved = model.solved(scales, sizes)
         elsewhere = self._elsewhere[:, use] * solved.factor
         variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)
-        return Prediction(
-            tuple(squares for squares, _ in left_out),
-            left_out[0][1],
-            3.0 * float(np.mean(variances)) if len(variances) else 0.0,
-        )
+        return 3.0 * float(np.mean(variances)) if len(variances) else 0.0
 
     def _left_out(
         self, solved: SizedModel, prior: Prior, scales: FloatArray, use: IntArray, parts: list[_Part]

@@ -9,6 +9,7 @@ sign is taken of each strongly connected part of C_p's pattern, one for each fiv
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,14 +25,14 @@ def residual(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
     joints, n_passive = mechanism.all_joints(actuated, passive), len(mechanism.passive)
-    select = mechanism.select_moving
+    shared, select = kinematics.Shared(mechanism, mechanism.loops), mechanism.select_moving
+    moving = kinematics.Coordinates.of(shared.reduced, mechanism.loop_signs, select)
     values = np.empty((len(joints), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, select.shape[1]))
     for part in kinematics.chunks(len(joints)):
-        swept = kinematics.sweep(mechanism, joints[part], mechanism.loops)
-        values[part], maps = kinematics.gaps(swept, mechanism.loops)
-        left = swept.reduced.joints
-        np.matmul(np.matmul(maps, swept.jacobian) * mechanism.loop_signs[:, left], select[left], out=slope[part])
+        swept = kinematics.sweep(mechanism, joints[part], mechanism.loops, shared)
+        values[part], maps = kinematics.gaps(swept)
+        slope[part] = kinematics.joint_derivative(swept, maps, moving)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 
@@ -71,15 +72,18 @@ def motion(
     mapping = np.zeros((len(actuated), 6, 6))
     mapping[:, :3] = kinematics.twist_map(swept, target)
     mapping[:, 3:, 3:] = to_frame
-    sign = mechanism.between(target)[:, None]
-    jacobian: FloatArray = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_actuated)
+
+    def by(select: FloatArray) -> FloatArray:
+        coordinates = kinematics.Coordinates.of(swept.reduced, mechanism.between(target)[None], select)
+        return kinematics.joint_derivative(swept, mapping, coordinates)
+
+    jacobian = by(mechanism.select_actuated)
     by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
     if mechanism.loops:
         if closures is None:
             closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
         by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
-        by_passive = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_passive)
-        jacobian += by_passive @ by_joint
+        jacobian += by(mechanism.select_passive) @ by_joint
     return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
 
 
@@ -140,6 +144,12 @@ class AssemblyMode(ReadOnlyArrays):
     block_columns: tuple[IntArray, ...]
     signs: FloatArray
 
+    @cached_property
+    def places(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Rows and columns of all blocks, one after another, (n_passive,), and where each ends, (n_blocks,)."""
+        ends = np.cumsum([len(rows) for rows in self.block_rows])
+        return np.concatenate(self.block_rows), np.concatenate(self.block_columns), ends
+
     def holds(self, slope: FloatArray) -> BoolArray:
         """Return which configurations are in this mode, from their C_p (n, n_passive, n_passive): (n,)."""
         return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
@@ -149,11 +159,12 @@ def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ..
     """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
 
     Returns:
-        Row indices and column indices of each block.
+        Row indices and column indices of each block, columns with few entries first: these are quickly eliminated.
     """
-    column_of_row = _matched(pattern)
+    column_of_row, entries = _matched(pattern), np.sum(pattern, axis=0)
     rows = connected_parts(pattern[:, column_of_row])
-    return rows, tuple(np.sort(column_of_row[part]) for part in rows)
+    columns = (np.sort(column_of_row[part]) for part in rows)
+    return rows, tuple(part[np.argsort(entries[part], kind="stable")] for part in columns)
 
 
 def _matched(pattern: BoolArray) -> IntArray:

@@ -69,16 +69,18 @@ def newton(
     fast = kernels(mechanism, len(passive))
     if fast is None:
         slope, slope_actuated, accepted = _corrected(mechanism, actuated, passive, enough)
+        accepted[accepted] = mode.holds(slope if np.all(accepted) else slope[accepted])
     else:
         reduced, _ = mechanism.around(mechanism.loops)
         select = mechanism.select_passive[reduced.joints], mechanism.select_actuated[reduced.joints]
         rest = actuated @ select[1].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
         model, limits = (fast.tree(mechanism, reduced), fast.loops(mechanism, reduced)), (LARGEST_STEP, _MAX_NEWTON)
-        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, enough, *limits)
-    good = np.flatnonzero(accepted)
-    if len(good):
-        accepted[good] = mode.holds(slope[good])
+        n, n_passive = passive.shape
+        slope, slope_actuated = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, actuated.shape[1]))
+        accepted = np.empty(n, dtype=bool)
+        fast.close(*model, rest, *select, passive, scale, enough, *limits, slope, slope_actuated, accepted)
+        fast.same_signs(slope, *mode.places, mode.signs, accepted)
     return passive, slope, slope_actuated, accepted
 
 

@@ -337,11 +337,8 @@ def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> 
 def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
     """C_a, (n, n_passive, n_driven)."""
     swept = kinematics.sweep(mechanism, joints, mechanism.loops)
-    parts = []
-    for loop in mechanism.loops:
-        columns = mechanism.between(loop)[:, None] * mechanism.select_actuated
-        parts.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
-    return np.concatenate(parts, axis=1)
+    driven = kinematics.Coordinates.of(swept.reduced, mechanism.loop_signs, mechanism.select_actuated)
+    return kinematics.joint_derivative(swept, kinematics.gaps(swept)[1], driven)
 
 
 def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:

@@ -81,6 +81,24 @@ class Loops(NamedTuple):
     signs: FloatArray
 
 
+class Plan(NamedTuple):
+    """In which order a matrix (n, n) is eliminated of which most entries are zero, whatever the other numbers are.
+
+    Attributes:
+        columns: Column of each step, (n,).
+        n_rows: How many rows may have entries there, (n,).
+        rows: Which they are, that of the pivot first, (n, n).
+        n_others: In how many further columns, (n,).
+        others: Which these are, (n, n).
+    """
+
+    columns: IntArray
+    n_rows: IntArray
+    rows: IntArray
+    n_others: IntArray
+    others: IntArray
+
+
 def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
     """Return what is left of a mechanism as arrays."""
     return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
@@ -161,33 +179,78 @@ def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
 
 
 @_compiled
-def _solve(A: FloatArray, B: FloatArray) -> bool:
-    """Solve A X = B in place, A (n, n) and B (n, m), by elimination with pivots; False where A is singular."""
+def _plan(pattern: BoolArray) -> Plan:
+    """Return in which order to eliminate a matrix with this pattern (n, n), which is used up.
+
+    The column with the fewest rows is next. Which of these rows has the pivot depends on the numbers, so that all of
+    them count as having entries wherever one has any.
+    """
+    n = len(pattern)
+    columns, n_rows, n_others = np.empty(n, dtype=np.intp), np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp)
+    rows, others = np.empty((n, n), dtype=np.intp), np.empty((n, n), dtype=np.intp)
+    row_left, column_left = np.ones(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    for k in range(n):
+        fewest = n + 1
+        for c in range(n):
+            count = 0
+            for r in range(n):
+                count += row_left[r] and pattern[r, c]
+            if column_left[c] and count < fewest:
+                fewest, columns[k] = count, c
+        column_left[columns[k]] = False
+        for r in range(n):
+            if row_left[r] and pattern[r, columns[k]]:
+                rows[k, n_rows[k]] = r
+                n_rows[k] += 1
+        for c in range(n):
+            used = False
+            for e in range(n_rows[k]):
+                used = used or pattern[rows[k, e], c]
+            if used and column_left[c]:
+                others[k, n_others[k]] = c
+                n_others[k] += 1
+                for e in range(n_rows[k]):
+                    pattern[rows[k, e], c] = True
+        if n_rows[k]:
+            row_left[rows[k, 0]] = False
+    return Plan(columns, n_rows, rows, n_others, others)
+
+
+@_compiled
+def _solve(plan: Plan, A: FloatArray, B: FloatArray, X: FloatArray) -> bool:
+    """Solve A X = B for X, A (n, n) and B (n, m), which are used up, with pivots; False where A is singular."""
     n, m = B.shape
     for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[pivot, k]):
-                pivot = i
-        if not abs(A[pivot, k]) > 0.0:
+        c, first = plan.columns[k], plan.rows[k, 0]
+        pivot = first
+        for e in range(1, plan.n_rows[k]):
+            if abs(A[plan.rows[k, e], c]) > abs(A[pivot, c]):
+                pivot = plan.rows[k, e]
+        if plan.n_rows[k] == 0 or not abs(A[pivot, c]) > 0.0:
             return False
-        if pivot != k:
-            for j in range(n):
-                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        if pivot != first:
+            A[first, c], A[pivot, c] = A[pivot, c], A[first, c]
+            for o in range(plan.n_others[k]):
+                j = plan.others[k, o]
+                A[first, j], A[pivot, j] = A[pivot, j], A[first, j]
             for j in range(m):
-                B[k, j], B[pivot, j] = B[pivot, j], B[k, j]
-        for i in range(k + 1, n):
-            factor = A[i, k] / A[k, k]
+                B[first, j], B[pivot, j] = B[pivot, j], B[first, j]
+        for e in range(1, plan.n_rows[k]):
+            i = plan.rows[k, e]
+            factor = A[i, c] / A[first, c]
             if factor != 0.0:
-                for j in range(k + 1, n):
-                    A[i, j] -= factor * A[k, j]
+                for o in range(plan.n_others[k]):
+                    A[i, plan.others[k, o]] -= factor * A[first, plan.others[k, o]]
                 for j in range(m):
-                    B[i, j] -= factor * B[k, j]
-    for j in range(m):
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                B[i, j] -= A[i, k] * B[k, j]
-            B[i, j] /= A[i, i]
+                    B[i, j] -= factor * B[first, j]
+    for k in range(n - 1, -1, -1):
+        c, first = plan.columns[k], plan.rows[k, 0]
+        for o in range(plan.n_others[k]):
+            factor = A[first, plan.others[k, o]]
+            for j in range(m):
+                B[first, j] -= factor * X[plan.others[k, o], j]
+        for j in range(m):
+            X[c, j] = B[first, j] / A[first, c]
     return True
 
 
@@ -206,6 +269,16 @@ def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 @_compiled
+def _felt(signs: FloatArray, follows: IntArray, n_passive: int) -> tuple[IntArray, IntArray, BoolArray]:
+    """Return row and joint wherever a joint that follows a passive one moves a loop, and the pattern of C_p."""
+    rows, joints = np.nonzero((signs != 0.0) & (follows >= 0))
+    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
+    for e in range(len(rows)):
+        pattern[rows[e], follows[joints[e]]] = True
+    return rows, joints, pattern
+
+
+@_compiled
 def close(
     tree: Tree,
     loops: Loops,
@@ -217,7 +290,10 @@ def close(
     enough: float,
     largest: float,
     rounds: int,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+    slope: FloatArray,
+    by_motor: FloatArray,
+    closed: BoolArray,
+) -> None:
     """Newton on the passive joints, in place, as `calib.robots.continuation.newton` says.
 
     One function, because handing all these arrays to another one costs a quarter of the time.
@@ -233,26 +309,26 @@ def close(
         enough: Largest residual of a closed pose.
         largest: Correction up to which a start is near.
         rounds: How many corrections.
-
-    Returns:
-        C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated), NaN where not closed, and which poses closed
-        (n,).
+        slope: Where to put C_p, NaN where not closed, (n, n_passive, n_passive).
+        by_motor: The same for C_a, (n, n_passive, n_actuated).
+        closed: The same for which poses closed, (n,).
     """
     n, n_passive = passive.shape
     n_joints, n_actuated = motors.shape
-    slope, by_motor = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, n_actuated))
-    closed, T = np.zeros(n, dtype=np.bool_), np.empty((n_joints + 1, 12))
-    twists, rows, q = np.empty((n_joints, 6)), np.empty((n_passive, 6)), np.empty(n_joints)
-    values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
+    T, twists = np.empty((n_joints + 1, 12)), np.empty((n_joints, 6))
+    rows, q = np.empty((n_passive, 6)), np.empty(n_joints)
+    values, C, step = np.empty((n_passive, 1)), np.empty((n_passive, n_passive)), np.empty((n_passive, 1))
     follows, factor = _leads(select, loops.signs)
     driven, gear = _leads(motors, loops.signs)
+    at_row, at_joint, pattern = _felt(loops.signs, follows, n_passive)
+    plan = _plan(pattern)
     all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
         before = tree.parents[j]
         moved[j] = follows[j] >= 0 or (before > 0 and moved[before - 1])
     _stand(T)
     for k in range(n):
-        last = np.inf
+        last, closed[k] = np.inf, False
         for j in range(n_joints):
             q[j] = rest[k, j]
         for attempt in range(rounds):
@@ -273,9 +349,9 @@ def close(
                     values[r, 0] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
                 worst = max(worst, abs(values[r, 0]))
                 _row(T, a, axis, b, rows, r)
-                for j in range(n_joints):
-                    if follows[j] >= 0 and loops.signs[r, j] != 0.0:
-                        C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
+            for e in range(len(at_row)):
+                r, j = at_row[e], at_joint[e]
+                C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
             if worst <= enough:
                 closed[k] = True
                 for r in range(n_passive):
@@ -290,16 +366,16 @@ def close(
                             if loops.signs[r, j] != 0.0:
                                 by_motor[k, r, driven[j]] += loops.signs[r, j] * gear[j] * _dot(rows, r, twists, j)
                 break
-            if not _solve(C, values):
+            if not _solve(plan, C, values, step):
                 break
             size, limit = 0.0, max(0.5 * min(last, 2 * largest), 1e-9)
             for c in range(n_passive):
-                part = abs(values[c, 0] / scale[c])
+                part = abs(step[c, 0] / scale[c])
                 size = max(size, part) if part <= limit else np.inf  # also where it is no number
             if size > limit:
                 break
             for c in range(n_passive):
-                passive[k, c] -= values[c, 0]
+                passive[k, c] -= step[c, 0]
             last = size
         if not closed[k]:
             for r in range(n_passive):
@@ -307,7 +383,55 @@ def close(
                     slope[k, r, c] = np.nan
                 for c in range(n_actuated):
                     by_motor[k, r, c] = np.nan
-    return slope, by_motor, closed
+
+
+@_compiled
+def same_signs(
+    slope: FloatArray, rows: IntArray, columns: IntArray, ends: IntArray, signs: FloatArray, same: BoolArray
+) -> None:
+    """Leave only those poses in `same` (n,) in which the determinant of each block of C_p has its sign.
+
+    Args:
+        slope: C_p, (n, n_passive, n_passive).
+        rows, columns: Of all blocks, one after another, (n_passive,).
+        ends: Where each block ends, (n_blocks,).
+        signs: Sign of each, (n_blocks,).
+        same: Which poses to look at; which are left.
+    """
+    A = np.empty((len(rows), len(rows)))
+    for k in range(len(slope)):
+        first = 0
+        for b in range(len(ends)):
+            size = ends[b] - first
+            for r in range(size if same[k] else 0):
+                for c in range(size):
+                    A[r, c] = slope[k, rows[first + r], columns[first + c]]
+            same[k] = same[k] and _sign(A, size) == signs[b]
+            first = ends[b]
+
+
+@_compiled
+def _sign(A: FloatArray, n: int) -> float:
+    """Return the sign of the determinant of the first n rows and columns of A, which are used up."""
+    sign = 1.0
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if A[pivot, k] == 0.0:
+            return 0.0
+        if pivot != k:
+            sign = -sign
+            for j in range(k, n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        sign = sign if A[k, k] > 0.0 else -sign
+        for i in range(k + 1, n):
+            if A[i, k] != 0.0:
+                factor = A[i, k] / A[k, k]
+                for j in range(k + 1, n):
+                    A[i, j] -= factor * A[k, j]
+    return sign
 
 
 @_compiled
@@ -341,8 +465,9 @@ def motion(
         loops: Its loops.
         joint_poses: Of `poses`.
         mapping: From V_b - V_a to what is differentiated, (n, n_rows, 6).
-        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_joints,).
-        direct: Its derivative by the passive joints beside that, (n_rows, n_passive).
+        signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
+            (n_rows + n_passive, n_joints).
+        direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
         select: Of the passive joints, (n_joints, n_passive).
         slope: C_p, (n, n_passive, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), one joint's
@@ -355,33 +480,37 @@ def motion(
     n, n_rows = mapping.shape[:2]
     n_joints, n_passive = select.shape
     result = np.zeros((n, n_rows, width))
-    twist, X, transposed = np.empty((1, 6)), np.empty((n_passive, n_rows)), np.empty((n_passive, n_passive))
+    twist, transposed = np.empty((1, 6)), np.empty((n_passive, n_passive))
+    by_passive, X = np.empty((n_passive, n_rows)), np.empty((n_passive, n_rows))
     rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
     joints, columns, twists = entries
     alike = np.empty(n_joints, dtype=np.intp)  # the first joint that moves what this one moves
     for j in range(n_joints):
         alike[j] = j
         for i in range(j - 1, -1, -1):
-            same = signs[i] == signs[j]
-            for r in range(len(loops.signs)):
-                same = same and loops.signs[r, i] == loops.signs[r, j]
+            same = True
+            for r in range(len(signs)):
+                same = same and signs[r, i] == signs[r, j]
             if same:
                 alike[j] = alike[i]
                 break
     follows, factor = _leads(select, np.ones((1, n_joints)))
+    pattern = _felt(loops.signs, follows, n_passive)[2]
+    plan = _plan(pattern.T.copy())
     for k in range(n):
         T, map_k = joint_poses[k], mapping[k]
         for c in range(n_passive):
             for r in range(n_rows):
-                X[c, r] = direct[r, c]
+                by_passive[c, r] = direct[r, c]
             for r in range(n_passive):
                 transposed[c, r] = slope[k, r, c]
         for j in range(n_joints):
-            if follows[j] >= 0 and signs[j] != 0.0:
+            if follows[j] >= 0:
                 _twist(T, j + 1, tree.axes, j, twist, 0)
                 for r in range(n_rows):
-                    X[follows[j], r] += signs[j] * factor[j] * _dot(map_k, r, twist, 0)
-        if n_passive and not _solve(transposed, X):
+                    if signs[r, j] != 0.0:
+                        by_passive[follows[j], r] += signs[r, j] * factor[j] * _dot(map_k, r, twist, 0)
+        if n_passive and not _solve(plan, transposed, by_passive, X):
             for i in range(n_passive):
                 for r in range(n_rows):
                     X[i, r] = np.nan
@@ -392,7 +521,7 @@ def motion(
                 continue
             for r in range(n_rows):
                 for c in range(6):
-                    total[j, r, c] = signs[j] * map_k[r, c]
+                    total[j, r, c] = signs[r, j] * map_k[r, c]
             for i in range(n_passive):
                 if loops.signs[i, j] != 0.0:
                     for r in range(n_rows):

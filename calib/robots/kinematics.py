@@ -48,15 +48,42 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 
 @dataclass(frozen=True, eq=False)
+class Alike:
+    """Origins that move the same rows.
+
+    Attributes:
+        rows: Which rows they move, through the loops or not, (m,).
+        signs: By which sign they move each of these themselves, (m,).
+        felt: Which rows of the loops they move, (l,).
+        loop_signs: By which sign, (l,).
+        places: Their columns in `Sweep.regressor`, (6 n,).
+        along: Twists of them in the frames before them, (6 n, k).
+        columns: Which columns of the derivative these make, (k,).
+    """
+
+    rows: IntArray
+    signs: FloatArray
+    felt: IntArray
+    loop_signs: FloatArray
+    places: IntArray
+    along: FloatArray
+    columns: IntArray
+
+
+@dataclass(frozen=True, eq=False)
 class Along:
-    """Twists of origins along which to differentiate.
+    """Twists of origins along which to differentiate some rows.
 
     Attributes:
         twists: Combinations, (6 n_joints, k); None: every origin twist.
-        before: The same in the frames before the origins that count, (n_reduced, 6, k).
+        signs: By which sign each origin moves each row, then each row of the loops, (n_rows + n_loop_rows, n_reduced).
+        n_rows: Number of rows without those of the loops.
+        before: The twists in the frames before the origins that count, (n_reduced, 6, k).
     """
 
     twists: FloatArray | None
+    signs: FloatArray
+    n_rows: int
     before: FloatArray
 
     @cached_property
@@ -64,6 +91,54 @@ class Along:
         """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6)."""
         joints, columns = np.nonzero(np.any(self.before != 0.0, axis=1))
         return joints, columns, np.ascontiguousarray(self.before[joints, :, columns])
+
+    @cached_property
+    def groups(self) -> list[Alike]:
+        """The origins whose twists move any row, by which rows they move."""
+        alike: dict[tuple[float, ...], list[int]] = {}
+        for origin, signs in enumerate(map(tuple, self.signs.T.tolist())):
+            alike.setdefault(signs, []).append(origin)
+        groups = []
+        for signs, origins in alike.items():
+            along = self.before[origins].reshape(6 * len(origins), -1)
+            columns = np.flatnonzero(along.any(axis=0))
+            own, loop = np.array(signs[: self.n_rows]), np.array(signs[self.n_rows :])
+            felt = np.flatnonzero(loop)
+            rows = np.arange(self.n_rows) if len(felt) else np.flatnonzero(own)
+            if len(rows) and len(columns):
+                places = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
+                groups.append(Alike(rows, own[rows], felt, loop[felt], places, along[:, columns], columns))
+        return groups
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Joints that follow coordinates, and by which sign they move some rows.
+
+    Attributes:
+        joints: Place of each joint among those that count, (n_followers,).
+        weights: Its sign in each row times what it does when its coordinate grows by one, (n_rows or 1, n_followers).
+        sums: Which coordinate each of them follows, as ones, (n_followers, n_coordinates); None: one each, in order.
+    """
+
+    joints: IntArray
+    weights: FloatArray
+    sums: FloatArray | None
+
+    @classmethod
+    def of(cls, reduced: Reduced, signs: FloatArray, select: FloatArray) -> Coordinates:
+        """Return those of coordinates.
+
+        Args:
+            reduced: The joints that count.
+            signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_joints).
+            select: E of the coordinates, (n_joints, n_coordinates).
+        """
+        left = select[reduced.joints]
+        coordinate, joints = np.nonzero(left.T)
+        every = np.arange(left.shape[1])
+        sums = None if np.array_equal(coordinate, every) else (coordinate[:, None] == every).astype(float)
+        return cls(joints, signs[:, reduced.joints[joints]] * left[joints, coordinate], sums)
 
 
 class Shared:
@@ -90,11 +165,26 @@ class Shared:
         """Rows of all loops, as compiled code has them."""
         return self.functions.loops(self.mechanism, self.reduced)
 
-    def along(self, twists: FloatArray | None) -> Along:
-        """Return twists (6 n_joints, k), those of the last call without computing them again."""
-        if self._along is None or self._along.twists is not twists:
-            self._along = Along(twists, self.mechanism.twists_before(twists)[self.reduced.joints])
-        return self._along
+    @cached_property
+    def loop_rows(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Places of frames a and b, and coordinate, of each row of the loops, (n_loop_rows,)."""
+        a, b, axis = np.array(
+            [(loop.a, loop.b, row) for loop in self.mechanism.loops for row in loop.rows], dtype=np.intp
+        ).T
+        return self.reduced.places[a], self.reduced.places[b], axis
+
+    def along(self, twists: FloatArray | None, signs: FloatArray) -> Along:
+        """Return twists along which to differentiate, those of the last call without computing them again.
+
+        Args:
+            twists: (6 n_joints, k), or None for every origin twist.
+            signs: What each joint moves in each row, (n_rows, n_joints).
+        """
+        last, counts, n_rows = self._along, self.reduced.joints, len(signs)
+        signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
+        if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
+            self._along = last = Along(twists, signs, n_rows, self.mechanism.twists_before(twists)[counts])
+        return last
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,20 +320,20 @@ def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     return translation[:, pair.rows]
 
 
-def gaps(swept: Sweep, pairs: tuple[RelativeFrame, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return `value` and `twist_map` of several pairs, one pair's rows after the other's; faster than one by one.
+def gaps(swept: Sweep) -> tuple[FloatArray, FloatArray]:
+    """Return `value` and `twist_map` of all loops, one loop's rows after the other's; faster than one by one.
 
     Returns:
         Constrained components (n, n_rows) [m, rad], and the map from each row's own V_b - V_a, (n, n_rows, 6).
     """
-    if any(pair.full_pose for pair in pairs):
-        values, maps = zip(*((value(swept, pair), twist_map(swept, pair)) for pair in pairs), strict=True)
+    loops = swept.shared.mechanism.loops
+    if any(loop.full_pose for loop in loops):
+        values, maps = zip(*((value(swept, loop), twist_map(swept, loop)) for loop in loops), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(maps, axis=1)
-    rows = [(swept.index[pair.a], swept.index[pair.b], row) for pair in pairs for row in pair.rows]
-    a, b, axis = (list(part) for part in zip(*rows, strict=True))
+    a, b, axis = swept.shared.loop_rows
     axes, at = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], swept.translation[:, b]
     components: FloatArray = np.sum(axes * (at - swept.translation[:, a]), axis=2)
-    return components, np.concatenate([axes, _moments(at, axes)], axis=2)
+    return components, _with_moments(at, axes)
 
 
 def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
@@ -262,15 +352,19 @@ def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     if pair.full_pose:
         return _pose_map(swept, a, b)[:, pair.rows]
     rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
-    # r^T (v + w x p) = r^T v + (p x r)^T w
-    return np.concatenate([rows, _moments(swept.translation[:, b, None], rows)], axis=2)
+    return _with_moments(swept.translation[:, b, None], rows)
 
 
-def _moments(points: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return p x r for points p (n, 1 or k, 3) and rows r (n, k, 3); `np.cross` takes twice as long."""
+def _with_moments(points: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return [r, p x r], what a twist moves at points p (n, 1 or k, 3) along rows r (n, k, 3): r^T (v + w x p)."""
     x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
     u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
+    result = np.empty((*rows.shape[:2], 6))
+    result[:, :, :3] = rows
+    result[:, :, 3] = y * w - z * v  # `np.cross` takes twice as long
+    result[:, :, 4] = z * u - x * w
+    result[:, :, 5] = x * v - y * u
+    return result
 
 
 def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
@@ -282,58 +376,58 @@ def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
     return maps
 
 
-def motion_map(swept: Sweep, pair: RelativeFrame, *, angular: bool) -> FloatArray:
-    """Return the (n, 3 or 6, 6) map from V_b - V_a (world twists) to [dp; dw], the motion of b in the axes of a.
+def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> FloatArray:
+    """Return the maps from V_b - V_a (world twists) to [dp; dw], the motion of each b in the axes of its a.
 
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
 
     Args:
         swept: Of the poses.
-        pair: The frames.
+        pairs: The frames.
         angular: Whether dw is wanted too.
+
+    Returns:
+        (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
     """
-    a, b = swept.index[pair.a], swept.index[pair.b]
-    axes = swept.rotation[:, a].transpose(0, 2, 1)
-    linear = np.concatenate([axes, _moments(swept.translation[:, b, None], axes)], axis=2)
-    if not angular:
-        return linear
-    turning = np.concatenate([np.zeros_like(axes), axes], axis=2)
-    return np.concatenate([linear, turning], axis=1)
+    a, b = ([swept.index[frame] for frame in frames] for frames in zip(*((p.a, p.b) for p in pairs), strict=True))
+    n, width = len(swept.rotation), 6 if angular else 3
+    axes = swept.rotation[:, a].transpose(0, 1, 3, 2)
+    result = np.zeros((n, len(pairs), width, 6))
+    points = np.repeat(swept.translation[:, b], 3, axis=1)
+    result[:, :, :3] = _with_moments(points, axes.reshape(n, -1, 3)).reshape(n, -1, 3, 6)
+    if angular:
+        result[:, :, 3:, 3:] = axes
+    return result.reshape(n, -1, 6)
 
 
-def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return d(value)/d(joint coordinates), (n, n_rows, n_columns).
+def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates) -> FloatArray:
+    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
 
     Args:
         swept: Of the poses.
-        mapping: From `twist_map`.
-        columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
+        mapping: From `twist_map` or `motion_map`.
+        coordinates: In the model of the same joints.
     """
-    return np.matmul(np.matmul(mapping, swept.jacobian), columns[swept.reduced.joints])
+    moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
+    return moved if coordinates.sums is None else moved @ coordinates.sums
 
 
-def origin_derivative(
-    swept: Sweep, terms: list[tuple[FloatArray, FloatArray]], twists: FloatArray | None
-) -> FloatArray:
-    """Return sum over terms of map (V_b - V_a) along origin twists, (n, n_rows, k).
+def origin_derivative(swept: Sweep, mapping: FloatArray, through: FloatArray | None, along: Along) -> FloatArray:
+    """Return map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
         swept: Of the poses.
-        terms: (twist map (n, n_rows, 6), sign per joint from `Mechanism.between` (n_joints,)) of each pair.
-        twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
+        mapping: From V_b - V_a to the rows, (n, n_rows, 6).
+        through: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows); None: no loops.
+        along: The twists, and what they move.
     """
-    joints = swept.reduced.joints
-    n, n_rows = terms[0][0].shape[:2]
-    by_origin = np.zeros((n, n_rows, len(joints), 6))
-    signs = np.array([sign[joints] for _, sign in terms])
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for origin, pattern in enumerate(map(tuple, signs.T.tolist())):
-        groups.setdefault(pattern, []).append(origin)
-    for pattern, origins in groups.items():
-        if any(pattern):
-            combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
-            columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
-            moved = np.matmul(combined, swept.regressor[:, :, columns])
-            by_origin[:, :, origins] = moved.reshape(n, n_rows, len(origins), 6)
-    along = swept.shared.along(twists).before.reshape(6 * len(joints), -1)
-    return (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])
+    n, n_rows = mapping.shape[:2]
+    result = np.zeros((n, n_rows, along.before.shape[2]))
+    maps = mapping[:, :0] if through is None else gaps(swept)[1]
+    for group in along.groups:
+        total = mapping[:, group.rows] * group.signs[:, None]
+        if through is not None and len(group.felt):
+            total -= np.matmul(through[:, :, group.felt] * group.loop_signs, maps[:, group.felt])
+        moved = swept.regressor[:, :, group.places].reshape(6 * n, -1) @ group.along
+        result[:, group.rows[:, None], group.columns] += np.matmul(total, moved.reshape(n, 6, -1))
+    return result

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray, hold
 from calib.base.errors import DescriptionError
 from calib.base.threads import one_blas_thread
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
@@ -77,12 +77,15 @@ def close(
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
         return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
-    passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
-    ok = np.zeros(n, dtype=bool)
+    seeded = np.zeros(n, dtype=bool) if seed is None else np.all(np.isfinite(seed), axis=1)
+    if seed is not None and np.all(seeded):
+        passive, slope, _, ok = newton(mechanism, mode, actuated, seed)
+    else:
+        passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
+        ok = np.zeros(n, dtype=bool)
+        if seed is not None and np.any(seeded):
+            passive[seeded], slope[seeded], _, ok[seeded] = newton(mechanism, mode, actuated[seeded], seed[seeded])
     if seed is not None:
-        finite = np.all(np.isfinite(seed), axis=1)
-        tried = slice(None) if np.all(finite) else np.flatnonzero(finite)
-        passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
         passive = wrapped(mechanism, mode, passive)
         ok &= within_limits(mechanism, passive) | (not limits)
     if not np.all(ok):
@@ -91,6 +94,7 @@ def close(
         passive[todo] = wrapped(mechanism, mode, followed)
         ok &= within_limits(mechanism, passive) | (not limits)
         passive[~ok], slope[~ok] = np.nan, np.nan
+    hold(passive, slope)
     return Closed(passive, ok, slope)
 
 

@@ -30,7 +30,7 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.robots.robot import Robot
 
-_CHUNK_COMPILED = 1024  # compiled code needs no regressors, but its poses stay in the cache too
+_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +100,8 @@ def origin_jacobian(
     for part, swept in sweeps(mechanism, configurations, mechanism.targets):
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
-            derivative[part, t] = relative_motion(
-                mechanism, swept, target, configurations.slope[part], twists, angular=turns
-            )
+        slope = configurations.slope[part]
+        derivative[part] = relative_motion(mechanism, swept, mechanism.targets, slope, twists, angular=turns)
     return positions, derivative
 
 
@@ -149,31 +148,31 @@ def relative_poses(
 def relative_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
-    pair: RelativeFrame,
+    pairs: tuple[RelativeFrame, ...],
     slope: FloatArray,
     twists: FloatArray | None,
     *,
     angular: bool,
 ) -> FloatArray:
-    """Return d[dp; dw]/d(origin twists) of frame b seen from frame a, loops closed, (n, 3 or 6, 6 n_joints or k).
+    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
 
     Args:
         mechanism: The mechanism.
         swept: Of the poses.
-        pair: The frames.
+        pairs: The frames.
         slope: C_p, (n, n_passive, n_passive).
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
+
+    Returns:
+        (n, n_pairs, 3 or 6, 6 n_joints or k).
     """
-    mapping = kinematics.motion_map(swept, pair, angular=angular)
-    if swept.compiled is not None:
-        direct = np.zeros((mapping.shape[1], len(mechanism.passive)))
-        return _compiled_motion(mechanism, swept, mapping, mechanism.between(pair), direct, slope, twists)
-    by_passive = kinematics.joint_derivative(
-        swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
-    )
-    terms = [(mapping, mechanism.between(pair)), *_through_loops(mechanism, swept, by_passive, slope)]
-    return kinematics.origin_derivative(swept, terms, twists)
+    mapping = kinematics.motion_map(swept, pairs, angular=angular)
+    n, n_rows = mapping.shape[:2]
+    signs = np.repeat([mechanism.between(pair) for pair in pairs], n_rows // len(pairs), axis=0)
+    direct = np.zeros((n_rows, len(mechanism.passive)))
+    derivative = _motion(mechanism, swept, mapping, signs, direct, slope, twists)
+    return derivative.reshape(n, len(pairs), n_rows // len(pairs), derivative.shape[2])
 
 
 def passive_motion(
@@ -191,31 +190,11 @@ def passive_motion(
     n = len(swept.rotation)
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
-    if swept.compiled is not None:
-        nothing = np.zeros((n, 1, 6)), np.zeros(mechanism.n_joints)
-        return _compiled_motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
-    by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
-    terms = _through_loops(mechanism, swept, by_passive, slope)
-    return kinematics.origin_derivative(swept, terms, twists)
+    nothing = np.zeros((n, 1, 6)), np.zeros((1, mechanism.n_joints))
+    return _motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
 
 
-def _through_loops(
-    mechanism: Mechanism, swept: kinematics.Sweep, by_passive: FloatArray, slope: FloatArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """The terms -W C_xi, loop by loop, from X_p (n, n_rows, n_passive)."""
-    if not mechanism.loops:
-        return []
-    weights = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
-    maps = kinematics.gaps(swept, mechanism.loops)[1]
-    terms, row = [], 0
-    for loop in mechanism.loops:
-        part = slice(row, row + len(loop.rows))
-        terms.append((-np.matmul(weights[:, :, part], maps[:, part]), mechanism.between(loop)))
-        row += len(loop.rows)
-    return terms
-
-
-def _compiled_motion(
+def _motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     mapping: FloatArray,
@@ -224,21 +203,32 @@ def _compiled_motion(
     slope: FloatArray,
     twists: FloatArray | None,
 ) -> FloatArray:
-    """The same by compiled code; see `calib.robots.kernels.motion` for the arguments."""
+    """Return dx/dxi of the module docstring along origin twists, (n, n_rows, k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        mapping: From V_b - V_a to x, (n, n_rows, 6).
+        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+        direct: What passive joints do to x beside that, (n_rows, n_passive).
+        slope: C_p, (n, n_passive, n_passive).
+        twists: Combinations (6 n_joints, k), or None for every origin twist.
+    """
     reduced, shared = swept.reduced, swept.shared
-    along = shared.along(twists)
-    return shared.functions.motion(
-        shared.tree,
-        shared.loops,
-        swept.compiled,
-        mapping,
-        signs[reduced.joints],
-        direct,
-        mechanism.select_passive[reduced.joints],
-        np.ascontiguousarray(slope),
-        along.entries,
-        along.before.shape[2],
-    )
+    along = shared.along(twists, signs)
+    if swept.compiled is not None:
+        model, select = (shared.tree, shared.loops, swept.compiled), mechanism.select_passive[reduced.joints]
+        slope, width = np.ascontiguousarray(slope), along.before.shape[2]
+        derivative: FloatArray = shared.functions.motion(
+            *model, mapping, along.signs, direct, select, slope, along.entries, width
+        )
+        return derivative
+    if not mechanism.loops:
+        return kinematics.origin_derivative(swept, mapping, None, along)
+    passive = kinematics.Coordinates.of(reduced, signs, mechanism.select_passive)
+    by_passive = direct + kinematics.joint_derivative(swept, mapping, passive)
+    through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return kinematics.origin_derivative(swept, mapping, through, along)
 
 
 def parameter_twists(robot: Robot) -> FloatArray:

@@ -22,7 +22,6 @@ from calib.data.measurements import Measurements, Poses, in_setups, of_visits
 from calib.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.robots import kinematics
 from calib.robots.configurations import Configurations
-from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 from calib.rows.jacobian import (
     by_parameters,
@@ -126,32 +125,30 @@ class _Work:
         if isinstance(self.instrument, JointInstrument):
             self._fill_joint(self.instrument, index, part, swept, configurations, twists)
             return
-        for number in np.unique(self.readings.pairs[index]):
-            chosen = index[self.readings.pairs[index] == number]
-            self._fill_pair(chosen, self.all_pairs[number], part, swept, slope, twists)
+        chosen = {k: index[self.readings.pairs[index] == k] for k in np.unique(self.readings.pairs[index]).tolist()}
+        self._fill_pairs(chosen, part, swept, slope, twists)
 
-    def _fill_pair(
-        self,
-        chosen: IntArray,
-        pair: RelativeFrame,
-        part: slice,
-        swept: kinematics.Sweep,
-        slope: FloatArray,
-        twists: FloatArray,
+    def _fill_pairs(
+        self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, slope: FloatArray, twists: FloatArray
     ) -> None:
-        at = self.readings.visits[chosen] - part.start
-        poses = kinematics.relative_pose(swept, pair)[at]
-        comparison = self._compare(chosen, View(poses[:, :3, :3], poses[:, :3, 3]))
-        assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+        """Compare the readings of each pair."""
+        pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
+        comparisons: list[Comparison] = []
+        for pair, own in zip(pairs, chosen.values(), strict=True):
+            poses = kinematics.relative_pose(swept, pair)[visits[own]]
+            comparison = self._compare(own, View(poses[:, :3, :3], poses[:, :3, 3]))
+            assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+            comparisons.append(comparison)
         if not self._columns.shape[2]:
             return
-        angular = bool(np.any(comparison.by_twist[:, :, 3:]))
-        motion = relative_motion(self.robot.mechanism, swept, pair, slope, twists, angular=angular)
-        by_twist = comparison.by_twist[:, :, : motion.shape[1]]
-        if len(at) != len(motion) or np.any(at != np.arange(len(at))):
-            motion = motion[at]
-        self._columns[as_slice(chosen)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
-        self._add_unknowns(chosen, comparison)
+        angular = any(np.any(comparison.by_twist[:, :, 3:]) for comparison in comparisons)
+        motions = relative_motion(self.robot.mechanism, swept, pairs, slope, twists, angular=angular)
+        for k, (own, comparison) in enumerate(zip(chosen.values(), comparisons, strict=True)):
+            motion, by_twist, at = motions[:, k], comparison.by_twist[:, :, : motions.shape[2]], visits[own]
+            if len(at) != len(motion) or np.any(at != np.arange(len(at))):
+                motion = motion[at]
+            self._columns[as_slice(own)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+            self._add_unknowns(own, comparison)
 
     def _fill_joint(
         self,

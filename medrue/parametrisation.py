@@ -60,6 +60,8 @@ _TURNING: dict[str, tuple[str, ...]] = {
     "base_origin": ("phi_bx", "phi_by", "phi_bz"),
     **{f"q{k}": (f"dq{k}",) for k in range(2, 7)},
 }
+_ANCHORS = {k: [_INDEX[f"{point}{k}{axis}"] for point in "AC" for axis in "yz"] for k in (1, 2)}
+"""Of each five-bar, where the parameters of its points A and C are, y and z of each."""
 _FIVE_BARS = {"q2": 1, "q3": 1, "q4": 2, "q5": 2}
 """Of each origin whose roll follows the direction of a five-bar's frame: that five-bar."""
 
@@ -98,10 +100,10 @@ class MedrueParametrisation:
                 for name, value in zip(PARAMETERS, nominal, strict=True)
             ),
         )
-        for name in _COORDINATES:
+        for name, xyz, rpy in zip(_COORDINATES, _xyz(nominal), _rpy(nominal), strict=True):
             if not (
-                np.allclose(_xyz(name, nominal), self.origins[name].xyz, rtol=0, atol=1e-12)
-                and np.allclose(_rpy(name, nominal), self.origins[name].rpy, rtol=0, atol=1e-12)
+                np.allclose(xyz, self.origins[name].xyz, rtol=0, atol=1e-12)
+                and np.allclose(rpy, self.origins[name].rpy, rtol=0, atol=1e-12)
             ):
                 raise DescriptionError(
                     f"parametrisation 'medrue': the paper's 36 parameters cannot describe the origin of joint '{name}'"
@@ -109,26 +111,32 @@ class MedrueParametrisation:
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the origins at `values`, (36,) [m, rad], by joint name."""
-        result = {}
-        for name, (rotation, _) in self._turned.items():
-            xyz = self.origins[name].xyz + (_xyz(name, values) - self._nominal[name][0])
-            turns = name in _TURNING
-            result[name] = pin.SE3(pin.rpy.rpyToMatrix(*self._edited_rpy(name, values)) if turns else rotation, xyz)
-        return result
+        rotations = {name: pin.rpy.rpyToMatrix(*rpy) for name, rpy in self._turning(values).items()}
+        moved = self._given[0] + (_xyz(values) - self._nominal[0])
+        return {
+            name: pin.SE3(rotations.get(name, rotation), xyz)
+            for (name, (rotation, _)), xyz in zip(self._turned.items(), moved, strict=True)
+        }
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the twist of each origin per parameter, (6, 36), by joint name."""
         turning = {
-            name: twist_of_edit(self._edited_rpy(name, values), _LINEAR[name][0], _rpy_derivative(name, values))
-            for name in _TURNING
+            name: twist_of_edit(rpy, _LINEAR[name][0], _rpy_derivative(name, values))
+            for name, rpy in self._turning(values).items()
         }
         return {name: turning.get(name, twist) for name, (_, twist) in self._turned.items()}
 
     @cached_property
-    def _nominal(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Xyz and rpy of each origin from the nominal parameters."""
+    def _nominal(self) -> tuple[FloatArray, FloatArray]:
+        """Xyz and rpy of all origins from the nominal parameters, (n_origins, 3)."""
         nominal = np.array([parameter.nominal_si for parameter in self.parameters])
-        return {name: (_xyz(name, nominal), _rpy(name, nominal)) for name in _COORDINATES}
+        return _xyz(nominal), _rpy(nominal)
+
+    @cached_property
+    def _given(self) -> tuple[FloatArray, FloatArray]:
+        """The same in the URDF."""
+        given = [self.origins[name] for name in _COORDINATES]
+        return np.array([origin.xyz for origin in given]), np.array([origin.rpy for origin in given])
 
     @cached_property
     def _turned(self) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -138,8 +146,10 @@ class MedrueParametrisation:
             for name in _COORDINATES
         }
 
-    def _edited_rpy(self, name: str, values: FloatArray) -> FloatArray:
-        return self.origins[name].rpy + (_rpy(name, values) - self._nominal[name][1])
+    def _turning(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Rpy of the origins that turn."""
+        rpy = self._given[1] + (_rpy(values) - self._nominal[1])
+        return {name: own for name, own in zip(_COORDINATES, rpy, strict=True) if name in _TURNING}
 
 
 def _linear(name: str) -> tuple[FloatArray, FloatArray]:
@@ -155,16 +165,21 @@ def _linear(name: str) -> tuple[FloatArray, FloatArray]:
 _LINEAR = {name: _linear(name) for name in _COORDINATES}
 
 
-def _xyz(name: str, values: FloatArray) -> FloatArray:
-    """The origin's xyz from the paper's parameters, (3,) [m]."""
-    return np.asarray(_LINEAR[name][0] @ values)
+_ALL_XYZ, _ALL_RPY = (np.array([_LINEAR[name][part] for name in _COORDINATES]) for part in (0, 1))
+_ROLLS = [(k, _FIVE_BARS[name]) for k, name in enumerate(_COORDINATES) if name in _FIVE_BARS]
 
 
-def _rpy(name: str, values: FloatArray) -> FloatArray:
-    """The origin's rpy from the paper's parameters, (3,) [rad]."""
-    rpy: FloatArray = _LINEAR[name][1] @ values
-    if name in _FIVE_BARS:
-        rpy[0] += _direction(values, _FIVE_BARS[name])
+def _xyz(values: FloatArray) -> FloatArray:
+    """Xyz of all origins from the paper's parameters, (n_origins, 3) [m]."""
+    return np.asarray(_ALL_XYZ @ values)
+
+
+def _rpy(values: FloatArray) -> FloatArray:
+    """Rpy of all origins from the paper's parameters, (n_origins, 3) [rad]."""
+    rpy: FloatArray = _ALL_RPY @ values
+    directions = {five_bar: _direction(values, five_bar) for five_bar in (1, 2)}
+    for place, five_bar in _ROLLS:
+        rpy[place, 0] += directions[five_bar]
     return rpy
 
 
@@ -175,15 +190,13 @@ def _rpy_derivative(name: str, values: FloatArray) -> FloatArray:
         five_bar = _FIVE_BARS[name]
         y, z = _anchor_vector(values, five_bar)
         squared = y * y + z * z
-        for point, sign in (("A", 1.0), ("C", -1.0)):
-            d_rpy[0, _INDEX[f"{point}{five_bar}y"]] = -sign * z / squared
-            d_rpy[0, _INDEX[f"{point}{five_bar}z"]] = sign * y / squared
+        d_rpy[0, _ANCHORS[five_bar]] = -z / squared, y / squared, z / squared, -y / squared
     return d_rpy
 
 
 def _anchor_vector(values: FloatArray, five_bar: int) -> tuple[float, float]:
     """C_i -> A_i in the y-z plane [m]."""
-    a_y, a_z, c_y, c_z = (values[_INDEX[f"{point}{five_bar}{axis}"]] for point in "AC" for axis in "yz")
+    a_y, a_z, c_y, c_z = values[_ANCHORS[five_bar]].tolist()
     return a_y - c_y, a_z - c_z
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,9 @@ def hold(*arrays: NDArray[Any]) -> None:
     """Make new arrays read-only, so that who keeps them needs no copies."""
     for array in arrays:
         array.flags.writeable = False
+
+
+_HOLDING = (np.ndarray, tuple, dict)
 
 
 def _held_fast(value: Any) -> Any:
@@ -119,11 +122,20 @@ class ReadOnlyArrays(Worded):
         return f"<{type(self).__name__}: {', '.join(shown)}>"
 
     def __post_init__(self) -> None:
+        kept = self.__dict__
         for name in _names_of_fields(type(self)):
-            value = getattr(self, name)
-            held = _held_fast(value)
-            if held is not value:
-                object.__setattr__(self, name, held)
+            value = kept[name]
+            if isinstance(value, _HOLDING):
+                kept[name] = _held_fast(value)
+
+    def _with(self, forgotten: tuple[str, ...] = (), **values: Any) -> Self:
+        """Return a copy in which some fields differ; what was computed of the others stays, but what is forgotten."""
+        changed = object.__new__(type(self))
+        changed.__dict__.update(self.__dict__)
+        for name in forgotten:
+            changed.__dict__.pop(name, None)
+        changed.__dict__.update({name: _held_fast(value) for name, value in values.items()})
+        return changed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -106,11 +106,8 @@ def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
 
 def loops(mechanism: Mechanism, reduced: Reduced) -> Loops:
     """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
-    ends = np.array([(loop.a, loop.b, row) for loop in mechanism.loops for row in loop.rows], dtype=np.intp).reshape(
-        -1, 3
-    )
-    a, b = reduced.places[ends[:, 0]], reduced.places[ends[:, 1]]
-    return Loops(a, b, ends[:, 2].copy(), mechanism.loop_signs[:, reduced.joints])
+    a, b, axis = mechanism.loop_rows.T
+    return Loops(reduced.places[a], reduced.places[b], axis.copy(), mechanism.loop_signs[:, reduced.joints])
 
 
 @_compiled

@@ -168,9 +168,7 @@ class Shared:
     @cached_property
     def loop_rows(self) -> tuple[IntArray, IntArray, IntArray]:
         """Places of frames a and b, and coordinate, of each row of the loops, (n_loop_rows,)."""
-        a, b, axis = np.array(
-            [(loop.a, loop.b, row) for loop in self.mechanism.loops for row in loop.rows], dtype=np.intp
-        ).T
+        a, b, axis = self.mechanism.loop_rows.T
         return self.reduced.places[a], self.reduced.places[b], axis
 
     def along(self, twists: FloatArray | None, signs: FloatArray) -> Along:

@@ -183,8 +183,7 @@ class Mechanism(ReadOnlyArrays):
         model = self.model.copy()
         for name, placement in placements.items():
             model.jointPlacements[self.origin_names.index(name) + 1] = placement
-        values = {key: getattr(self, key) for key in self.__dataclass_fields__} | {"model": model}
-        return Mechanism(**values)
+        return self._with(forgotten=("placements",), model=model)
 
     def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[Reduced, list[Any]]:
         """Return what is left of the model where only these pairs count, and workspaces that no sweep uses now."""
@@ -247,6 +246,12 @@ class Mechanism(ReadOnlyArrays):
     def loop_signs(self) -> FloatArray:
         """`between` of the loop of each closure row, (n_rows, n_joints)."""
         return np.array([self.between(loop) for loop in self.loops for _ in loop.rows]).reshape(-1, self.n_joints)
+
+    @cached_property
+    def loop_rows(self) -> IntArray:
+        """Joint indices of frames a and b, and the coordinate, of each closure row, (n_rows, 3)."""
+        rows = [(loop.a, loop.b, row) for loop in self.loops for row in loop.rows]
+        return np.array(rows, dtype=np.intp).reshape(-1, 3)
 
     @cached_property
     def select_moving(self) -> FloatArray:

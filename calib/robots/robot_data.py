@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
+from calib.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, hold, read_only
 from calib.base.errors import DescriptionError, ParameterError, nearest
 from calib.base.parameter import Parameters, index_of
 from calib.base.units import in_si
@@ -210,7 +210,8 @@ class RobotData(ReadOnlyArrays):
             bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
             raise ParameterError(f"parameter '{bad}': value is not finite")
         mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
-        return replace(self, values=vector, mechanism=mechanism, files={})
+        hold(vector)
+        return self._with(values=vector, mechanism=mechanism, files={})
 
     def at_nominal(self) -> Self:
         """Return a robot with nominal parameter values."""

@@ -34,6 +34,7 @@ from calib.robots.mechanism import Mechanism
 
 TOLERANCE = 1e-12
 """Largest closure residual of a solved pose [m, rad]; for links of more than 28 m see `closing_tolerance`."""
+_EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
 LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
@@ -53,7 +54,7 @@ def closing_tolerance(mechanism: Mechanism) -> float:
     Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
     the robot stands plays no part: `Mechanism.around`.
     """
-    return max(TOLERANCE, 10 * _ROUNDINGS * float(np.finfo(float).eps) * mechanism.length)
+    return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
 
 
 def newton(

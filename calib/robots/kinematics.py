@@ -334,13 +334,18 @@ def gaps(swept: Sweep) -> tuple[FloatArray, FloatArray]:
     return components, _with_moments(at, axes)
 
 
-def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
-    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArray]:
+    """Return rotation (n, 3, 3) and position (n, 3) [m] of frame b in frame a."""
     a, b = swept.index[pair.a], swept.index[pair.b]
     inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
-    poses = np.tile(np.eye(4), (len(inverse_a), 1, 1))
-    poses[:, :3, :3] = inverse_a @ swept.rotation[:, b]
-    poses[:, :3, 3] = np.einsum("nij,nj->ni", inverse_a, swept.translation[:, b] - swept.translation[:, a])
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    return np.matmul(inverse_a, swept.rotation[:, b]), np.matmul(inverse_a, offset[:, :, None])[:, :, 0]
+
+
+def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+    poses = np.tile(np.eye(4), (len(swept.rotation), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = seen_frame(swept, pair)
     return poses
 
 

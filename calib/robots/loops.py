@@ -107,7 +107,10 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
         passive: Passive joints, (n, n_passive) [m or rad].
     """
     turn = 2 * np.pi
-    near_home = passive - turn * np.round((passive - mode.passive) / turn)
+    turns = np.round((passive - mode.passive) / turn)
+    if not turns.any() and np.all(within_limits(mechanism, passive)):
+        return passive
+    near_home = passive - turn * turns
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
     raised = near_home + turn * np.ceil((low - near_home) / turn)
     lowered = near_home - turn * np.ceil((near_home - high) / turn)
@@ -119,7 +122,8 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
 def within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
     """Return where passive joints (n, n_passive) [m or rad] keep their limits, (n,)."""
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
-    return np.all((passive >= low) & (passive <= high), axis=1)
+    inside: BoolArray = (passive >= low) & (passive <= high)
+    return np.all(inside, axis=1)
 
 
 def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -185,7 +185,16 @@ class RobotData(ReadOnlyArrays):
 
     def pairs(self, instrument: Instrument) -> tuple[RelativeFrame, ...]:
         """Return what an instrument looks along, in the order of `Readings.pairs`."""
-        return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, instrument))
+        return self._pairs[instrument.name]
+
+    @cached_property
+    def _pairs(self) -> dict[str, tuple[RelativeFrame, ...]]:
+        """What each instrument looks along, by its name."""
+        places, description = self.mechanism.places, self.description
+        return {
+            instrument.name: tuple(view(places, a, b) for a, b in pair_names(description, instrument))
+            for instrument in self.instruments
+        }
 
     def with_parameters(self, values: Mapping[str, float | str] | ArrayLike) -> Self:
         """Return a robot with other parameter values.

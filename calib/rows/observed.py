@@ -135,8 +135,8 @@ class _Work:
         pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
         comparisons: list[Comparison] = []
         for pair, own in zip(pairs, chosen.values(), strict=True):
-            poses = kinematics.relative_pose(swept, pair)[visits[own]]
-            comparison = self._compare(own, View(poses[:, :3, :3], poses[:, :3, 3]))
+            rotation, position = kinematics.seen_frame(swept, pair)
+            comparison = self._compare(own, View(rotation[visits[own]], position[visits[own]]))
             assert isinstance(comparison, Comparison)  # of a kind that looks at frames
             comparisons.append(comparison)
         if not self._columns.shape[2]:

@@ -299,6 +299,21 @@ def test_through_a_loop_too_nothing_is_added_where_there_is_nothing(tmp_path):
         assert added(calib.fit(robot, data, terms="auto")) == set(terms)
 
 
+def test_where_nothing_is_added_the_fit_is_that_which_asks_for_nothing(tmp_path):
+    robot, told = five_bar(tmp_path), []
+    _, data, _ = simulated(robot, (), np.random.default_rng(6))
+    used, unused = (data.subset(np.arange(start, len(data), 2)) for start in (0, 1))
+    asked, plain = (
+        calib.fit(robot, used, validation=unused, terms=terms, progress=progress)
+        for terms, progress in (("auto", lambda *steps: told.append(steps)), (None, None))
+    )
+    assert [done for done, _ in told] == list(range(1, told[-1][1] + 1))
+    assert len({total for _, total in told}) == 1
+    np.testing.assert_array_equal(asked.robot.values, plain.robot.values)
+    np.testing.assert_array_equal(asked.statistics.half_width, plain.statistics.half_width)
+    assert asked.validation.table() == plain.validation.table()
+
+
 def test_compliance_in_data_of_other_code_is_found_and_not_held_back(tmp_path):
     robot, at = arm(tmp_path)
     robot = robot.with_terms(())

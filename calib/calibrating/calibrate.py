@@ -2,8 +2,9 @@
 
 Order of work: (1) joint terms, if asked for: those that earn their place (`calib.fitting.terms.term_choice`); what a
 fleet says is left out where the readings contradict it (`calib.calibrating.fleet_contradicted`); (2) the fit
-(`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turn for
-cross-validation, if asked for; also where noise is so far above its statement that nothing else can prove the result.
+(`calib.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again, if
+asked for; (4) poses left out in turn for cross-validation, if asked for; also where noise is so far above its statement
+that nothing else can prove the result.
 
 Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading
 goes by itself where the others of its visit agree, and its visit as a whole where they are off together
@@ -26,7 +27,7 @@ from calib.base.errors import CalibrationError, ComputationError, InputError, Un
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Steps, Workers
 from calib.data.measurements import Measurements
-from calib.fitting.fit import Nearby, fit_data, of_a_part
+from calib.fitting.fit import Minimum, Nearby, fit_at, fit_data, minimum_of, of_a_part, unseen
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, left_out_with
 from calib.fitting.pose_checks import likely_mistake, zeros_in_words
@@ -94,13 +95,18 @@ def _calibrated(
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
-        robot, choice = _with_terms(robot, data, settings, steps)
+        robot, choice, minimum = _with_terms(robot, data, settings, steps)
         if robot.description.fleet is not None:
             # here: most robots have no fleet
             from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 
             robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
-        fit = fit_data(robot, settings, data, validation, workers, steps)
+        if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
+            minimum = minimum_of(robot, settings, data, validation, workers, steps)
+        else:  # what was found without further terms is the minimum
+            steps.done()
+            steps.done()
+        fit = fit_at(minimum, settings, validation, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
@@ -128,20 +134,25 @@ def _calibrated(
     return replace(fit, terms=choice)
 
 
-def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Steps) -> tuple[Robot, TermChoice | None]:
-    """The robot with the joint terms that were asked for."""
+def _with_terms(
+    robot: Robot, data: Measurements, settings: Settings, steps: Steps
+) -> tuple[Robot, TermChoice | None, Minimum | None]:
+    """The robot with the joint terms that were asked for, and its minimum, if that is known."""
     described, terms = robot.description.terms, settings.terms
     if terms is None:
-        return robot, None
+        return robot, None, None
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
         first = replace(settings, starts=1)
-        choice = choose_terms(fit_data(robot, first, data, steps=steps, nearby=Nearby.no_intervals(robot)))
+        minimum = minimum_of(robot, first, data, steps=steps)
+        choice = choose_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
+        if choice.sections == described:
+            return robot, choice, minimum
     else:
         choice = TermChoice(terms, (*described, *missing_terms(robot, listed_terms(terms))))
-    return robot.with_terms(choice.sections), choice
+    return robot.with_terms(choice.sections), choice, None
 
 
 def _require_measurements(data: object, validation: object) -> None:

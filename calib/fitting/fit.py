@@ -35,11 +35,13 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
 from calib.fitting.problem import Evaluation, Problem
+from calib.fitting.robust import Solved
 from calib.fitting.settings import Settings
 from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.numerics.observability import observability
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
+from calib.rows.determination import Determination
 from calib.rows.observed import observe
 from calib.rows.rows import Rows, Scales
 
@@ -79,6 +81,25 @@ class Nearby:
         return np.where(rows[:, None] >= 0, self.passive[rows], np.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a fit ends, before anything is said about it.
+
+    Attributes:
+        robot: The nominal robot.
+        later: Free parameters of places that the measurements do not show, and validation does.
+        start: With base and targets placed.
+        determined: What the measurements determine there.
+        solved: The minimum.
+    """
+
+    robot: Robot
+    later: tuple[str, ...]
+    start: Evaluation
+    determined: Determination
+    solved: Solved
+
+
 def fit_data(
     robot: Robot,
     settings: Settings,
@@ -103,8 +124,22 @@ def fit_data(
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
             `calib.calibrating.calibrate.calibrate`.
     """
+    minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
+    return fit_at(minimum, settings, validation, steps, nearby)
+
+
+def minimum_of(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    steps: Steps | None = None,
+    nearby: Nearby | None = None,
+) -> Minimum:
+    """Return where `fit_data` ends, which says what is given."""
     steps = steps or Steps()
-    later = () if validation is None else _unseen(robot, data, validation)
+    later = unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     nearby = nearby or Nearby({})
@@ -117,8 +152,20 @@ def fit_data(
     if not keeps_limits(data, solved.at):
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.done)
     steps.done()
-    final = solved.at
-    require_identifiable(problem, final)
+    require_identifiable(problem, solved.at)
+    return Minimum(robot, later, start, determined, solved)
+
+
+def fit_at(
+    minimum: Minimum,
+    settings: Settings,
+    validation: Measurements | None = None,
+    steps: Steps | None = None,
+    nearby: Nearby | None = None,
+) -> Fit:
+    """Return the fit that ends at a minimum; see `fit_data`."""
+    robot, later, start, solved = minimum.robot, minimum.later, minimum.start, minimum.solved
+    problem, final, nearby = solved.problem, solved.at, nearby or Nearby({})
     names = [robot.parameters[k].name for k in problem.unknowns.index]
     known = [nearby.beyond_linear[name] for name in names if name in nearby.beyond_linear]
     bent = np.array(known) if len(known) == len(names) else None
@@ -131,7 +178,7 @@ def fit_data(
         placed=placed,
         robot=calibrated,
         identification=ErrorSet(
-            data,
+            problem.data,
             robot.instruments,
             start.residuals,
             final.residuals,
@@ -140,10 +187,10 @@ def fit_data(
         ),
         validation=None if validation is None else errors_on(placed, calibrated, validation),
         configurations=final.configurations,
-        unknowns=solved.problem.unknowns,
+        unknowns=problem.unknowns,
         statistics=uncertainty,
-        determination=determined,
-        observability=_observability(solved.problem, final, rows, scales, determined.free.rank),
+        determination=minimum.determined,
+        observability=_observability(problem, final, rows, scales, minimum.determined.free.rank),
         rows=rows,
         whitening=problem.whitening,
         scales=scales,
@@ -156,7 +203,7 @@ def fit_data(
         seed=settings.seed,
         placed_later=later,
     )
-    steps.done()
+    (steps or Steps()).done()
     return fit
 
 
@@ -181,7 +228,7 @@ def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scal
     return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
 
 
-def _unseen(robot: Robot, data: Measurements, later: Measurements) -> tuple[str, ...]:
+def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
     """Return the free parameters of places that readings of `later` look at, or from, and those of `data` do not.
 
     Such as a tool or a tracker put up anew for the validation. Where they are says nothing about the robot, so they are
@@ -191,8 +238,10 @@ def _unseen(robot: Robot, data: Measurements, later: Measurements) -> tuple[str,
     Args:
         robot: The robot.
         data: Measurements to fit.
-        later: Others.
+        later: Others, or None.
     """
+    if later is None:
+        return ()
     new = _origins(robot, later) - _origins(robot, data)
     free = zip(robot.parameters, robot.is_free, strict=True)
     return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)

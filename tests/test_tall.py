@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calib.numerics.identifiability import reduced
-from calib.numerics.tall import Span, Tall, in_parts, squares_of_rows
+from calib.numerics.prior import Prior
+from calib.numerics.tall import AbovePrior, Span, Tall, in_parts, squares_of_rows
 
 
 @pytest.fixture
@@ -34,6 +35,19 @@ def test_the_triangular_factor_has_the_same_products(matrix):
     np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, atol=1e-12)
     np.testing.assert_allclose(cut(matrix).products(right), whole.T @ whole, atol=1e-12)
     np.testing.assert_allclose(np.abs(cut(matrix).factor()), np.abs(reduced(matrix)), atol=1e-12)
+
+
+def test_rows_above_a_prior_are_those_of_both(matrix):
+    prior = Prior(np.array([True, False, True, True]), np.array([2, 3]), np.array([[1.0, 0.5], [0.5, 1.0]]))
+    whole, right = np.vstack([matrix, prior.rows]), np.random.default_rng(1).standard_normal(53)
+    both = np.column_stack([whole, right])
+    for tall in (AbovePrior(cut(matrix), prior), AbovePrior(Tall.of(matrix), prior)):
+        np.testing.assert_array_equal(tall.whole(), whole)
+        np.testing.assert_allclose(tall.times(right[:4]), whole @ right[:4], atol=1e-12)
+        np.testing.assert_allclose(tall.pulled(right), whole.T @ right, atol=1e-12)
+        np.testing.assert_allclose(tall.products(right), both.T @ both, atol=1e-12)
+        factor = tall.factor(right)
+        np.testing.assert_allclose(factor.T @ factor, both.T @ both, atol=1e-12)
 
 
 def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix):

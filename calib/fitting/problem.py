@@ -28,7 +28,7 @@ from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
-from calib.numerics.tall import Span, Tall
+from calib.numerics.tall import AbovePrior, Span, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
@@ -243,18 +243,15 @@ class Problem(ReadOnlyArrays):
         groups: FloatArray,
         unknowns: Unknowns,
         weights: FloatArray | None = None,
-        below: FloatArray | None = None,
     ) -> Tall:
         """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
 
         Args:
             evaluation, groups, unknowns: As of `rows`.
             weights: Of each reading, (n_readings,).
-            below: Further rows, (n, n_unknowns).
         """
         layout = self.whitening.layout
         roots = None if weights is None else np.sqrt(weights)[layout.reading]
-        n = layout.n_rows
 
         def batches() -> Iterator[tuple[IntArray | slice, FloatArray]]:
             for batch, observed in evaluation.observed(unknowns.index):
@@ -262,13 +259,10 @@ class Problem(ReadOnlyArrays):
                 if roots is not None:
                     columns *= roots[batch.rows][:, None]
                 yield batch.rows, columns
-            if below is not None:
-                yield slice(n, n + len(below)), below
 
         if len(evaluation.batches) == 1:
-            every = [rows for _, rows in batches()]
-            return Tall.of(every[0] if len(every) == 1 else np.vstack(every))
-        return Tall((n + (0 if below is None else len(below)), len(unknowns)), batches)
+            return Tall.of(next(batches())[1])
+        return Tall((layout.n_rows, len(unknowns)), batches)
 
     def _model(self, rows: Rows) -> LinearModel:
         """What rows whitened by what is stated say of the noise."""
@@ -448,19 +442,18 @@ class _Way:
             residuals = self._rows(evaluation).residuals
         return np.concatenate([residuals, self._unknowns.prior.times(u)])
 
-    def jacobian(self, u: FloatArray) -> FloatArray | Tall:
+    def jacobian(self, u: FloatArray) -> Tall:
         """Return their derivative by u, (n_rows, n_unknowns), and go there."""
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        priors = self._unknowns.prior.rows
-        jacobian = (
-            self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights, priors)
+        rows = (
+            self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights)
             if self._in_batches
-            else np.vstack([self._rows(evaluation).jacobian, priors])
+            else Tall.of(self._rows(evaluation).jacobian)
         )
         self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
-        return jacobian
+        return AbovePrior(rows, self._unknowns.prior)
 
 
 def _as_stated(

@@ -64,7 +64,7 @@ class Prior(ReadOnlyArrays):
             return matrix[self.has]
         return np.concatenate([matrix[self._alone], self._whitening @ matrix[self.together]])
 
-    @property
+    @cached_property
     def rows(self) -> FloatArray:
         """P, (n_priors, n)."""
         return self.times(np.eye(len(self.has)))

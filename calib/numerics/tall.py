@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
-from calib.numerics.identifiability import reduced_with
+from calib.numerics.identifiability import reduced, reduced_with
+from calib.numerics.prior import Prior
 
 ROWS_AT_ONCE = 1 << 13
 Places = IntArray | slice
@@ -75,6 +76,40 @@ class Tall:
     def lengths(self) -> FloatArray:
         """Return the length of each column, (n_columns,)."""
         return np.sqrt(sum(np.einsum("ij,ij->j", rows, rows) for _, rows in self.parts()))
+
+
+class AbovePrior(Tall):
+    """Rows above those of a prior, P, which are hardly more than ones.
+
+    Args:
+        rows: The rows.
+        prior: Of their columns.
+    """
+
+    def __init__(self, rows: Tall, prior: Prior) -> None:
+        self._rows, self._prior, n = rows, prior, rows.shape[0]
+
+        def parts() -> Iterator[tuple[Places, FloatArray]]:
+            for places, part in rows.parts():
+                yield places if rows.is_cut else slice(n), part
+            yield slice(n, None), prior.rows
+
+        super().__init__((n + len(prior.rows), rows.shape[1]), parts)
+
+    def factor(self, right: FloatArray | None = None) -> FloatArray:
+        """Return the triangular factor; see `Tall.factor`. Of few rows, it is found at once."""
+        if self._rows.is_cut:
+            return super().factor(right)
+        return reduced(np.vstack([self._rows.whole(), self._prior.rows]), right)
+
+    def products(self, right: FloatArray) -> FloatArray:
+        """Return the products of its columns and one more; see `Tall.products`."""
+        n_rows, n = self._rows.shape
+        products = self._rows.products(right[:n_rows])
+        self._prior.added_to(products[:n, :n])
+        products[:n, n] += self._prior.rows.T @ right[n_rows:]
+        products[n, :n], products[n, n] = products[:n, n], right @ right
+        return products
 
 
 class Span:

@@ -100,9 +100,7 @@ def _fitted_again(
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
-    nearby = Nearby.of(fit)
-    if not intervals:
-        nearby = replace(nearby, beyond_linear=Nearby.no_intervals(robot).beyond_linear)
+    nearby = Nearby.of(fit) if intervals else Nearby.no_intervals(robot, fit)
     again = fit_data(robot, settings, data, validation, workers, nearby=nearby)
     if fit.folds is None:
         return again

@@ -40,7 +40,7 @@ _STEP = 0.1  # of a difference of Jacobians, in standard deviations
 
 
 def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray) -> FloatArray:
-    """Return E e^2 of the module docstring in the square of the parameters' scales, (n_free,).
+    """Return E e^2 of the module docstring, (n_free,) [m^2, rad^2].
 
     Args:
         problem: The problem.
@@ -67,7 +67,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
                 squares += np.sum(bent**2 * counts, axis=1)
                 mean += bent[:, i] / 2
                 break
-    return squares + mean**2
+    return np.asarray(problem.unknowns.scales**2 * (squares + mean**2))
 
 
 def _products(

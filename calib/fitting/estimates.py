@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,22 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 
 @dataclass(frozen=True)
+class HalfWidth:
+    """Half the 95 % interval of a free parameter, computed when it is first asked for.
+
+    Attributes:
+        statistics: Uncertainty of the free parameters.
+        place: Its place among them.
+    """
+
+    statistics: Statistics
+    place: int
+
+    def __float__(self) -> float:
+        return float(self.statistics.half_width[self.place])
+
+
+@dataclass(frozen=True)
 class Estimate(Worded):
     """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
@@ -30,7 +46,7 @@ class Estimate(Worded):
         nominal_si: Value before [m or rad].
         value_si: Value found.
         std_si: Standard deviation; NaN where it was held.
-        low95_si, high95_si: 95 % interval; NaN likewise.
+        half95_si: Half the 95 % interval; NaN likewise.
         status: `identified`, `partly`, `prior`, `placed`, or `held`.
         family: Name of the coefficients that it belongs to, if their common size is found.
         per_si: How many of `unit` make one SI unit.
@@ -41,8 +57,7 @@ class Estimate(Worded):
     nominal_si: float
     value_si: float
     std_si: float
-    low95_si: float
-    high95_si: float
+    half95_si: SupportsFloat
     status: str
     family: str
     per_si: float
@@ -63,6 +78,16 @@ class Estimate(Worded):
     def std(self) -> float:
         """Standard deviation, in `unit`; NaN where it was held."""
         return self.std_si * self.per_si
+
+    @property
+    def low95_si(self) -> float:
+        """Lower end of the 95 % interval [m or rad]; NaN where it was held."""
+        return self.value_si - float(self.half95_si)
+
+    @property
+    def high95_si(self) -> float:
+        """Upper end of the 95 % interval [m or rad]; NaN where it was held."""
+        return self.value_si + float(self.half95_si)
 
     @property
     def low95(self) -> float:
@@ -180,10 +205,10 @@ def estimates(
         free: Which were free, (n_parameters,).
         statistics: Uncertainty of the free ones.
     """
-    uncertainty = iter(zip(statistics.std, statistics.half_width, statistics.data_share, strict=True))
+    uncertainty = enumerate(zip(statistics.std, statistics.data_share, strict=True))
     result = {}
     for parameter, value, use in zip(parameters, values, free, strict=True):
-        std, half, share = next(uncertainty) if use else (np.nan, np.nan, np.nan)
+        place, (std, share) = next(uncertainty) if use else (-1, (np.nan, np.nan))
         kind = (
             status(share, std / parameter.sigma_si, prior=parameter.prior, placement=parameter.placement)
             if use
@@ -195,8 +220,7 @@ def estimates(
             parameter.nominal_si,
             float(value),
             float(std),
-            float(value - half),
-            float(value + half),
+            HalfWidth(statistics, place) if use else np.nan,
             kind,
             parameter.family,
             parameter.per_si,

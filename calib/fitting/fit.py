@@ -39,6 +39,7 @@ from calib.fitting.robust import Solved
 from calib.fitting.settings import Settings
 from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.numerics.observability import observability
+from calib.numerics.statistics import BeyondLinear
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination
@@ -51,7 +52,7 @@ class Nearby:
     """What a fit leaves to other fits of its visits, or of a part of them: second order, and how loops close.
 
     Attributes:
-        beyond_linear: `Statistics.beyond_linear` of parameters, by name; 0 where no intervals are asked for.
+        beyond_linear: That of `Statistics`, by name [m^2, rad^2]; 0 where no intervals are asked for.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
     """
@@ -63,14 +64,17 @@ class Nearby:
     @staticmethod
     def of(fit: Fit) -> Nearby:
         """Return what this fit leaves."""
-        names = [fit.nominal.parameters[k].name for k in fit.unknowns.index]
-        beyond_linear = dict(zip(names, fit.statistics.beyond_linear.tolist(), strict=True))
+        known = fit.statistics.beyond_linear
+        beyond_linear = {} if known is None else dict(zip(fit.free_names, known.values.tolist(), strict=True))
         return Nearby(beyond_linear, fit.identification.data.joints, fit.configurations.passive)
 
     @staticmethod
-    def no_intervals(robot: Robot) -> Nearby:
-        """Return what a fit of this robot takes over that needs no intervals: no second order."""
-        return Nearby({parameter.name: 0.0 for parameter in robot.parameters})
+    def no_intervals(robot: Robot, fit: Fit | None = None) -> Nearby:
+        """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
+        no_second_order = {parameter.name: 0.0 for parameter in robot.parameters}
+        if fit is None:
+            return Nearby(no_second_order)
+        return Nearby(no_second_order, fit.identification.data.joints, fit.configurations.passive)
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
@@ -168,7 +172,7 @@ def fit_at(
     problem, final, nearby = solved.problem, solved.at, nearby or Nearby({})
     names = [robot.parameters[k].name for k in problem.unknowns.index]
     known = [nearby.beyond_linear[name] for name in names if name in nearby.beyond_linear]
-    bent = np.array(known) if len(known) == len(names) else None
+    bent = BeyondLinear(partial(np.array, known)) if len(known) == len(names) else None
     rows, scales, uncertainty = uncertainty_at(solved, bent)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
@@ -214,7 +218,7 @@ def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measureme
         fit: The fit of all of them.
         settings: How it was done.
     """
-    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=Nearby.of(fit))
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=Nearby.no_intervals(fit.nominal, fit))
 
 
 def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scales, rank: int) -> dict[str, float]:

@@ -40,7 +40,7 @@ from calib.numerics.chances import EXACT
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.least_squares import TOLERANCE
 from calib.numerics.prior_sizes import variance_by_sizes
-from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
+from calib.numerics.statistics import BeyondLinear, Factors, Statistics, found_factors, statistics
 from calib.numerics.tall import Span
 from calib.rows.registration import register
 from calib.rows.rows import Rows, Scales
@@ -246,12 +246,12 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
     return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
 
 
-def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> tuple[Rows, Scales, Statistics]:
+def uncertainty_at(solved: Solved, beyond_linear: BeyondLinear | None = None) -> tuple[Rows, Scales, Statistics]:
     """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
 
     Args:
         solved: The minimum.
-        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, (n_free,), if it is known.
+        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -263,11 +263,8 @@ def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> t
     slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
     span = Span(rows.jacobian, slowed.known.root)
     factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
-    bent = (
-        mean_square_beyond_linear(problem, solved.at, rows, solved.groups)
-        if beyond_linear is None
-        else beyond_linear / unknowns.scales**2
-    )
+    if beyond_linear is None:
+        beyond_linear = BeyondLinear(partial(mean_square_beyond_linear, problem, solved.at, rows, solved.groups))
     uncertainty = statistics(
         span,
         layout.group,
@@ -277,7 +274,7 @@ def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> t
         unknowns.prior,
         scatter_of_poses(rows, span, factors, solved.weights),
         variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
-        bent,
+        beyond_linear,
     )
     return rows, scales, uncertainty
 

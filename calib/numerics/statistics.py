@@ -25,7 +25,8 @@ Where the size of some priors was found from the same data, `calib.numerics.prio
 A robust loss changes what a residual tells: see `calib.fitting.robust`, which gives f and its counterpart in C.
 
 What readings see of a direction that only a prior holds bends with it: `calib.fitting.curvature` says what that
-adds to the variance in intervals. It is no part of C, nor of std.
+adds to the variance in intervals. It is no part of C, nor of std; it takes longer than all the rest, so that it is
+computed when intervals are first asked for.
 
 Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
 noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
@@ -40,13 +41,16 @@ Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.base.threads import one_blas_thread
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
@@ -85,6 +89,31 @@ class Factors(ReadOnlyArrays):
         return float(np.sum(self.freedom))
 
 
+class BeyondLinear:
+    """Mean square of what parameters are off beyond the linear model, computed when it is first asked for.
+
+    Args:
+        compute: Returns it, (n_free,) [m^2, rad^2].
+    """
+
+    def __init__(self, compute: Callable[[], FloatArray]) -> None:
+        self._compute = compute
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """It, (n_free,) [m^2, rad^2]."""
+        values = one_blas_thread(self._compute)()
+        hold(values)
+        return values
+
+    def __reduce__(self) -> tuple[Any, ...]:  # what it is computed from would go to other processes, too
+        return _beyond_linear_of, (self.values,)
+
+
+def _beyond_linear_of(values: FloatArray) -> BeyondLinear:
+    return BeyondLinear(lambda: values)
+
+
 @dataclass(frozen=True, eq=False)
 class Statistics(ReadOnlyArrays):
     """Uncertainty of the free parameters.
@@ -94,23 +123,30 @@ class Statistics(ReadOnlyArrays):
         freedom: Degrees of freedom, rows minus effective parameters.
         covariance: Of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
-        half_width: Half the 95 % interval of each, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
         poses: How the readings of each pose scatter together; None: independently.
-        beyond_linear: Mean square of what they are off beyond the linear model, part of `half_width` alone,
-            (n_free,) [m^2, rad^2].
+        beyond_linear: What they are off beyond the linear model, part of `half_width` alone; None for nothing.
+        wider: Factor by which standard deviations and intervals are wider than all of this says, (n_free,).
     """
 
     factors: Factors
     freedom: float
     covariance: FloatArray
     std: FloatArray
-    half_width: FloatArray
     data_share: FloatArray
     effective_parameters: float
     poses: Scatter | None = None
-    beyond_linear: FloatArray = field(default_factory=lambda: np.zeros(0))
+    beyond_linear: BeyondLinear | None = None
+    wider: FloatArray | float = 1.0
+
+    @cached_property
+    def half_width(self) -> FloatArray:
+        """Half the 95 % interval of each, (n_free,) [m, rad]."""
+        beyond = 0.0 if self.beyond_linear is None else self.beyond_linear.values
+        half = self.wider * self.coverage_factor * np.sqrt((self.std / self.wider) ** 2 + beyond)
+        hold(half)
+        return half
 
     @property
     def shared(self) -> Scatter | None:
@@ -129,13 +165,13 @@ class Statistics(ReadOnlyArrays):
 
     def widened(self, factor: float) -> Statistics:
         """Return them with standard deviations and intervals so many times as wide; see `calib.fitting.regions`."""
-        return replace(self, std=factor * self.std, half_width=factor * self.half_width)
+        return replace(self, std=factor * self.std, wider=factor * self.wider)
 
     def with_more(self, variances: FloatArray) -> Statistics:
         """Return them with standard deviations and intervals that include further variances, (n_free,)."""
         std = np.sqrt(self.std**2 + variances)
         wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
-        return replace(self, std=std, half_width=wider * self.half_width)
+        return replace(self, std=std, wider=wider * self.wider)
 
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
@@ -270,7 +306,7 @@ def statistics(
     prior: Prior,
     poses: Scatter | None = None,
     by_sizes: FloatArray | None = None,
-    beyond_linear: FloatArray | None = None,
+    beyond_linear: BeyondLinear | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
 
@@ -283,7 +319,7 @@ def statistics(
         prior: Of the parameters.
         poses: How the readings of each pose scatter together; None: independently.
         by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
-        beyond_linear: Mean square of what u is off beyond the linear model, (n_free,); none if not given.
+        beyond_linear: What parameters are off beyond the linear model; nothing if not given.
     """
     root = known.root
     share = prior_shares(known, prior)
@@ -302,11 +338,7 @@ def statistics(
         scaled_covariance = scaled_covariance + by_sizes
     scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # to the last digit
     covariance = np.multiply.outer(scales, scales) * scaled_covariance
-    beyond = np.zeros(len(scales)) if beyond_linear is None else scales**2 * beyond_linear
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
-    without_width = Statistics(
-        factors, factors.total_freedom, covariance, std, std, decided, n_effective, poses, beyond
-    )
-    return replace(without_width, half_width=without_width.coverage_factor * np.sqrt(std**2 + beyond))
+    return Statistics(factors, factors.total_freedom, covariance, std, decided, n_effective, poses, beyond_linear)

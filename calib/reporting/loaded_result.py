@@ -14,7 +14,7 @@ from calib.base.other_words import worded
 from calib.base.units import error_scale
 from calib.base.words import titled_html
 from calib.data.in_memory import PosesLike, as_poses
-from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
+from calib.fitting.estimates import Correlation, Covariance, Estimate, Estimates
 from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.judging.promise import Promise
@@ -195,10 +195,12 @@ def load_result(folder: Path | str) -> LoadedResult:
     estimates = {}
     for row, parameter, value in rows:
         per_si = parameter.per_si
-        numbers = {f"{key}_si": np.nan if row[key] is None else float(row[key]) / per_si for key in NUMBERS}
-        numbers |= {"nominal_si": parameter.nominal_si, "value_si": float(value)}  # these to the last digit
+        std, low, high = (
+            np.nan if row[key] is None else float(row[key]) / per_si for key in ("std", "low95", "high95")
+        )
+        numbers = parameter.nominal_si, float(value), std, (high - low) / 2
         estimates[parameter.name] = Estimate(
-            parameter.name, parameter.unit, **numbers, status=row["status"], family=parameter.family, per_si=per_si
+            parameter.name, parameter.unit, *numbers, row["status"], parameter.family, per_si
         )
     known, joints = load_uncertainty(folder, robot), joints_used(folder, robot)
     return LoadedResult(str(folder), robot, Estimates(estimates), content, known, joints)

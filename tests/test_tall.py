@@ -5,7 +5,7 @@ import pytest
 
 from calib.numerics.identifiability import reduced
 from calib.numerics.prior import Prior
-from calib.numerics.tall import AbovePrior, Span, Tall, in_parts, squares_of_rows
+from calib.numerics.tall import AbovePrior, Multiplied, Span, Tall, in_parts, squares_of_rows
 
 
 @pytest.fixture
@@ -41,7 +41,8 @@ def test_rows_above_a_prior_are_those_of_both(matrix):
     prior = Prior(np.array([True, False, True, True]), np.array([2, 3]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     whole, right = np.vstack([matrix, prior.rows]), np.random.default_rng(1).standard_normal(53)
     both = np.column_stack([whole, right])
-    for tall in (AbovePrior(cut(matrix), prior), AbovePrior(Tall.of(matrix), prior)):
+    known = Multiplied(cut(matrix), lambda: (matrix.T @ matrix, matrix.T @ right[:50]))
+    for tall in (AbovePrior(rows, prior) for rows in (cut(matrix), Tall.of(matrix), known)):
         np.testing.assert_array_equal(tall.whole(), whole)
         np.testing.assert_allclose(tall.times(right[:4]), whole @ right[:4], atol=1e-12)
         np.testing.assert_allclose(tall.pulled(right), whole.T @ right, atol=1e-12)

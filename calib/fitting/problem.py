@@ -13,7 +13,7 @@ loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +28,7 @@ from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
-from calib.numerics.tall import AbovePrior, Span, Tall
+from calib.numerics.tall import AbovePrior, Multiplied, Span, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
@@ -52,12 +52,14 @@ class Evaluation:
         configurations: Its assembled visits.
         readings: What was read, of each instrument, by name.
         batches: In which batches it is looked at.
+        products: What `Problem.products` remembers: scales of the unknowns, and products for these.
     """
 
     robot: Robot
     configurations: Configurations
     readings: Mapping[str, Readings]
     batches: tuple[Batch, ...]
+    products: list[tuple[FloatArray, Products]] = field(default_factory=list)
 
     @cached_property
     def _all(self) -> dict[str, Observed]:
@@ -317,11 +319,27 @@ class Problem(ReadOnlyArrays):
         """What rows whitened by what is stated say of the noise and of families."""
         if self.weighing is not None:
             return FamilyModel.of(self._model(self.rows(evaluation, ones)))
-        residuals, unknowns = self.residuals(evaluation, ones), self.unknowns
-        columns, group = self.derivative(evaluation, ones, unknowns), self.whitening.layout.group
-        products, u = Products.of(columns, residuals, group, len(ones)), unknowns.deviations(evaluation.robot.values)
-        families = unknowns.family, len(unknowns.families)
+        unknowns, products = self.unknowns, self.products(evaluation, ones)
+        u, families = unknowns.deviations(evaluation.robot.values), (unknowns.family, len(unknowns.families))
         return FamilyModel(products, unknowns.prior, u, self.noise_found, *families)
+
+    def products(self, evaluation: Evaluation, groups: FloatArray, rows: Tall | None = None) -> Products:
+        """Return the products of the rows by the free parameters, whitened by what is stated.
+
+        They are made once for an evaluation, whatever scales of noise and sizes of families are tried there.
+
+        Args:
+            evaluation, groups: As of `rows`.
+            rows: The rows, if they are there.
+        """
+        scales = self.unknowns.scales
+        if not evaluation.products:
+            rows = self.derivative(evaluation, groups, self.unknowns) if rows is None else rows
+            residuals = self.residuals(evaluation, groups)
+            made = Products.of(rows, residuals, self.whitening.layout.group, len(groups)).times(groups)
+            evaluation.products.append((scales, made))
+        before, products = evaluation.products[0]
+        return products if np.array_equal(before, scales) else products.resized(scales / before)
 
     def found_ratios(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
         """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
@@ -413,6 +431,8 @@ class _Way:
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
         self._last: tuple[Evaluation, Rows] | None = None
         self._in_batches = len(start.batches) > 1 and problem.weighing is None
+        plain = weights is None and problem.weighing is None
+        self._is_of_families = plain and unknowns is problem.unknowns and bool(unknowns.families)
         self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
 
     def _evaluation(self, u: FloatArray) -> Evaluation | None:
@@ -447,12 +467,15 @@ class _Way:
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        rows = (
+        plain = (
             self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights)
             if self._in_batches
             else Tall.of(self._rows(evaluation).jacobian)
         )
         self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
+        problem, groups, rows = self._problem, self._groups, plain
+        if self._is_of_families:
+            rows = Multiplied(plain, lambda: problem.products(evaluation, groups, plain).weighed(groups))
         return AbovePrior(rows, self._unknowns.prior)
 
 

@@ -107,6 +107,16 @@ class Products:
         gram = self.gram.take(use, 1).take(use, 2)  # a third of the time of both at once
         return Products(gram, self.pull[:, use], self.square, self.count)
 
+    def times(self, scales: FloatArray) -> Products:
+        """Return those of rows times the scales of their groups, (n_groups,)."""
+        squares = scales**2
+        gram, pull = squares[:, None, None] * self.gram, squares[:, None] * self.pull
+        return Products(gram, pull, squares * self.square, self.count)
+
+    def resized(self, factor: FloatArray) -> Products:
+        """Return those of columns times a factor of each, (n_free,)."""
+        return Products(factor[:, None] * self.gram * factor, self.pull * factor, self.square, self.count)
+
     def weighed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
         weights = 1.0 / scales**2

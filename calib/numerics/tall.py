@@ -78,6 +78,24 @@ class Tall:
         return np.sqrt(sum(np.einsum("ij,ij->j", rows, rows) for _, rows in self.parts()))
 
 
+class Multiplied(Tall):
+    """Rows whose products with each other, and with the residuals beside them, are known where they are asked for.
+
+    Args:
+        rows: The rows, J.
+        known: Returns J^T J (n, n) and J^T r (n,).
+    """
+
+    def __init__(self, rows: Tall, known: Callable[[], tuple[FloatArray, FloatArray]]) -> None:
+        super().__init__(rows.shape, rows.parts, is_cut=rows.is_cut)
+        self._known = known
+
+    def products(self, right: FloatArray) -> FloatArray:
+        """Return the products of its columns and the residuals (n_rows,); see `Tall.products`."""
+        gram, pull = self._known()
+        return np.block([[gram, pull[:, None]], [pull, right @ right]])
+
+
 class AbovePrior(Tall):
     """Rows above those of a prior, P, which are hardly more than ones.
 

@@ -44,6 +44,18 @@ def failed(good):
 pytestmark = pytest.mark.usefixtures("without_pages")
 
 
+def test_lengths_that_want_to_be_infinite_are_named_at_once_and_the_others_are_found_without_them(medrue):
+    """20 poses behind each other, on which a link's arc explains the readings the better the more it is a line."""
+    rows = np.arange(279, 299)
+    data = calib.read_measurements(EXAMPLES / "medrue_simulated.csv", medrue).subset(rows)
+    fit = calib.fit(medrue, data)
+    assert not fit.converged
+    assert fit.convergence.receding == ("L24", "C2z")
+    assert "do not determine L24, C2z" in fit.report(verbose=True)
+    assert "(--fix L24)" in fit.report(verbose=True)
+    assert calib.fit(medrue, data, fix=["L24"]).converged
+
+
 @pytest.mark.parametrize(("off", "stopped"), [(0.0, True), (0.0, False), (0.5, True), (0.5, False)])
 def test_the_message_says_what_the_step_that_is_left_says(arm, off, stopped):
     problem = Problem.of(arm, noisy(arm, joints(60), SIGMA, 1))

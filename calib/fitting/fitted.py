@@ -53,6 +53,7 @@ class Convergence:
         step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
         parameter: That parameter.
         weights_stand: Whether the weights of a robust loss have settled; True without one.
+        receding: Parameters whose best values recede, the farthest first: the data do not determine them.
     """
 
     converged: bool
@@ -60,6 +61,7 @@ class Convergence:
     step_left: float
     parameter: str
     weights_stand: bool
+    receding: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,7 @@ _NO_NOISE = (
     " --sigma-mm)"
 )
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+_FAR = 0.5  # of the farthest way left, for which parameters are named
 _BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
@@ -308,7 +309,8 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
     pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
     root, unknowns = weighted.known.root, solved.problem.unknowns
-    left = np.abs(unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
+    away = np.abs(root @ (root.T @ pull))
+    left = unknowns.scales * away / (std + _ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
     stands = step < _STEP_LEFT
@@ -316,4 +318,7 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
         message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
     elif solved.solution.converged and not stands:
         message += f", but {name} would still move by {step:.2g} standard deviations"
-    return Convergence(solved.settled and stands, message, step, name, solved.settled)
+    recedes = solved.solution.recedes and not stands
+    far = np.flatnonzero(away >= _FAR * np.max(away)) if recedes else np.zeros(0, dtype=np.intp)
+    receding = tuple(unknowns.names[k] for k in far[np.argsort(-away[far])])
+    return Convergence(solved.settled and stands, message, step, name, solved.settled, receding)

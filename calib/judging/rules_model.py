@@ -66,6 +66,12 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
         text = (
             f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
         )
+    elif end.receding:
+        text = (
+            f"not converged: these poses do not determine {listed(end.receding)}: the farther the fit moves"
+            f" {'it' if len(end.receding) == 1 else 'them'}, the farther there is to go"
+        )
+        advice = f"measure poses that differ more, or hold what they do not determine (--fix {end.receding[0]})"
     elif not end.step_left < np.inf or end.step_left > 1.0:
         text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
     else:

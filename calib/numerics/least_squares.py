@@ -68,6 +68,12 @@ at most N tolerance. Where a step promised less than ten times as much, no bend 
 cost, rounding decides about it, and the iteration ends too. It also ends where the step is below 1e-12 of the unknowns,
 and as not converged after `max_evaluations` trial points.
 
+What the rows do not determine may recede: of poses that lie close together, an arc explains readings the better the
+longer its radius, and no length is the best one. Then there is the farther to go the farther one goes. So the iteration
+ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last five
+steps has made f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a
+standard deviation, s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
+
 When it fails. It finds the minimum in whose valley it starts; `calib.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
 
@@ -103,8 +109,11 @@ _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # how far the steps may then go at first, in the same units
 _LONGER = 2.0  # how far a step away from the bottom of a valley may go, over the length of the last one
 _AWAY = 8  # further steps away from the bottom
-_LIMIT, _COST_STANDS, _STEP_VANISHES = (
+_PATIENCE = 20  # trial points that a minimum that recedes is followed at least
+_RECEDED = 5  # steps in a row that made what is left longer
+_LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
+    "the best values recede",
     "the sum of squares no longer changes",
     "the unknowns no longer change",
 )
@@ -122,6 +131,7 @@ class Solution:
         converged: Whether a stopping rule was met before the evaluations ran out.
         evaluations: How many points were evaluated.
         message: Which rule ended it.
+        recedes: Whether the minimum was given up because it recedes.
     """
 
     x: FloatArray
@@ -131,6 +141,7 @@ class Solution:
     converged: bool
     evaluations: int
     message: str
+    recedes: bool = False
 
 
 def minimise(
@@ -160,8 +171,8 @@ def minimise(
     if not np.all(np.isfinite(values)):
         raise ComputationError("the fit cannot start: the residuals have no value at the starting point")
     path = _Path(LinearPoint(start, values, jacobian(start)), scaling, tolerance)
-    evaluations, message = 1, path.ended()
-    while not message and evaluations < max_evaluations:
+    evaluations, message, recedes = 1, path.ended(), False
+    while not (message or recedes) and evaluations < max_evaluations:
         x = path.trial()
         values = residuals(x)
         evaluations += 1
@@ -172,10 +183,11 @@ def minimise(
             if _cost(bent_values) < _cost(values):
                 x, values = bent, bent_values
         evaluations += path.go_on(x, values, jacobian)
-        message = path.ended()
+        message, recedes = path.ended(), evaluations >= _PATIENCE and path.recedes
     evaluations += path.go_back(jacobian)
-    best = path.current
-    return Solution(best.x, best.residuals, best.given, best.cost, bool(message), evaluations, message or _LIMIT)
+    best, converged = path.current, bool(message)
+    message = message or (_RECEDES if recedes else _LIMIT)
+    return Solution(best.x, best.residuals, best.given, best.cost, converged, evaluations, message, recedes)
 
 
 def _cost(values: FloatArray) -> float:
@@ -199,7 +211,8 @@ class _Path:
         self._scale = np.zeros(len(start.x)) if self._by_columns else np.ones(len(start.x))
         self._rescale(start)
         typical = float(np.sqrt(len(start.x)))
-        self._cautious = not self._by_columns and self._length(start.newton) > _ABSURD * typical
+        self._start, self._first, self._absurd = start.x, self._length(start.newton), _ABSURD * typical
+        self._cautious = not self._by_columns and self._first > self._absurd
         self._radius = _REACH * typical if self._cautious else np.inf
         if self._by_columns:
             self._radius = self._length(start.x) or 1.0
@@ -208,6 +221,7 @@ class _Path:
         self._left: tuple[LinearPoint, float] | None = None  # where it left the bottom of a valley, length of that step
         self._away = 0  # steps since then
         self._stays = self._by_columns  # whether it does not leave it any more
+        self._receded = 0  # steps in a row that made what is left longer
         self._step: FloatArray = np.zeros(len(start.x))
         self._taken: FloatArray = self._step
         self._promised = start.cost
@@ -230,6 +244,18 @@ class _Path:
     def _promises_little(self) -> bool:
         """Whether rounding decides about the step."""
         return self.current.cost - self._promised <= _ROUNDING * self._tolerance * self.current.cost
+
+    @property
+    def recedes(self) -> bool:
+        """Whether what is left, which promises little, is absurdly long and becomes ever longer."""
+        current = self.current
+        if self._by_columns or self._left is not None or self._receded < _RECEDED:
+            return False
+        come, left = self._length(current.x - self._start), self._length(current.newton)
+        noise = np.sqrt(current.cost / max(len(current.residuals) - len(current.x), 1))
+        longer = left > max(self._absurd, self._first)
+        little = 2.0 * current.decrease <= min(current.cost, 2.0 * (noise * left / self._absurd) ** 2)
+        return come > self._absurd and longer and bool(little)
 
     @property
     def lowest(self) -> LinearPoint:
@@ -291,6 +317,8 @@ class _Path:
             self._cautious, self._past = False, []
             return self.go_back(jacobian)
         trial = LinearPoint(x, values, jacobian(x))
+        longer = self._length(trial.newton) > self._length(self.lowest.newton)
+        self._receded = self._receded + 1 if longer else 0
         if self._left is not None:
             self._radius, self._left, self._away = _LONGER * self._left[1], None, 0
         else:

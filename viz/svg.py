@@ -125,6 +125,8 @@ def _lay_out(figure: Any) -> None:
     matplotlib's own layout can do more, but measures every text several times, which takes longer than drawing it.
     """
     from matplotlib.backends.backend_svg import RendererSVG
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
 
     width, height = figure.bbox.size
     renderer = RendererSVG(width, height, io.StringIO(), image_dpi=_POINTS)  # type: ignore[no-untyped-call]
@@ -135,13 +137,22 @@ def _lay_out(figure: Any) -> None:
     left, right, below, over = np.zeros(grid.ncols), np.zeros(grid.ncols), np.zeros(grid.nrows), np.zeros(grid.nrows)
     labels = []
     for axes in panels:
-        outer, inner, place = axes.get_tightbbox(renderer), axes.bbox.frozen(), axes.get_subplotspec()
-        x_label, y_label = axes.xaxis.label, axes.yaxis.label
-        labels.append((axes, x_label.get_position()[1] - inner.y0, y_label.get_position()[0] - inner.x0))
+        axes.apply_aspect()
+        inner, place = axes.bbox.frozen(), axes.get_subplotspec()
+        for axis in (axes.xaxis, axes.yaxis):  # labels in the middle: their own places would have ticks measured twice
+            axis.set_label_coords(0.5, 0.5)
+        x_ticks, y_ticks = (axis.get_tightbbox(renderer) or inner for axis in (axes.xaxis, axes.yaxis))
+        x_label, y_label = (axis.label.get_window_extent(renderer) for axis in (axes.xaxis, axes.yaxis))
+        down = max(inner.y0 - x_ticks.y0, axes.xaxis.get_tick_padding())  # to where ticks and their numbers end
+        out = max(inner.x0 - y_ticks.x0, axes.yaxis.get_tick_padding())
+        under, aside = down + axes.xaxis.labelpad, out + axes.yaxis.labelpad
+        labels.append((axes, under, aside))
+        texts = (text.get_window_extent(renderer) for text in axes.get_children() if isinstance(text, Text))
+        outer = Bbox.union([inner, x_ticks, y_ticks, *(text for text in texts if text.width > 0.0)])
         column, row = place.colspan.start, place.rowspan.start
-        left[column] = max(left[column], inner.x0 - outer.x0)
+        left[column] = max(left[column], inner.x0 - outer.x0, out, y_label.width and aside + y_label.width)
         right[column] = max(right[column], outer.x1 - inner.x1)
-        below[row] = max(below[row], inner.y0 - outer.y0)
+        below[row] = max(below[row], inner.y0 - outer.y0, down, x_label.height and under + x_label.height)
         over[row] = max(over[row], outer.y1 - inner.y1)
     beside = _GAP + np.max(right[:-1] + left[1:], initial=0.0)
     between = _GAP + np.max(below[:-1] + over[1:], initial=0.0)
@@ -154,8 +165,8 @@ def _lay_out(figure: Any) -> None:
         hspace=between * grid.nrows / (height - below[-1] - over[0] - above - _GAP - (grid.nrows - 1) * between),
     )
     for axes, under, aside in labels:  # stay where they are beside their axis, and need not be measured again
-        axes.xaxis.set_label_coords(0.5, axes.bbox.y0 + under, axes.xaxis.label.get_transform())
-        axes.yaxis.set_label_coords(axes.bbox.x0 + aside, 0.5, axes.yaxis.label.get_transform())
+        axes.xaxis.set_label_coords(0.5, axes.bbox.y0 - under, axes.xaxis.label.get_transform())
+        axes.yaxis.set_label_coords(axes.bbox.x0 - aside, 0.5, axes.yaxis.label.get_transform())
 
 
 def plain_ticks(*axes: Any) -> None:

@@ -54,7 +54,7 @@ def test_one_regressor_serves_every_frame_as_pinocchios_own_would(case):
     mechanism, joints, pairs, swept = case
     left = swept.reduced.joints
     before = mechanism.twists_before(None)[left]  # of every origin twist
-    of_origins = np.einsum("nrkc,kcj->nrj", swept.regressor.reshape(len(joints), 6, len(left), 6), before)
+    of_origins = np.einsum("knrc,kcj->nrj", swept.regressor, before)
     data = mechanism.model.createData()
     for k, q in enumerate(joints):
         pin.computeJointJacobians(mechanism.model, data, q)

@@ -29,7 +29,7 @@ def residual(
     moving = kinematics.Coordinates.of(shared.reduced, mechanism.loop_signs, select)
     values = np.empty((len(joints), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, select.shape[1]))
-    for part in kinematics.chunks(len(joints)):
+    for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
         swept = kinematics.sweep(mechanism, joints[part], mechanism.loops, shared)
         values[part], maps = kinematics.gaps(swept)
         slope[part] = kinematics.joint_derivative(swept, maps, moving)

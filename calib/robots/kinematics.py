@@ -33,6 +33,12 @@ from calib.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
 
 CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+_JOINTS_AT_ONCE = 24 * CHUNK
+
+
+def at_once(reduced: Reduced) -> int:
+    """Return how many poses are good at once: more than `CHUNK` where few joints count."""
+    return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
@@ -49,25 +55,21 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 @dataclass(frozen=True, eq=False)
 class Alike:
-    """Origins that move the same rows.
+    """Twists of origins that move the same rows.
 
     Attributes:
         rows: Which rows they move, through the loops or not, (m,).
         signs: By which sign they move each of these themselves, (m,).
         felt: Which rows of the loops they move, (l,).
         loop_signs: By which sign, (l,).
-        places: Their columns in `Sweep.regressor`, (6 n,).
-        along: Twists of them in the frames before them, (6 n, k).
-        columns: Which columns of the derivative these make, (k,).
+        entries: Which of the twists they are, in the order of `Along.order`.
     """
 
     rows: IntArray
     signs: FloatArray
     felt: IntArray
     loop_signs: FloatArray
-    places: IntArray
-    along: FloatArray
-    columns: IntArray
+    entries: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,22 +95,36 @@ class Along:
         return joints, columns, np.ascontiguousarray(self.before[joints, :, columns])
 
     @cached_property
-    def groups(self) -> list[Alike]:
-        """The origins whose twists move any row, by which rows they move."""
-        alike: dict[tuple[float, ...], list[int]] = {}
-        for origin, signs in enumerate(map(tuple, self.signs.T.tolist())):
-            alike.setdefault(signs, []).append(origin)
+    def side_by_side(self) -> tuple[FloatArray, IntArray]:
+        """The twists of each origin, (n_reduced, 6, most), and where each entry is among all of these, (n_entries,)."""
+        joints, _, twists = self.entries
+        place = np.arange(len(joints)) - np.searchsorted(joints, joints)
+        most = int(np.max(place, initial=0)) + 1
+        result = np.zeros((len(self.before), 6, most))
+        result[joints, :, place] = twists
+        return result, joints * most + place
+
+    @cached_property
+    def groups(self) -> tuple[list[Alike], IntArray]:
+        """Entries that move the same rows, and the order in which they then are, (n_entries,)."""
+        numbers: dict[tuple[float, ...], int] = {}
+        number = [numbers.setdefault(signs, len(numbers)) for signs in map(tuple, self.signs.T.tolist())]
+        of_entry = np.array(number, dtype=np.intp)[self.entries[0]]
+        ends = np.searchsorted(np.sort(of_entry), np.arange(len(numbers) + 1)).tolist()
         groups = []
-        for signs, origins in alike.items():
-            along = self.before[origins].reshape(6 * len(origins), -1)
-            columns = np.flatnonzero(along.any(axis=0))
+        for signs, first, last in zip(numbers, ends[:-1], ends[1:], strict=True):
             own, loop = np.array(signs[: self.n_rows]), np.array(signs[self.n_rows :])
             felt = np.flatnonzero(loop)
             rows = np.arange(self.n_rows) if len(felt) else np.flatnonzero(own)
-            if len(rows) and len(columns):
-                places = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
-                groups.append(Alike(rows, own[rows], felt, loop[felt], places, along[:, columns], columns))
-        return groups
+            if len(rows) and last > first:
+                groups.append(Alike(rows, own[rows], felt, loop[felt], slice(first, last)))
+        return groups, np.argsort(of_entry, kind="stable")
+
+    @cached_property
+    def sums(self) -> FloatArray:
+        """Which column each entry in the order of `groups` belongs to, as ones, (n_entries, k)."""
+        columns = self.entries[1][self.groups[1]]
+        return (columns[:, None] == np.arange(self.before.shape[2])).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,17 +233,17 @@ class Sweep:
 
     @cached_property
     def regressor(self) -> FloatArray:
-        """Ad(T_before) of every origin that counts, side by side, (n, 6, 6 n_reduced): one for all frames."""
-        rotation, translation = (part[:, self.reduced.parents] for part in (self.rotation, self.translation))
-        n, count = rotation.shape[:2]
-        result = np.zeros((n, 6, count, 6))
-        axes = rotation.transpose(0, 2, 1, 3)  # (n, 3, n_reduced, 3)
-        x, y, z = (translation[:, :, k, None] for k in range(3))
-        result[:, :3, :, :3] = result[:, 3:, :, 3:] = axes
-        result[:, 0, :, 3:] = y * axes[:, 2] - z * axes[:, 1]
-        result[:, 1, :, 3:] = z * axes[:, 0] - x * axes[:, 2]
-        result[:, 2, :, 3:] = x * axes[:, 1] - y * axes[:, 0]
-        return result.reshape(n, 6, 6 * count)
+        """Ad(T_before) of every origin that counts, (n_reduced, n, 6, 6): one for all frames."""
+        parents = self.reduced.parents
+        axes, points = self.rotation.transpose(1, 2, 0, 3)[parents], self.translation.transpose(1, 2, 0)[parents]
+        count, _, n, _ = axes.shape
+        result = np.zeros((count, n, 6, 6))
+        x, y, z = (points[:, k, :, None] for k in range(3))
+        result[:, :, :3, :3] = result[:, :, 3:, 3:] = axes.transpose(0, 2, 1, 3)
+        result[:, :, 0, 3:] = y * axes[:, 2] - z * axes[:, 1]
+        result[:, :, 1, 3:] = z * axes[:, 0] - x * axes[:, 2]
+        result[:, :, 2, 3:] = x * axes[:, 1] - y * axes[:, 0]
+        return result
 
 
 def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
@@ -425,12 +441,16 @@ def origin_derivative(swept: Sweep, mapping: FloatArray, through: FloatArray | N
         along: The twists, and what they move.
     """
     n, n_rows = mapping.shape[:2]
-    result = np.zeros((n, n_rows, along.before.shape[2]))
+    (twists, places), (groups, order) = along.side_by_side, along.groups
+    count, _, most = twists.shape
+    world = np.matmul(swept.regressor.reshape(count, 6 * n, 6), twists).reshape(count, n, 6, most)
+    world = world.transpose(1, 2, 0, 3).reshape(n, 6, count * most)[:, :, places[order]]
     maps = mapping[:, :0] if through is None else gaps(swept)[1]
-    for group in along.groups:
-        total = mapping[:, group.rows] * group.signs[:, None]
+    moved = np.zeros((n, n_rows, len(order)))
+    for group in groups:
+        every = len(group.rows) == n_rows
+        total = (mapping if every else mapping[:, group.rows]) * group.signs[:, None]
         if through is not None and len(group.felt):
             total -= np.matmul(through[:, :, group.felt] * group.loop_signs, maps[:, group.felt])
-        moved = swept.regressor[:, :, group.places].reshape(6 * n, -1) @ group.along
-        result[:, group.rows[:, None], group.columns] += np.matmul(total, moved.reshape(n, 6, -1))
-    return result
+        moved[:, slice(None) if every else group.rows, group.entries] = np.matmul(total, world[:, :, group.entries])
+    return (moved.reshape(n * n_rows, len(order)) @ along.sums).reshape(n, n_rows, along.sums.shape[1])

@@ -118,8 +118,8 @@ def sweeps(
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
-    size = kinematics.CHUNK if functions is None else _CHUNK_COMPILED
     shared = kinematics.Shared(mechanism, needed, functions)
+    size = kinematics.at_once(shared.reduced) if functions is None else _CHUNK_COMPILED
     for part in kinematics.chunks(len(joints), size):
         if functions is None:
             yield part, kinematics.sweep(mechanism, joints[part], needed, shared)

@@ -114,9 +114,9 @@ def test_poses_that_cannot_close_are_refused_alike():
 
 def test_a_singular_system_is_told():
     functions = __import__("calib.robots.kernels", fromlist=["_solve"])
-    plan, x = functions._plan(np.ones((2, 2), dtype=bool)), np.empty((2, 1))
-    assert not functions._solve(plan, np.array([[1.0, 2.0], [2.0, 4.0]]), np.array([[1.0], [1.0]]), x)
-    assert functions._solve(plan, np.array([[0.0, 2.0], [3.0, 4.0]]), np.array([[2.0], [10.0]]), x)
+    plan, x = functions._plan(np.ones((2, 2), dtype=bool), 1), np.empty((2, 1))
+    assert not functions._solve(plan, np.array([[1.0, 2.0, 1.0], [2.0, 4.0, 1.0]]), x)
+    assert functions._solve(plan, np.array([[0.0, 2.0, 2.0], [3.0, 4.0, 10.0]]), x)
     assert np.allclose(x[:, 0], [2.0, 1.0])
 
 

@@ -24,11 +24,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from numba.core import event
+from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.robots.mechanism import Mechanism, Reduced
 
 _LOG = logging.getLogger("calib")
+_Places = NDArray[np.uintp]  # without a sign, so that compiled code need not ask whether they count from the end
 _compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
 
 
@@ -89,14 +91,14 @@ class Plan(NamedTuple):
         n_rows: How many rows may have entries there, (n,).
         rows: Which they are, that of the pivot first, (n, n).
         n_others: In how many further columns, (n,).
-        others: Which these are, (n, n).
+        others: Which these are, and the right sides, (n, n + m).
     """
 
-    columns: IntArray
+    columns: _Places
     n_rows: IntArray
-    rows: IntArray
+    rows: _Places
     n_others: IntArray
-    others: IntArray
+    others: _Places
 
 
 def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
@@ -176,15 +178,15 @@ def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
 
 
 @_compiled
-def _plan(pattern: BoolArray) -> Plan:
-    """Return in which order to eliminate a matrix with this pattern (n, n), which is used up.
+def _plan(pattern: BoolArray, m: int) -> Plan:
+    """Return in which order to eliminate a matrix with this pattern (n, n), which is used up, beside m right sides.
 
     The column with the fewest rows is next. Which of these rows has the pivot depends on the numbers, so that all of
     them count as having entries wherever one has any.
     """
     n = len(pattern)
-    columns, n_rows, n_others = np.empty(n, dtype=np.intp), np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp)
-    rows, others = np.empty((n, n), dtype=np.intp), np.empty((n, n), dtype=np.intp)
+    columns, n_rows, n_others = np.empty(n, dtype=np.uintp), np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp)
+    rows, others = np.zeros((n, n), dtype=np.uintp), np.empty((n, n + m), dtype=np.uintp)
     row_left, column_left = np.ones(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
     for k in range(n):
         fewest = n + 1
@@ -208,17 +210,19 @@ def _plan(pattern: BoolArray) -> Plan:
                 n_others[k] += 1
                 for e in range(n_rows[k]):
                     pattern[rows[k, e], c] = True
+        for j in range(m):
+            others[k, n_others[k] + j] = n + j
         if n_rows[k]:
             row_left[rows[k, 0]] = False
     return Plan(columns, n_rows, rows, n_others, others)
 
 
 @_compiled
-def _solve(plan: Plan, A: FloatArray, B: FloatArray, X: FloatArray) -> bool:
-    """Solve A X = B for X, A (n, n) and B (n, m), which are used up, with pivots; False where A is singular."""
-    n, m = B.shape
+def _solve(plan: Plan, A: FloatArray, X: FloatArray) -> bool:
+    """Solve for X (n, m) with pivots; A is [matrix, right], (n, n + m), and used up; False where it is singular."""
+    n, m = X.shape
     for k in range(n):
-        c, first = plan.columns[k], plan.rows[k, 0]
+        c, first, n_others = plan.columns[k], plan.rows[k, 0], plan.n_others[k] + m
         pivot = first
         for e in range(1, plan.n_rows[k]):
             if abs(A[plan.rows[k, e], c]) > abs(A[pivot, c]):
@@ -227,27 +231,22 @@ def _solve(plan: Plan, A: FloatArray, B: FloatArray, X: FloatArray) -> bool:
             return False
         if pivot != first:
             A[first, c], A[pivot, c] = A[pivot, c], A[first, c]
-            for o in range(plan.n_others[k]):
+            for o in range(n_others):
                 j = plan.others[k, o]
                 A[first, j], A[pivot, j] = A[pivot, j], A[first, j]
-            for j in range(m):
-                B[first, j], B[pivot, j] = B[pivot, j], B[first, j]
         for e in range(1, plan.n_rows[k]):
             i = plan.rows[k, e]
             factor = A[i, c] / A[first, c]
             if factor != 0.0:
-                for o in range(plan.n_others[k]):
+                for o in range(n_others):
                     A[i, plan.others[k, o]] -= factor * A[first, plan.others[k, o]]
-                for j in range(m):
-                    B[i, j] -= factor * B[first, j]
     for k in range(n - 1, -1, -1):
         c, first = plan.columns[k], plan.rows[k, 0]
-        for o in range(plan.n_others[k]):
-            factor = A[first, plan.others[k, o]]
-            for j in range(m):
-                B[first, j] -= factor * X[plan.others[k, o], j]
         for j in range(m):
-            X[c, j] = B[first, j] / A[first, c]
+            left = A[first, n + j]
+            for o in range(plan.n_others[k]):
+                left -= A[first, plan.others[k, o]] * X[plan.others[k, o], j]
+            X[c, j] = left / A[first, c]
     return True
 
 
@@ -314,11 +313,11 @@ def close(
     n_joints, n_actuated = motors.shape
     T, twists = np.empty((n_joints + 1, 12)), np.empty((n_joints, 6))
     rows, q = np.empty((n_passive, 6)), np.empty(n_joints)
-    values, C, step = np.empty((n_passive, 1)), np.empty((n_passive, n_passive)), np.empty((n_passive, 1))
+    C, step = np.empty((n_passive, n_passive + 1)), np.empty((n_passive, 1))
     follows, factor = _leads(select, loops.signs)
     driven, gear = _leads(motors, loops.signs)
     at_row, at_joint, pattern = _felt(loops.signs, follows, n_passive)
-    plan = _plan(pattern)
+    plan = _plan(pattern, 1)
     all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
         before = tree.parents[j]
@@ -338,13 +337,12 @@ def close(
                     _twist(T, j + 1, tree.axes, j, twists, j)
             worst = 0.0
             for r in range(n_passive):
-                for c in range(n_passive):
+                for c in range(n_passive + 1):
                     C[r, c] = 0.0
                 a, b, axis = loops.a[r], loops.b[r], loops.axis[r]
-                values[r, 0] = 0.0
                 for i in range(3):
-                    values[r, 0] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
-                worst = max(worst, abs(values[r, 0]))
+                    C[r, n_passive] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
+                worst = max(worst, abs(C[r, n_passive]))
                 _row(T, a, axis, b, rows, r)
             for e in range(len(at_row)):
                 r, j = at_row[e], at_joint[e]
@@ -363,7 +361,7 @@ def close(
                             if loops.signs[r, j] != 0.0:
                                 by_motor[k, r, driven[j]] += loops.signs[r, j] * gear[j] * _dot(rows, r, twists, j)
                 break
-            if not _solve(plan, C, values, step):
+            if not _solve(plan, C, step):
                 break
             size, limit = 0.0, max(0.5 * min(last, 2 * largest), 1e-9)
             for c in range(n_passive):
@@ -477,8 +475,8 @@ def motion(
     n, n_rows = mapping.shape[:2]
     n_joints, n_passive = select.shape
     result = np.zeros((n, n_rows, width))
-    twist, transposed = np.empty((1, 6)), np.empty((n_passive, n_passive))
-    by_passive, X = np.empty((n_passive, n_rows)), np.empty((n_passive, n_rows))
+    twist, X = np.empty((1, 6)), np.empty((n_passive, n_rows))
+    transposed = np.empty((n_passive, n_passive + n_rows))  # C_p, beside it the derivative by the passive joints
     rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
     joints, columns, twists = entries
     alike = np.empty(n_joints, dtype=np.intp)  # the first joint that moves what this one moves
@@ -493,12 +491,12 @@ def motion(
                 break
     follows, factor = _leads(select, np.ones((1, n_joints)))
     pattern = _felt(loops.signs, follows, n_passive)[2]
-    plan = _plan(pattern.T.copy())
+    plan = _plan(pattern.T.copy(), n_rows)
     for k in range(n):
         T, map_k = joint_poses[k], mapping[k]
         for c in range(n_passive):
             for r in range(n_rows):
-                by_passive[c, r] = direct[r, c]
+                transposed[c, n_passive + r] = direct[r, c]
             for r in range(n_passive):
                 transposed[c, r] = slope[k, r, c]
         for j in range(n_joints):
@@ -506,8 +504,9 @@ def motion(
                 _twist(T, j + 1, tree.axes, j, twist, 0)
                 for r in range(n_rows):
                     if signs[r, j] != 0.0:
-                        by_passive[follows[j], r] += signs[r, j] * factor[j] * _dot(map_k, r, twist, 0)
-        if n_passive and not _solve(plan, transposed, by_passive, X):
+                        moved = signs[r, j] * factor[j] * _dot(map_k, r, twist, 0)
+                        transposed[follows[j], n_passive + r] += moved
+        if n_passive and not _solve(plan, transposed, X):
             for i in range(n_passive):
                 for r in range(n_rows):
                     X[i, r] = np.nan

@@ -95,16 +95,6 @@ class Along:
         return joints, columns, np.ascontiguousarray(self.before[joints, :, columns])
 
     @cached_property
-    def side_by_side(self) -> tuple[FloatArray, IntArray]:
-        """The twists of each origin, (n_reduced, 6, most), and where each entry is among all of these, (n_entries,)."""
-        joints, _, twists = self.entries
-        place = np.arange(len(joints)) - np.searchsorted(joints, joints)
-        most = int(np.max(place, initial=0)) + 1
-        result = np.zeros((len(self.before), 6, most))
-        result[joints, :, place] = twists
-        return result, joints * most + place
-
-    @cached_property
     def groups(self) -> tuple[list[Alike], IntArray]:
         """Entries that move the same rows, and the order in which they then are, (n_entries,)."""
         numbers: dict[tuple[float, ...], int] = {}
@@ -207,19 +197,14 @@ class Sweep:
 
     Attributes:
         shared: What it shares with the sweeps of other poses.
-        rotation: World rotation of each frame of a joint that counts, behind that of the world,
-            (n, n_reduced + 1, 3, 3).
-        translation: World position of each of them [m], (n, n_reduced + 1, 3).
-        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced).
-        compiled: `flat_poses` of the same frames, in place of the Jacobian, if compiled code has computed them,
-            (n, n_reduced + 1, 12).
+        poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where compiled code has
+            computed the poses, which needs none.
     """
 
     shared: Shared
-    rotation: FloatArray
-    translation: FloatArray
-    jacobian: FloatArray
-    compiled: FloatArray | None = None
+    poses: FloatArray
+    jacobian: FloatArray | None
 
     @property
     def reduced(self) -> Reduced:
@@ -232,18 +217,15 @@ class Sweep:
         return self.reduced.places
 
     @cached_property
-    def regressor(self) -> FloatArray:
-        """Ad(T_before) of every origin that counts, (n_reduced, n, 6, 6): one for all frames."""
-        parents = self.reduced.parents
-        axes, points = self.rotation.transpose(1, 2, 0, 3)[parents], self.translation.transpose(1, 2, 0)[parents]
-        count, _, n, _ = axes.shape
-        result = np.zeros((count, n, 6, 6))
-        x, y, z = (points[:, k, :, None] for k in range(3))
-        result[:, :, :3, :3] = result[:, :, 3:, 3:] = axes.transpose(0, 2, 1, 3)
-        result[:, :, 0, 3:] = y * axes[:, 2] - z * axes[:, 1]
-        result[:, :, 1, 3:] = z * axes[:, 0] - x * axes[:, 2]
-        result[:, :, 2, 3:] = x * axes[:, 1] - y * axes[:, 0]
-        return result
+    def rotation(self) -> FloatArray:
+        """World rotation of each of the frames, (n, n_reduced + 1, 3, 3)."""
+        n, count, _ = self.poses.shape
+        return self.poses[:, :, :9].reshape(n, count, 3, 3).transpose(0, 1, 3, 2)
+
+    @cached_property
+    def translation(self) -> FloatArray:
+        """World position of each of the frames [m], (n, n_reduced + 1, 3)."""
+        return self.poses[:, :, 9:]
 
 
 def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
@@ -253,8 +235,7 @@ def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
         shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
     """
-    poses = shared.functions.poses(shared.tree, joints[:, shared.reduced.joints])
-    return Sweep(shared, *_parts(poses), np.empty(0), poses)
+    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
 
 
 def sweep(
@@ -286,13 +267,31 @@ def sweep(
         to_poses[:] = poses
         to_jacobian[:] = jacobian
     spare.append(space)
-    return Sweep(shared, *_parts(every_pose), every_jacobian.transpose(0, 2, 1))
+    return Sweep(shared, every_pose, every_jacobian.transpose(0, 2, 1))
 
 
-def _parts(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotations and translations from `flat_poses`, (n, n_frames, 12)."""
-    n, count, _ = flat.shape
-    return flat[:, :, :9].reshape(n, count, 3, 3).transpose(0, 1, 3, 2), flat[:, :, 9:]
+def world_twists(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
+    """Return Ad(T_before) xi, twists in the world that are given in the frames before origins, (n, 6, n_twists).
+
+    Args:
+        swept: Of the poses.
+        joints: Place of each twist's origin among those that count, (n_twists,).
+        twists: xi, (n_twists, 6).
+    """
+    frames = np.ascontiguousarray(swept.poses.transpose(0, 2, 1))  # few: of each twist would take ten times as long
+    before = np.take(frames, swept.reduced.parents[joints], axis=2)
+    n, _, count = before.shape
+    axes, (x, y, z) = before[:, :9].reshape(n, 3, 3, count), before[:, 9:].transpose(1, 0, 2)
+    result = np.empty((n, 6, count))
+    for part in (slice(3), slice(3, 6)):
+        v, w, u = twists[:, part].T
+        np.multiply(axes[:, 0], v, out=result[:, part])
+        result[:, part] += axes[:, 1] * w
+        result[:, part] += axes[:, 2] * u
+    result[:, 0] += y * result[:, 5] - z * result[:, 4]
+    result[:, 1] += z * result[:, 3] - x * result[:, 5]
+    result[:, 2] += x * result[:, 4] - y * result[:, 3]
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,6 +426,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
         mapping: From `twist_map` or `motion_map`.
         coordinates: In the model of the same joints.
     """
+    assert swept.jacobian is not None  # compiled code has its own way
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
     return moved if coordinates.sums is None else moved @ coordinates.sums
 
@@ -441,10 +441,8 @@ def origin_derivative(swept: Sweep, mapping: FloatArray, through: FloatArray | N
         along: The twists, and what they move.
     """
     n, n_rows = mapping.shape[:2]
-    (twists, places), (groups, order) = along.side_by_side, along.groups
-    count, _, most = twists.shape
-    world = np.matmul(swept.regressor.reshape(count, 6 * n, 6), twists).reshape(count, n, 6, most)
-    world = world.transpose(1, 2, 0, 3).reshape(n, 6, count * most)[:, :, places[order]]
+    (joints, _, twists), (groups, order) = along.entries, along.groups
+    world = world_twists(swept, joints[order], twists[order])
     maps = mapping[:, :0] if through is None else gaps(swept)[1]
     moved = np.zeros((n, n_rows, len(order)))
     for group in groups:

@@ -5,10 +5,9 @@ With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen
     dx/dxi = X_xi - W C_xi        W = X_p C_p^-1
 
 (implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
-found first, so that one small solve per pose serves all origins; then both terms are one sum of twist maps times the
-kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation. Moving an
-actuated joint by dq is the same as turning its origin by dq about the joint's own axis, so that derivatives by joints
-are columns of the same kind.
+found first, so that one small solve per pose serves all frames and origins; then both terms are one sum of twist maps,
+times the twists that the parametrisation has for each origin, seen in the world. Moving an actuated joint by dq is the
+same as turning its origin by dq about the joint's own axis, so that derivatives by joints are columns of the same kind.
 
 x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.instruments.kind`): what every kind of measurement is
 differentiated by. Poses are processed in chunks that stay in the processor's cache.
@@ -30,7 +29,7 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.robots.robot import Robot
 
-_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
+_CHUNK_COMPILED = 256  # compiled code needs less of the cache for each
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +215,8 @@ def _motion(
     """
     reduced, shared = swept.reduced, swept.shared
     along = shared.along(twists, signs)
-    if swept.compiled is not None:
-        model, select = (shared.tree, shared.loops, swept.compiled), mechanism.select_passive[reduced.joints]
+    if swept.jacobian is None:
+        model, select = (shared.tree, shared.loops, swept.poses), mechanism.select_passive[reduced.joints]
         slope, width = np.ascontiguousarray(slope), along.before.shape[2]
         derivative: FloatArray = shared.functions.motion(
             *model, mapping, along.signs, direct, select, slope, along.entries, width

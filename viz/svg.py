@@ -97,6 +97,7 @@ def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
 
 def svg_file(figure: Figure) -> bytes:
     """Return a figure as an SVG file; the same figure gives the same bytes."""
+    _mark_small_ticks(figure)
     if figure.get_layout_engine() is None and all(axes.get_subplotspec() for axes in figure.axes):
         _lay_out(figure)  # axes that were placed by hand stay
     stream = io.BytesIO()
@@ -117,6 +118,40 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
     return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" ', 1)
+
+
+def _mark_small_ticks(figure: Any) -> None:
+    """Draw the small ticks of an axis as the marks of one line: matplotlib makes five artists of each."""
+    import matplotlib
+    from matplotlib.lines import Line2D
+    from matplotlib.markers import TICKDOWN, TICKLEFT
+    from matplotlib.ticker import NullLocator
+
+    style: Any = matplotlib.rcParams
+    marks: dict[str, Any] = {"x": TICKDOWN, "y": TICKLEFT}
+    axes_of = {axis: axes for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)}
+    places_of = {axis: np.asarray(axis.get_minorticklocs()) for axis in axes_of}  # before any is taken away: some share
+    for axis, places in places_of.items():
+        low, high = sorted(axis.get_view_interval())
+        places, name = places[(places >= low) & (places <= high)], axis.axis_name
+        along_x, axes = name == "x", axes_of[axis]
+        axis.set_minor_locator(NullLocator())
+        if not len(places):
+            continue
+        edge = np.zeros(len(places))
+        axes.add_artist(
+            Line2D(
+                *((places, edge) if along_x else (edge, places)),
+                linestyle="none",
+                marker=marks[name],
+                color=style[f"{name}tick.color"],
+                markersize=style[f"{name}tick.minor.size"],
+                markeredgewidth=style[f"{name}tick.minor.width"],
+                transform=axes.get_xaxis_transform() if along_x else axes.get_yaxis_transform(),
+                clip_on=False,
+                zorder=axis.get_zorder(),
+            )
+        )
 
 
 def _lay_out(figure: Any) -> None:

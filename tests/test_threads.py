@@ -30,13 +30,3 @@ def test_a_blas_that_is_loaded_inside_the_function_has_one_thread_as_well():
     environment["OPENBLAS_NUM_THREADS"] = "2"
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment, check=True)
     assert set(done.stdout.split()) == {"1"}
-
-
-def test_what_scipy_only_names_of_numpy_is_loaded_when_it_is_used():
-    program = (
-        "import sys, numpy; from calib.base.threads import one_blas_thread; one_blas_thread(lambda: 0)();"
-        "assert 'scipy.linalg' in sys.modules and 'numpy.f2py.crackfortran' not in sys.modules;"
-        "assert 'numpy.testing._private.utils' not in sys.modules;"
-        "numpy.testing.assert_allclose(1.0, 1.0); import numpy.f2py; assert callable(numpy.f2py.run_main)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)

@@ -7,15 +7,12 @@ thread and 0.7 to 8 s with two, measured on two busy cores. Parallel work belong
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from contextvars import ContextVar
 from functools import wraps
 from importlib import import_module
-from importlib.util import LazyLoader, find_spec, module_from_spec
 from typing import ParamSpec, TypeVar
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 P = ParamSpec("P")
@@ -36,7 +33,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     def with_all_loaded(*args: P.args, **options: P.kwargs) -> R:
         if _limited.get():
             return function(*args, **options)
-        _load_scipy()
+        import_module("scipy.linalg")
         before = _limited.set(True)
         try:
             with threadpool_limits(limits=1, user_api="blas"):
@@ -45,20 +42,3 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
             _limited.reset(before)
 
     return with_all_loaded
-
-
-def _load_scipy() -> None:
-    """Load SciPy, without what it only names of numpy: compilers and tests, which would take a third of the time.
-
-    They load when they are used.
-    """
-    if "scipy.linalg" in sys.modules:
-        return
-    for name in ("f2py", "testing"):
-        spec = None if f"numpy.{name}" in sys.modules else find_spec(f"numpy.{name}")
-        if spec is not None and spec.loader is not None:
-            spec.loader = LazyLoader(spec.loader)
-            module = sys.modules[spec.name] = module_from_spec(spec)
-            spec.loader.exec_module(module)
-            setattr(np, name, module)
-    import_module("scipy.linalg")

@@ -20,7 +20,7 @@ from calib.data.pose_groups import boxes
 from calib.fitting.terms.candidate_terms import Candidate, candidates
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.fitting.terms.term_choice import _Search
-from calib.fitting.terms.term_trials import Prediction, Trial, Trials
+from calib.fitting.terms.term_trials import Trial, Trials
 from calib.fitting.validation import stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import TERMS, listed_terms
@@ -217,10 +217,9 @@ class Tabled:
     def of(self, terms):
         key = "".join(sorted(term[0] for term in terms))
         evidence, *squares = self.table[key]
-        squares = tuple(np.full(4, value) for value in squares)
-        prediction = Prediction(squares, 1e-3 * np.sqrt(np.sum(squares[0])))
-        unsure = 1e-6 * self.unsure.get(key, 0.0)
-        return Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), lambda: prediction, lambda: unsure)
+        told = [(np.full(4, value), 1e-3 * np.sqrt(4 * value)) for value in squares]
+        unsure, sizes = 1e-6 * self.unsure.get(key, 0.0), dict.fromkeys(terms, 1.0)
+        return Trial(terms, evidence, len(terms), sizes, len(told), lambda partition: told[partition], lambda: unsure)
 
 
 def search_in(*made_up):

@@ -78,9 +78,9 @@ class Prior(ReadOnlyArrays):
 
     def added_to(self, matrix: FloatArray) -> FloatArray:
         """Return matrix + P^T P, (n, n); the matrix itself is used up."""
-        alone = self._alone if len(self.together) else np.flatnonzero(self.has)
-        matrix[alone, alone] += 1.0
-        matrix[np.ix_(self.together, self.together)] += self._precision
+        matrix[self._alone, self._alone] += 1.0
+        if len(self.together):
+            matrix[np.ix_(self.together, self.together)] += self._precision
         return matrix
 
     def only(self, chosen: BoolArray | IntArray) -> Prior:
@@ -89,6 +89,11 @@ class Prior(ReadOnlyArrays):
         kept = np.flatnonzero(np.isin(places, self.together))
         number = np.searchsorted(self.together, places[kept])
         return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
+
+    def share(self, root: FloatArray, squares: FloatArray) -> float:
+        """Return |P root|^2, of a matrix (n, k) and the sums of squares of its rows (n,)."""
+        share = float(np.sum(squares[self._alone]))
+        return share + float(np.sum((self._whitening @ root[self.together]) ** 2)) if len(self.together) else share
 
     def cost(self, u: FloatArray) -> float:
         """Return |P u|^2, of u (n,)."""

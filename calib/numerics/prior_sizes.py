@@ -120,7 +120,8 @@ class Products:
     def weighed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J^T J (n_free, n_free) and J^T y (n_free,) of all rows over the scales of their groups (n_groups,)."""
         weights = 1.0 / scales**2
-        return np.tensordot(weights, self.gram, 1), weights @ self.pull
+        gram = weights @ self.gram.reshape(len(weights), -1)
+        return gram.reshape(self.gram.shape[1:]), weights @ self.pull
 
     def left(self, step: FloatArray) -> FloatArray:
         """Return |y + J step|^2 of each group, (n_groups,), for a step (n_free,)."""
@@ -152,7 +153,7 @@ class FamilyModel:
 
     def freedom(self, solved: SizedModel) -> float:
         """Return how many degrees of freedom are left for noise."""
-        used = len(self.deviations) - float(np.sum(self.prior.times(solved.root) ** 2))
+        used = len(self.deviations) - self.prior.share(solved.root, solved.variances)
         return float(np.sum(self.products.count)) - used
 
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
@@ -237,7 +238,7 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
     """
     products, n = model.products, len(model.deviations)
     scales, sizes = start.copy(), np.ones(model.n_families)
-    members = [model.family == f for f in range(model.n_families)]
+    members = [np.flatnonzero(model.family == f) for f in range(model.n_families)]
     sought = np.flatnonzero(model.unstated & (products.count > 0))
     alone = int(np.sum(products.count > 0)) == 1
     for _ in range(_ROUNDS):
@@ -247,13 +248,13 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
         change = np.ones(len(start))
         for g in map(int, sought):
             if inverse is None:  # what the rows determine is all that priors do not
-                used = n - float(np.sum(model.prior.times(solved.root) ** 2))
+                used = n - model.prior.share(solved.root, variances)
             else:
                 used = float(np.sum(inverse * (factor[:, None] * products.gram[g] * factor))) / scales[g] ** 2
             change[g] = np.sqrt(left[g] / max(products.count[g] - used, 0.5)) / scales[g]
         growth = np.ones(model.n_families)
         for f, in_family in enumerate(members):
-            determined = int(np.sum(in_family)) - float(np.sum(variances[in_family]))
+            determined = len(in_family) - float(np.sum(variances[in_family]))
             if determined > _SEEN:  # else the data say nothing of it: it stays
                 square = float(np.sum((solved.deviations + solved.step)[in_family] ** 2))
                 growth[f] = np.sqrt(square / determined)

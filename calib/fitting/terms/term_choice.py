@@ -41,9 +41,12 @@ Reference: mackay1992; breiman1984; kass1995; roberts2017.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy
 
+from calib.base.arrays import FloatArray
 from calib.base.errors import DataError
 from calib.base.threads import one_blas_thread
 from calib.base.units import millimetres
@@ -131,7 +134,7 @@ class _Search:
             earning = [term for term, step in steps.items() if step]
             if not earning:
                 return groups
-            best = min((alone[term] for term in earning), key=lambda trial: float(np.sum(trial.prediction.squares[0])))
+            best = min((alone[term] for term in earning), key=lambda trial: float(np.sum(trial.left_out(0)[0])))
             near = [term for term in earning if not _surely_better(best, alone[term])]
             groups = steps[max(near, key=lambda term: self.beyond_chance(without, alone[term]))]
 
@@ -203,8 +206,7 @@ class _Search:
 
     def guessed(self, group: Group, without: Trial, trial: Trial) -> str:
         """Return why a group of a trial is a guess that costs more than it brings; empty if it is not."""
-        now, before = trial.prediction, without.prediction
-        if trial.unsure - without.unsure <= before.rms**2 - now.rms**2:
+        if trial.unsure - without.unsure <= without.rms**2 - trial.rms**2:
             return ""
         alike = list(group[1:]) or [
             name for name, other in self.instead(group[0], trial).items() if trial.evidence - other.evidence < TELLS
@@ -254,8 +256,7 @@ class _Search:
         alike = self.rivals(candidate.term, groups) if group else {}
         gain = with_it.evidence - without.evidence
         size = self.of(groups).sizes[candidate.term] if group else float("nan")
-        before, after = without.prediction.rms, with_it.prediction.rms
-        return TriedTerm(candidate.term, bool(group), gain, before, after, why, size, together, alike)
+        return TriedTerm(candidate.term, bool(group), gain, without.rms, with_it.rms, why, size, together, alike)
 
     def rivals(self, term: str, groups: Groups) -> dict[str, float]:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
@@ -274,14 +275,18 @@ class _Search:
 
 def _predicts_better(trial: Trial, other: Trial) -> bool:
     """Whether a trial predicts blocks left out better than another one in every partition."""
-    pairs = zip(trial.prediction.squares, other.prediction.squares, strict=True)
-    return all(np.sum(less) < np.sum(more) for less, more in pairs)
+    return all(np.sum(less) < np.sum(more) for less, more in _squares(trial, other))
 
 
 def _surely_better(best: Trial, trial: Trial) -> bool:
     """Whether a trial predicts blocks left out better than another one in every partition, by two standard errors."""
-    for less, more in zip(best.prediction.squares, trial.prediction.squares, strict=True):
+    for less, more in _squares(best, trial):
         gain = more - less
         if np.sum(gain) <= SURE * np.std(gain, ddof=1) * np.sqrt(len(gain)):
             return False
     return True
+
+
+def _squares(trial: Trial, other: Trial) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield what two trials are off with blocks left out, partition by partition: most are told by the first."""
+    return ((trial.left_out(k)[0], other.left_out(k)[0]) for k in range(trial.n_partitions))

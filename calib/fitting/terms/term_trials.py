@@ -50,19 +50,6 @@ _LOST = 1e-9  # part of a place's information below which only the poses that ar
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction(ReadOnlyArrays):
-    """What the linear model with some terms says of poses that it has not seen.
-
-    Attributes:
-        squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
-        rms: Root mean square of the main part, blocks of the first partition left out in turn [SI].
-    """
-
-    squares: tuple[FloatArray, ...]
-    rms: float
-
-
-@dataclass(frozen=True, eq=False)
 class Trial:
     """The linear model with some terms.
 
@@ -71,7 +58,8 @@ class Trial:
         evidence: Log marginal likelihood; minus infinity where so many columns explain all rows, and no noise is left.
         n_sizes: How many sizes were found.
         sizes: Largest size found of each term, over what is expected.
-        predict: Computes `prediction`.
+        n_partitions: How many partitions into blocks there are.
+        predict: Computes what `left_out` returns.
         combine: Computes `unsure`.
     """
 
@@ -79,13 +67,28 @@ class Trial:
     evidence: float
     n_sizes: int
     sizes: dict[str, float]
-    predict: Callable[[], Prediction]
+    n_partitions: int
+    predict: Callable[[int], tuple[FloatArray, float]]
     combine: Callable[[], float]
 
     @cached_property
-    def prediction(self) -> Prediction:
-        """What it says of poses that it has not seen."""
-        return self.predict()
+    def _told(self) -> dict[int, tuple[FloatArray, float]]:
+        return {}
+
+    def left_out(self, partition: int) -> tuple[FloatArray, float]:
+        """Return what it says of the blocks of a partition, each left out in turn.
+
+        Returns:
+            Whitened squares of what each block is off, (n_blocks,), and the root mean square of the main part [SI].
+        """
+        if partition not in self._told:
+            self._told[partition] = self.predict(partition)
+        return self._told[partition]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the main part, blocks of the first partition left out in turn [SI]."""
+        return self.left_out(0)[1]
 
     @cached_property
     def unsure(self) -> float:
@@ -324,25 +327,27 @@ class Trials:
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
         solved = model.solved(scales, sizes)
         if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
+            nothing = self._nothing_foretold, lambda: np.inf
             infinite = dict.fromkeys(terms, np.inf)
-            return Trial(terms, -np.inf, model.n_families, infinite, self._nothing_foretold, lambda: np.inf)
+            return Trial(terms, -np.inf, model.n_families, infinite, len(self._partitions), *nothing)
         of_term = {
             term: max(float(solved.factor[k]) for k, column in enumerate(use) if self._design.owner[column] == term)
             for term in terms
         }
         evidence = log_evidence(model, solved, scales)
         predict, combine = partial(self._foretold, terms, scales, sizes), partial(self._unsure, terms, scales, sizes)
-        return Trial(terms, evidence, model.n_families, of_term, predict, combine)
+        return Trial(terms, evidence, model.n_families, of_term, len(self._partitions), predict, combine)
 
-    def _nothing_foretold(self) -> Prediction:
+    def _nothing_foretold(self, partition: int) -> tuple[FloatArray, float]:
         """Of a trial that leaves no noise to any group that has some."""
-        return Prediction(tuple(np.full(len(parts), np.inf) for parts in self._partitions), np.inf)
+        return np.full(len(self._partitions[partition]), np.inf), np.inf
 
-    def _foretold(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> Prediction:
+    def _foretold(
+        self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray, partition: int
+    ) -> tuple[FloatArray, float]:
         use, model = self._model(terms)
         solved = model.solved(scales, sizes)  # again: the matrices of all trials together would be too large to keep
-        left_out = [self._left_out(solved, model.prior, scales, use, parts) for parts in self._partitions]
-        return Prediction(tuple(squares for squares, _ in left_out), left_out[0][1])
+        return self._left_out(solved, model.prior, scales, use, self._partitions[partition])
 
     def _unsure(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> float:
         use, model = self._model(terms)

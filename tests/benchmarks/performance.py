@@ -239,8 +239,9 @@ this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. T
     yield """
 ## What people wait for
 
-In a program that runs already: a fit with verdict, of few rows that are not spread, too; one more pose of a robot that
-is watched while it is measured; a fit that chooses joint terms. The times are those of the machine that made this page.
+In a program that runs already: a fit with verdict and intervals, of few rows that are not spread, too; one more pose of
+a robot that is watched while it is measured; a fit that chooses joint terms. The times are those of the machine that
+made this page.
 This table alone: `python tests/benchmarks/waiting.py --data FOLDER`.
 """
     yield from waiting.table(folder, max(rounds // 5, 1))

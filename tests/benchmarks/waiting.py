@@ -2,8 +2,8 @@
 
     python tests/benchmarks/waiting.py [--data FOLDER]
 
-The unit is a fit with verdict of 84 poses of MedRUE. Measurements are simulated, but those of the UR10: FOLDER holds
-those of others, as for evaluations.py; without it, these rows are left out.
+The unit is a fit with verdict and intervals of 84 poses of MedRUE. Measurements are simulated, but those of the UR10:
+FOLDER holds those of others, as for evaluations.py; without it, these rows are left out.
 """
 
 import argparse
@@ -25,11 +25,13 @@ CHOSEN = (300, 1000, 10_000)
 
 
 def fitted(robot, data, **options):
-    """A fit with its verdict, or that the data do not determine it."""
+    """A fit with its verdict and intervals, or that the data do not determine it."""
     try:
-        return calib.fit(robot, data, **options).verdict.grade
+        fit = calib.fit(robot, data, **options)
     except calib.NotIdentifiableError:
         return "refused"
+    assert np.all(fit.statistics.half_width > 0.0)
+    return fit.verdict.grade
 
 
 def watched(robot, data, n):

@@ -185,11 +185,11 @@ def _plan(pattern: BoolArray, m: int) -> Plan:
     them count as having entries wherever one has any.
     """
     n = len(pattern)
-    columns, n_rows, n_others = np.empty(n, dtype=np.uintp), np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp)
-    rows, others = np.zeros((n, n), dtype=np.uintp), np.empty((n, n + m), dtype=np.uintp)
+    columns, n_rows, n_others = np.empty(n, dtype=np.uintp), np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
+    rows, others = np.empty((n, n), dtype=np.uintp), np.empty((n, n + m), dtype=np.uintp)
     row_left, column_left = np.ones(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
     for k in range(n):
-        fewest = n + 1
+        fewest, n_rows[k], n_others[k], rows[k, 0] = n + 1, 0, 0, 0
         for c in range(n):
             count = 0
             for r in range(n):
@@ -265,13 +265,15 @@ def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 @_compiled
-def _felt(signs: FloatArray, follows: IntArray, n_passive: int) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return row and joint wherever a joint that follows a passive one moves a loop, and the pattern of C_p."""
-    rows, joints = np.nonzero((signs != 0.0) & (follows >= 0))
-    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
-    for e in range(len(rows)):
-        pattern[rows[e], follows[joints[e]]] = True
-    return rows, joints, pattern
+def _felt(signs: FloatArray, follows: IntArray) -> tuple[int, IntArray, IntArray]:
+    """Return in how many places a joint that follows a passive one moves a row of the loops; row and joint of each."""
+    count, rows, joints = 0, np.empty(signs.size, dtype=np.intp), np.empty(signs.size, dtype=np.intp)
+    for r in range(signs.shape[0]):
+        for j in range(signs.shape[1]):
+            if follows[j] >= 0 and signs[r, j] != 0.0:
+                rows[count], joints[count] = r, j
+                count += 1
+    return count, rows, joints
 
 
 @_compiled
@@ -316,7 +318,10 @@ def close(
     C, step = np.empty((n_passive, n_passive + 1)), np.empty((n_passive, 1))
     follows, factor = _leads(select, loops.signs)
     driven, gear = _leads(motors, loops.signs)
-    at_row, at_joint, pattern = _felt(loops.signs, follows, n_passive)
+    n_felt, at_row, at_joint = _felt(loops.signs, follows)
+    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
+    for e in range(n_felt):
+        pattern[at_row[e], follows[at_joint[e]]] = True
     plan = _plan(pattern, 1)
     all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
@@ -344,7 +349,7 @@ def close(
                     C[r, n_passive] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
                 worst = max(worst, abs(C[r, n_passive]))
                 _row(T, a, axis, b, rows, r)
-            for e in range(len(at_row)):
+            for e in range(n_felt):
                 r, j = at_row[e], at_joint[e]
                 C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
             if worst <= enough:
@@ -490,8 +495,11 @@ def motion(
                 alike[j] = alike[i]
                 break
     follows, factor = _leads(select, np.ones((1, n_joints)))
-    pattern = _felt(loops.signs, follows, n_passive)[2]
-    plan = _plan(pattern.T.copy(), n_rows)
+    n_felt, at_row, at_joint = _felt(loops.signs, follows)
+    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
+    for e in range(n_felt):
+        pattern[follows[at_joint[e]], at_row[e]] = True
+    plan = _plan(pattern, n_rows)
     for k in range(n):
         T, map_k = joint_poses[k], mapping[k]
         for c in range(n_passive):

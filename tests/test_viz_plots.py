@@ -216,3 +216,15 @@ def test_no_name_leaves_its_place_in_a_picture():
     assert root.get("aria-label") == hostile
     assert not {"script", "img"} & {element.tag.split("}")[-1] for element in root.iter()}
     assert "<script" not in re.sub("<!--.*?-->", "", svg, flags=re.DOTALL)
+
+
+def test_labels_of_axes_stand_beside_them_inside_the_picture(plots):
+    for plot in plots:
+        drawing = ElementTree.fromstring(plot.svg)
+        *_, width, height = map(float, drawing.attrib["viewBox"].split())
+        written = [text for text in drawing.iter() if text.tag.endswith("text")]
+        assert any("[" in str(text.text) for text in written), "labels have units"
+        for text in written:
+            x, y = (float(text.attrib[name]) for name in "xy")
+            assert 0.0 <= x <= width, (plot.name, text.text)
+            assert 0.0 <= y <= height, (plot.name, text.text)

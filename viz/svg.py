@@ -174,6 +174,7 @@ def _lay_out(figure: Any) -> None:
     for axes in panels:
         axes.apply_aspect()
         inner, place = axes.bbox.frozen(), axes.get_subplotspec()
+        ways = [axis.label.get_transform() for axis in (axes.xaxis, axes.yaxis)]
         for axis in (axes.xaxis, axes.yaxis):  # labels in the middle: their own places would have ticks measured twice
             axis.set_label_coords(0.5, 0.5)
         x_ticks, y_ticks = (axis.get_tightbbox(renderer) or inner for axis in (axes.xaxis, axes.yaxis))
@@ -181,7 +182,7 @@ def _lay_out(figure: Any) -> None:
         down = max(inner.y0 - x_ticks.y0, axes.xaxis.get_tick_padding())  # to where ticks and their numbers end
         out = max(inner.x0 - y_ticks.x0, axes.yaxis.get_tick_padding())
         under, aside = down + axes.xaxis.labelpad, out + axes.yaxis.labelpad
-        labels.append((axes, under, aside))
+        labels.append((axes, under, aside, *ways))
         texts = (text.get_window_extent(renderer) for text in axes.get_children() if isinstance(text, Text))
         outer = Bbox.union([inner, x_ticks, y_ticks, *(text for text in texts if text.width > 0.0)])
         column, row = place.colspan.start, place.rowspan.start
@@ -199,9 +200,9 @@ def _lay_out(figure: Any) -> None:
         wspace=beside * grid.ncols / (width - left[0] - right[-1] - 2 * _GAP - (grid.ncols - 1) * beside),
         hspace=between * grid.nrows / (height - below[-1] - over[0] - above - _GAP - (grid.nrows - 1) * between),
     )
-    for axes, under, aside in labels:  # stay where they are beside their axis, and need not be measured again
-        axes.xaxis.set_label_coords(0.5, axes.bbox.y0 - under, axes.xaxis.label.get_transform())
-        axes.yaxis.set_label_coords(axes.bbox.x0 - aside, 0.5, axes.yaxis.label.get_transform())
+    for axes, under, aside, below_x, beside_y in labels:  # they stay there, and need not be measured again
+        axes.xaxis.set_label_coords(0.5, axes.bbox.y0 - under, below_x)
+        axes.yaxis.set_label_coords(axes.bbox.x0 - aside, 0.5, beside_y)
 
 
 def plain_ticks(*axes: Any) -> None:

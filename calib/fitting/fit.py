@@ -20,7 +20,7 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,29 +52,38 @@ class Nearby:
     """What a fit leaves to other fits of its visits, or of a part of them: second order, and how loops close.
 
     Attributes:
-        beyond_linear: That of `Statistics`, by name [m^2, rad^2]; 0 where no intervals are asked for.
+        names: Parameters, (n,).
+        beyond_linear: That of `Statistics`, of these; 0 where no intervals are asked for, None where it is not known.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
     """
 
-    beyond_linear: Mapping[str, float]
+    names: tuple[str, ...] = ()
+    beyond_linear: BeyondLinear | None = None
     joints: FloatArray | None = None
     passive: FloatArray | None = None
 
     @staticmethod
     def of(fit: Fit) -> Nearby:
         """Return what this fit leaves."""
-        known = fit.statistics.beyond_linear
-        beyond_linear = {} if known is None else dict(zip(fit.free_names, known.values.tolist(), strict=True))
-        return Nearby(beyond_linear, fit.identification.data.joints, fit.configurations.passive)
+        known = fit.free_names, fit.statistics.beyond_linear
+        return Nearby(*known, fit.identification.data.joints, fit.configurations.passive)
 
     @staticmethod
     def no_intervals(robot: Robot, fit: Fit | None = None) -> Nearby:
         """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
-        no_second_order = {parameter.name: 0.0 for parameter in robot.parameters}
-        if fit is None:
-            return Nearby(no_second_order)
-        return Nearby(no_second_order, fit.identification.data.joints, fit.configurations.passive)
+        names = tuple(parameter.name for parameter in robot.parameters)
+        nothing = BeyondLinear(partial(np.zeros, len(names)))
+        visits = () if fit is None else (fit.identification.data.joints, fit.configurations.passive)
+        return Nearby(names, nothing, *visits)
+
+    def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
+        """Return `beyond_linear` of some parameters; None where it is not known of all of them."""
+        place, known = {name: k for k, name in enumerate(self.names)}, self.beyond_linear
+        if known is None or not place.keys() >= set(names):
+            return None
+        chosen = [place[name] for name in names]
+        return BeyondLinear(lambda: known.values[chosen])
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
@@ -146,7 +155,7 @@ def minimum_of(
     later = unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
-    nearby = nearby or Nearby({})
+    nearby = nearby or Nearby()
     problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints))
     start = place(problem)
     steps.done()
@@ -169,11 +178,9 @@ def fit_at(
 ) -> Fit:
     """Return the fit that ends at a minimum; see `fit_data`."""
     robot, later, start, solved = minimum.robot, minimum.later, minimum.start, minimum.solved
-    problem, final, nearby = solved.problem, solved.at, nearby or Nearby({})
-    names = [robot.parameters[k].name for k in problem.unknowns.index]
-    known = [nearby.beyond_linear[name] for name in names if name in nearby.beyond_linear]
-    bent = BeyondLinear(partial(np.array, known)) if len(known) == len(names) else None
-    rows, scales, uncertainty = uncertainty_at(solved, bent)
+    problem, final = solved.problem, solved.at
+    second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
+    rows, scales, uncertainty = uncertainty_at(solved, second_order)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
         placed, calibrated = (_placed_by(validation, state.free(*later), later) for state in (placed, calibrated))

@@ -42,9 +42,8 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.validation import readings_at
 from calib.numerics.clusters import pulls_without
-from calib.numerics.tall import Span
+from calib.numerics.tall import Span, in_parts
 from calib.robots.held import Accuracy, SeenAt
-from calib.rows.batches import observed_in
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
@@ -89,14 +88,12 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
     n_poses = int(pose_of_visit.max()) + 1
     pulls, decided = pulls_without(Span(rows.jacobian, fit.root), rows.residuals, pose_of_row, n_poses)
-    root = fit.unknowns.scales[:, None] * fit.root
-    after = {name: errors.copy() for name, errors in fit.identification.after.items()}
-    index = fit.unknowns.index
-    at = fit.robot, fit.configurations, data.readings, fit.whitening.batches
-    for batch, observed in observed_in(*at, index=index):
-        for name, chosen in batch.readings.items():
-            steps = pulls[pose_of_visit[data.readings[name].visits[chosen]]] @ root.T
-            after[name][chosen] += np.matmul(observed[name].by(index), steps[:, :, None])[:, :, 0]
+    moved = np.empty(rows.layout.n_rows)
+    steps = pulls @ fit.root.T
+    for part in in_parts(len(moved)):
+        moved[part] = np.einsum("ij,ij->i", fit.rows.jacobian[part], steps[pose_of_row[part]])
+    read = fit.whitening.read(moved, fit.scales)
+    after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     foretold = (decided <= _DECIDES)[pose_of_visit]
     whole = replace(fit.identification, after=after)
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None

@@ -94,6 +94,26 @@ class Whitening:
             parts.append(scaled.reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
+    def read(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
+        """Return what whitened numbers, one of each row (n_rows,), are of readings, (n, n_rows) [SI] by instrument.
+
+        Args:
+            whitened: The numbers.
+            scales: By which noise they are whitened.
+        """
+        weighing = self.weighing(scales.ratios)
+        numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
+        result = {}
+        for name in self._names:
+            inverse = self._inverse[name]
+            own = numbers[self.layout.rows_of(name)].reshape(inverse.shape[:2])
+            if inverse.ndim == 2:
+                result[name] = np.divide(own, inverse, out=np.zeros_like(own), where=inverse != 0)
+            else:  # a row of zeros was not read
+                nothing = ~np.any(inverse, axis=2)[:, :, None] * np.eye(inverse.shape[1])
+                result[name] = np.linalg.solve(inverse + nothing, own[:, :, None])[:, :, 0]
+        return result
+
     def row_scale(self, groups: FloatArray, batch: Batch | None = None) -> FloatArray:
         """Return the scale of each row, or of those of a batch, 1 for rows that were not read, (n_rows,).
 

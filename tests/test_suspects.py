@@ -236,7 +236,7 @@ def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, mon
     def fails(*_):
         raise calib.ComputationError("the robot cannot be assembled")
 
-    monkeypatch.setattr("calib.calibrating.calibrate.fit_data", fails)
+    monkeypatch.setattr("calib.calibrating.calibrate.minimum_of", fails)
     wrong = data.points(arm).copy()
     wrong[[2, 7]] = 0.0
     dead = with_points(arm, replace(data, joints=data.joints[::-1]), wrong)  # and the rows are other poses'

@@ -16,6 +16,7 @@ from calib.judging import findings
 from calib.judging.better_or_worse import _spread
 from calib.judging.blind_spots import unordered
 from calib.judging.effects import scale
+from calib.judging.next_step import next_step
 from calib.judging.residual_patterns import visible
 from calib.judging.rounded_joint_values import joint_steps, rounding
 from calib.judging.rules_reach import _given
@@ -91,6 +92,7 @@ def test_not_converged_fails(good, end, words):
     assert failed.verdict.grade == "FAIL"
     assert words in reason(failed, "not_converged").text
     assert failed.verdict.reasons[0].grade == "FAIL"
+    assert next_step(failed).command.startswith("calib check" if end.receding else "calib fit ROBOT DATA --starts 5")
 
 
 def test_noise_three_times_what_was_stated_is_proven_by_poses_left_out_unasked(arm, truth):

@@ -77,6 +77,8 @@ def next_step(fit: Fit) -> NextStep:
     data = fit.identification.data
     if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
         open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
+    if fit.convergence.receding:  # from every start
+        open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
     if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
         return _again(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)

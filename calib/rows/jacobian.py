@@ -29,7 +29,7 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.robots.robot import Robot
 
-_CHUNK_COMPILED = 256  # compiled code needs less of the cache for each
+_CHUNK_COMPILED = 512  # compiled code needs less of the cache for each
 
 
 @dataclass(frozen=True, eq=False)

@@ -329,8 +329,9 @@ class Problem(ReadOnlyArrays):
         They are made once for an evaluation, whatever scales of noise and sizes of families are tried there.
 
         Args:
-            evaluation, groups: As of `rows`.
-            rows: The rows, if they are there.
+            evaluation: Where.
+            groups: Scale of the noise of each group, (n_groups,).
+            rows: The derivative of the rows, (n_rows, n_free), if it is there.
         """
         scales = self.unknowns.scales
         if not evaluation.products:

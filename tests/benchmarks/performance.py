@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 import waiting
+import where
 import whole_commands
 from hand_written import Arm, fit
 from timing import least
@@ -270,6 +271,14 @@ Slopes of processor time: 1 where twice as much takes twice as long. Without `fa
 `python tests/benchmarks/growth.py --data FOLDER`.
 """
     yield from growth.table(folder, max(rounds // 5, 1))
+    yield """
+## Where the time goes
+
+Shares of processor time, by Python's profiler, which makes small functions look slower than they are. What compiled
+code takes counts for the function that calls it; what is not named is spread over many parts. This table alone:
+`python tests/benchmarks/where.py --data FOLDER`.
+"""
+    yield from where.table(folder)
 
 
 def main():

@@ -23,7 +23,6 @@ from calib.fitting import curvature, fit, regions, solving
 from calib.fitting.terms import term_choice
 from calib.judging import claim, error_budget, residual_patterns, verdict
 from calib.planning.studies import many_calibrations, study_data
-from calib.reporting import results
 from calib.robots import continuation, kinematics
 from calib.robots.acceleration import compiled
 from calib.rows import jacobian, observed
@@ -99,7 +98,7 @@ def works(folder):
     fits = {
         "minima": fit.minimum_of,
         "second order of intervals": curvature.mean_square_beyond_linear,
-        "first order": solving.uncertainty_at,
+        "first order of them": solving.uncertainty_at,
         "robots of files": file_robots.with_files,
         "verdict": verdict.judge,
         "patterns of residuals in it": residual_patterns.patterns,
@@ -113,12 +112,7 @@ def works(folder):
         arm = calib.load(evaluations.EXAMPLES / "arm.yaml")
         many = calib.simulate(arm, arm.sample(ROWS, seed=1), SIGMA, 1)
         parts = {**fits, "regions": regions.disagreeing, "error budget": error_budget.error_budget}
-        parts |= {"files, with what only they ask for": results.save}
-        yield (
-            f"a fit of {ROWS} poses of an arm",
-            lambda: calib.fit(arm, many).save(Path(name) / "out", force=True),
-            parts,
-        )
+        yield f"a fit of {ROWS} poses of an arm, saved", lambda: saved(arm, many, Path(name)), parts
         small = calib.fit(medrue, calib.simulate(medrue, q, SIGMA, 1))
         pages = {
             "report": report_page.report_page,
@@ -134,7 +128,9 @@ def table(folder):
     yield "| work | shares |"
     yield "|---|---|"
     for name, work, parts in works(folder):
-        shown = ", ".join(f"{part} {share:.0%}".replace("%", " %") for part, share in shares(work, parts) if share > 0)
+        shown = ", ".join(
+            f"{part} {share:.0%}".replace("%", " %") for part, share in shares(work, parts) if share > 0.005
+        )
         yield f"| {name} | {shown} |"
 
 

@@ -1,5 +1,7 @@
 """Simulated measurements: the truth plus normal noise, the same again from the same seed, and said so in the file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kind_checks import brought, positions_by_joint
@@ -9,6 +11,7 @@ from test_kind_pixel import FREE, INTRINSICS, POINTS
 
 import calib
 from calib.base.errors import DataError, UnreachablePoseError
+from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
 
 
@@ -279,3 +282,20 @@ def test_a_stated_direction_of_approach_counts_in_plans_and_predictions(tmp_path
     data = calib.read_measurements(tmp_path / "simulated.csv", robot)
     assert data.states_approach
     assert data.approach[:, 1].tolist() == [-1, -1, 1]
+
+
+@pytest.mark.parametrize("kind", ["planes", "sockets", "spheres"])
+def test_touches_are_the_same_whatever_rounding_does(tmp_path, kind):
+    """The joints move along nothing that the gaps do not feel, however little damping is left."""
+    yaml = (
+        "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\n"
+        "targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}}\n"
+        f"instruments:\n{KINDS[kind]}parametrisation:\n{FREE}"
+    )
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    (tmp_path / "q.csv").write_text(plan_of(robot, 60))
+    plan, rng = read_plan(tmp_path / "q.csv", robot), np.random.default_rng(0)
+    first = calib.simulate(robot, plan, seed=2).joints
+    for _ in range(3):
+        rounded = replace(plan, joints=plan.joints * (1.0 + 1e-15 * rng.standard_normal(plan.joints.shape)))
+        np.testing.assert_allclose(calib.simulate(robot, rounded, seed=2).joints, first, rtol=0.0, atol=1e-9)

@@ -206,10 +206,11 @@ def _require_contact(poses: Poses, misses: FloatArray) -> None:
 def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
     """The step of the module docstring of joints that no limit holds, no longer than is allowed, (n, n_actuated)."""
     free = np.where(held[:, None, :], 0.0, slopes)
-    n_joints = slopes.shape[2]
-    size = np.einsum("nij,nij->n", slopes, slopes) / n_joints + 1e-300
-    normal = free.transpose(0, 2, 1) @ free + (damping * size)[:, None, None] * np.eye(n_joints)
-    step: FloatArray = -np.linalg.solve(normal, free.transpose(0, 2, 1) @ gaps[:, :, None])[:, :, 0]
+    size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
+    # By singular values: in J^T J, rounding over little damping would move the joints along what no gap feels.
+    left, values, right = np.linalg.svd(free, full_matrices=False)
+    felt = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
+    step: FloatArray = -np.matmul((felt * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[:, 0]
     longest = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
 

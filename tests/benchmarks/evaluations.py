@@ -32,6 +32,7 @@ from calib.fitting.settings import Settings
 from calib.fitting.solving import place, solve_from
 from calib.joint_terms.term import Context
 from calib.numerics.least_squares import TOLERANCE, minimise
+from calib.numerics.tall import Tall
 from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
@@ -146,7 +147,11 @@ def against_minpack(robot, data):
         ours = minimise(residuals, jacobian, start, **options)
         if options.get("tolerance", TOLERANCE) <= TOLERANCE:
             theirs = scipy.optimize.least_squares(
-                lambda u: np.nan_to_num(residuals(u), nan=1e6), start, jacobian, method="lm", max_nfev=300
+                lambda u: np.nan_to_num(residuals(u), nan=1e6),
+                start,
+                lambda u: Tall.of(jacobian(u)).whole(),
+                method="lm",
+                max_nfev=300,
             )
             last[:] = [ours.evaluations, theirs.nfev, ours.cost, 2.0 * theirs.cost, ours.converged]
         return ours

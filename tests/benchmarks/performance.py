@@ -20,11 +20,10 @@ import waiting
 import where
 import whole_commands
 from hand_written import Arm, fit
-from timing import least
+from timing import fast, least
 
 import calib
 from calib.base.threads import one_blas_thread
-from calib.robots.acceleration import compiled
 from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
@@ -40,16 +39,6 @@ SAME_COST = 1e-6
 SUBSETS = 67
 """Subsets of each sort: 201 of each robot."""
 NUMBA = find_spec("numba") is not None
-
-
-def fast(function):
-    """The same work by compiled kinematics."""
-
-    def run():
-        with compiled():
-            return function()
-
-    return run
 
 
 def ratio(seconds, unit):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import evaluations
 import numpy as np
+from timing import fast
 
 import calib
 from calib.base.threads import one_blas_thread
@@ -24,7 +25,6 @@ from calib.fitting.terms import term_choice
 from calib.judging import claim, error_budget, residual_patterns, verdict
 from calib.planning.studies import many_calibrations, study_data
 from calib.robots import continuation, kinematics
-from calib.robots.acceleration import compiled
 from calib.rows import jacobian, observed
 from medrue import robot_file
 from medrue.workspace import target_workspace
@@ -58,16 +58,6 @@ def step(name):
             jacobian.linearise(moved, moved.assemble(q, seed=seed))
 
     return both
-
-
-def fast(work):
-    """The same work by compiled kinematics."""
-
-    def run():
-        with compiled():
-            work()
-
-    return run
 
 
 def saved(robot, data, folder):

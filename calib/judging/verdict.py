@@ -98,10 +98,11 @@ def judge(fit: Fit) -> Verdict:
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
     reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
-    elsewhere = rules_model.base_elsewhere(fit) if codes & (_NOTHING_FITS | _MOVED) else ""
+    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
+    elsewhere = rules_model.base_elsewhere(fit) if nothing_fits or codes & _MOVED else ""
     if elsewhere:
-        reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if codes & _NOTHING_FITS else "CHECK"))
-    elif codes & _NOTHING_FITS:
+        reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if nothing_fits else "CHECK"))
+    elif nothing_fits:
         mistake = likely_mistake(fit.nominal, fit.identification.data)
         if mistake:
             text = f"{mistake}; correct the data, or the description where that is wrong"

@@ -1,8 +1,11 @@
 """Matrices in parts: the same as whole ones."""
 
+import pickle
+
 import numpy as np
 import pytest
 
+from calib.numerics import tall as tall_matrices
 from calib.numerics.identifiability import reduced
 from calib.numerics.prior import Prior
 from calib.numerics.tall import AbovePrior, Multiplied, Span, Tall, in_parts, squares_of_rows
@@ -51,7 +54,9 @@ def test_rows_above_a_prior_are_those_of_both(matrix):
         np.testing.assert_allclose(factor.T @ factor, both.T @ both, atol=1e-12)
 
 
-def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix):
+@pytest.mark.parametrize("rows_kept", [0, 50], ids=["multiplied where it is looked at", "kept"])
+def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix, rows_kept, monkeypatch):
+    monkeypatch.setattr(tall_matrices, "_KEPT", rows_kept)
     rng = np.random.default_rng(2)
     root, more = rng.standard_normal((4, 3)), rng.standard_normal((50, 2))
     whole = np.hstack([matrix @ root, more])
@@ -65,6 +70,14 @@ def test_a_span_is_the_product_of_its_factors_and_what_stands_beside_it(matrix):
             np.testing.assert_allclose(span.pulled(columns), same.T @ columns, atol=1e-12)
         np.testing.assert_allclose(squares_of_rows(span), np.sum(same**2, axis=1), rtol=1e-12)
     np.testing.assert_allclose(Span(matrix, root).beside(more[:, :1]).beside(more[:, 1:])[:], whole, atol=1e-12)
+
+
+def test_what_a_span_keeps_is_not_sent_with_it(matrix):
+    span = Span(matrix, np.eye(4))
+    size = len(pickle.dumps(span))
+    np.testing.assert_array_equal(span[:], matrix)
+    assert len(pickle.dumps(span)) == size
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(span))[:], matrix)
 
 
 def test_parts_hold_every_row_once():

@@ -27,7 +27,7 @@ from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
-from calib.numerics.tall import Span, squares_of_rows
+from calib.numerics.tall import squares_of_rows
 from calib.robots.configurations import Configurations
 from calib.robots.held import Holds
 from calib.robots.robot import Robot
@@ -235,7 +235,7 @@ class Fit(ReadOnlyArrays):
         """Regions that do not agree on the parameters, if there are any."""
         if self.computed:
             return None
-        return disagreeing(self.identification.data, self.rows.weighted(self.weights), self.statistics)
+        return disagreeing(self.identification.data, self.weighted_rows, self.statistics)
 
     @property
     def widened(self) -> float:
@@ -382,7 +382,7 @@ class Fit(ReadOnlyArrays):
         scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
         by_joint = self.whitening.flatten(self.by_joint)[:, : len(scale)] * scale
         residuals = self.whitening.flatten(self.identification.after)
-        leverage = squares_of_rows(Span(self.rows.weighted(self.weights).jacobian, self.root))
+        leverage = squares_of_rows(self.weighted_rows.span)
         return unexplained_joint_error(layout, residuals, by_joint, self.weights[layout.reading], leverage)
 
     @cached_property
@@ -458,6 +458,11 @@ class Fit(ReadOnlyArrays):
         return None if self.validation is None else self.whitened(self.validation)[1]
 
     @cached_property
+    def weighted_rows(self) -> Rows:
+        """Whitened rows at the solution, with the weights of a robust loss."""
+        return self.rows.weighted(self.weights)
+
+    @property
     def root(self) -> FloatArray:
         """T of `calib.numerics.observability` at the solution, with the weights of a robust loss, (n_free, rank)."""
-        return self.rows.weighted(self.weights).known.root
+        return self.weighted_rows.known.root

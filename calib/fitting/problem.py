@@ -28,7 +28,7 @@ from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
-from calib.numerics.tall import AbovePrior, Multiplied, Span, Tall
+from calib.numerics.tall import AbovePrior, Multiplied, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
@@ -373,7 +373,7 @@ class Problem(ReadOnlyArrays):
         """
         layout, rows = self.whitening.layout, self.rows(evaluation, groups)
         pose = layout.pose_of_row
-        errors = LeftOut(Span(rows.jacobian, rows.known.root), pose).foretold(rows.residuals)
+        errors = LeftOut(rows.span, pose).foretold(rows.residuals)
         errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
         squares = (errors * self.whitening.row_scale(groups)) ** 2
         means = []

@@ -22,7 +22,6 @@ from calib.data.pose_groups import boxes
 from calib.numerics.chances import HARDLY, UNLIKELY
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.statistics import Statistics
-from calib.numerics.tall import Span
 from calib.rows.rows import Rows
 
 BLOCKS = 8
@@ -79,5 +78,5 @@ def left_out(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]
     noise = np.full(layout.n_rows, factor)
-    moved: Scatter = scatter(Span(rows.jacobian, rows.known.root), rows.residuals, noise, of_row, statistics.freedom)
+    moved: Scatter = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom)
     return (moved.ratio, moved.chance) if statistics.shared is None else moved.beyond(statistics.shared)

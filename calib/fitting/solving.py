@@ -262,7 +262,7 @@ def uncertainty_at(solved: Solved, beyond_linear: BeyondLinear | None = None) ->
     layout, unknowns = problem.whitening.layout, problem.unknowns
     robust = solved.factors
     slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
-    span = Span(rows.jacobian, slowed.known.root)
+    span = rows.span if slowed is rows else Span(rows.jacobian, slowed.known.root)
     factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
     if beyond_linear is None:
         beyond_linear = BeyondLinear(partial(mean_square_beyond_linear, problem, solved.at, rows, solved.groups))

@@ -42,7 +42,7 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.validation import readings_at
 from calib.numerics.clusters import pulls_without
-from calib.numerics.tall import Span, in_parts
+from calib.numerics.tall import in_parts
 from calib.robots.held import Accuracy, SeenAt
 
 COVERED = 0.95
@@ -83,11 +83,11 @@ def limit95(lengths: FloatArray) -> float:
 @one_blas_thread
 def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
-    data, rows = fit.identification.data, fit.rows.weighted(fit.weights)
+    data, rows = fit.identification.data, fit.weighted_rows
     _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
     pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
     n_poses = int(pose_of_visit.max()) + 1
-    pulls, decided = pulls_without(Span(rows.jacobian, fit.root), rows.residuals, pose_of_row, n_poses)
+    pulls, decided = pulls_without(rows.span, rows.residuals, pose_of_row, n_poses)
     moved = np.empty(rows.layout.n_rows)
     steps = pulls @ fit.root.T
     for part in in_parts(len(moved)):

@@ -23,7 +23,6 @@ from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.residual_patterns import LinearFit, Pattern
 from calib.numerics import losses
 from calib.numerics.losses import Studentised
-from calib.numerics.tall import Span
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
 
@@ -99,10 +98,10 @@ def linear(fit: Fit) -> LinearFit:
     """Return the fit as a linear model, in which effects are looked for."""
     factors = fit.statistics.factors
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
-    rows = fit.rows.weighted(fit.weights)
+    rows = fit.weighted_rows
     shared = fit.statistics.shared
     pose_freedom = np.inf if shared is None else shared.freedom
-    return LinearFit(rows, Span(rows.jacobian, fit.root), fit.statistics.freedom, factor, pose_freedom)
+    return LinearFit(rows, rows.span, fit.statistics.freedom, factor, pose_freedom)
 
 
 @remembered

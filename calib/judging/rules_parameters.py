@@ -88,12 +88,13 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     linear, k = findings.linear(fit), 1 + turned.shape[1]
     columns, n_rows = [lengths, turned, linear.rows.jacobian, linear.rows.residuals[:, None]], len(lengths)
     together = Tall((n_rows, k + len(fit.unknowns) + 1), lambda: _beside(columns))
-    measured = together.factor() / linear.factor  # once: any of these columns have the same products
-    scaled, part = _cost_with(fit, measured[:, :1], measured[:, k:], is_scale=True)
+    measured = together.factor() / linear.factor  # any of these columns have the same products
+    left = _left_by_parameters(fit, measured[:, :k], measured[:, k:])
+    scaled, part = _cost_with(left[:, :1], left[:, -1], len(measured), is_scale=True)
     if abs(part) <= SCALED:
         return
-    alone, _ = _cost_with(fit, measured[:, :0], measured[:, k:])
-    geared, _ = _cost_with(fit, measured[:, 1:k], measured[:, k:])
+    alone, _ = _cost_with(left[:, :0], left[:, -1], len(measured))
+    geared, _ = _cost_with(left[:, 1:k], left[:, -1], len(measured))
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
@@ -114,26 +115,45 @@ def _scaled(part: float) -> str:
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
-def _cost_with(fit: Fit, columns: FloatArray, measured: FloatArray, *, is_scale: bool = False) -> tuple[float, float]:
-    """Return the least cost if columns (n, k) are tried beside the parameters, and the first's size.
+def _left_by_parameters(fit: Fit, columns: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return what the parameters leave of further columns, and of the residuals as the last, (n + n_inside, k + 1).
 
     Args:
         fit: The fit.
-        columns: What is tried, over the noise found.
+        columns: What is tried, over the noise found, (n, k).
         measured: Derivatives by the parameters, and residuals, reduced together with the columns, (n, n_free + 1).
-        is_scale: Whether the column scales all lengths, and noise with them.
     """
     inside, deviations = ~fit.unknowns.placement, fit.rows.deviations
-    k, measured = columns.shape[1], np.hstack([columns, measured])
-    priors = np.hstack([np.zeros((len(inside), k)), np.eye(len(inside)), deviations[:, None]])[inside]
-    matrix, right = np.split(np.vstack([measured, priors]), [-1], axis=1)
-    size = np.linalg.norm(matrix, axis=0)
-    size[size == 0] = 1.0
-    solution = np.linalg.lstsq(matrix / size, -right[:, 0], rcond=None)[0]
-    squares = (matrix / size @ solution + right[:, 0]) ** 2
-    first = float(solution[0] / size[0]) if k else 0.0
+    priors = np.hstack([np.zeros((len(inside), columns.shape[1])), deviations[:, None]])[inside]
+    explained = np.vstack([np.hstack([columns, measured[:, -1:]]), priors])
+    matrix = np.vstack([measured[:, :-1], np.eye(len(inside))[inside]])
+    matrix = matrix / _lengths(matrix)
+    return np.asarray(explained - matrix @ np.linalg.lstsq(matrix, explained, rcond=None)[0])
+
+
+def _cost_with(
+    columns: FloatArray, right: FloatArray, n_measured: int, *, is_scale: bool = False
+) -> tuple[float, float]:
+    """Return the least cost with some of these columns (n, k) beside the residuals (n,), and the first's size.
+
+    Args:
+        columns, right: What the parameters leave of them.
+        n_measured: How many of the rows were measured; the others are priors.
+        is_scale: Whether the column scales all lengths, and noise with them.
+    """
+    size = _lengths(columns)
+    solution = np.linalg.lstsq(columns / size, -right, rcond=None)[0]
+    squares = (columns / size @ solution + right) ** 2
+    first = float(solution[0] / size[0]) if len(size) else 0.0
     noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0
-    return float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])), first
+    return float(np.sum(squares[:n_measured]) / noise + np.sum(squares[n_measured:])), first
+
+
+def _lengths(columns: FloatArray) -> FloatArray:
+    """Return the length of each column, 1 of a column of zeros, (k,)."""
+    lengths = np.linalg.norm(columns, axis=0)
+    lengths[lengths == 0] = 1.0
+    return lengths
 
 
 def large_terms(fit: Fit) -> Iterator[Reason]:

@@ -327,7 +327,9 @@ def statistics(
     shared = _beyond_chance(poses)
     if shared is not None:
         core += shared.core
-    if shared is None:
+    elif len(factors.effective) == 1:  # what the priors have no share in is of these rows
+        core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
+    else:
         for part in in_parts(len(span)):
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):

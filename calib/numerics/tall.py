@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from copy import copy
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from calib.numerics.identifiability import reduced, reduced_with
 from calib.numerics.prior import Prior
 
 ROWS_AT_ONCE = 1 << 13
+_KEPT = 1 << 15  # rows that a product of rows may have to be kept
 Places = IntArray | slice
 """Which rows."""
 
@@ -130,31 +133,54 @@ class AbovePrior(Tall):
         return products
 
 
+class _Product:
+    """J T, kept where that is no larger than `_KEPT` rows, else multiplied where rows of it are looked at."""
+
+    def __init__(self, jacobian: FloatArray, root: FloatArray) -> None:
+        self.jacobian, self.root = jacobian, root
+
+    @cached_property
+    def _whole(self) -> FloatArray:
+        return self.jacobian @ self.root
+
+    def __getitem__(self, rows: Places) -> FloatArray:
+        if len(self.jacobian) <= _KEPT:
+            return self._whole[rows]
+        some = self.jacobian[rows]  # as one matrix: T is read once, not for every block of rows
+        return (some.reshape(-1, some.shape[-1]) @ self.root).reshape(*some.shape[:-1], self.root.shape[1])
+
+    def __reduce__(self) -> tuple[type, tuple[FloatArray, FloatArray]]:
+        return _Product, (self.jacobian, self.root)  # what is kept does not go to other processes
+
+
 class Span:
-    """U = J T of a tall J (n_rows, n) and a small T (n, k), multiplied where rows of it are looked at.
+    """U = J T of a tall J (n_rows, n) and a small T (n, k), looked at some rows at a time.
 
     Args:
         jacobian: J.
         root: T.
-        more: Further columns of U, (n_rows, n_more).
     """
 
-    def __init__(self, jacobian: FloatArray, root: FloatArray, more: FloatArray | None = None) -> None:
-        self.jacobian, self.root, self.more = jacobian, root, more
-        self.shape = len(jacobian), root.shape[1] + (0 if more is None else more.shape[1])
+    def __init__(self, jacobian: FloatArray, root: FloatArray) -> None:
+        self.jacobian, self.root = jacobian, root
+        self.shape = len(jacobian), root.shape[1]
+        self.more: FloatArray | None = None
+        self._product = _Product(jacobian, root)
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, rows: Places) -> FloatArray:
         """Return some rows, (..., k)."""
-        some = self.jacobian[rows]  # as one matrix: T is read once, not for every block of rows
-        known = (some.reshape(-1, some.shape[-1]) @ self.root).reshape(*some.shape[:-1], self.root.shape[1])
+        known = self._product[rows]
         return known if self.more is None else np.concatenate([known, self.more[rows]], axis=-1)
 
     def beside(self, more: FloatArray) -> Span:
         """Return it with further columns, (n_rows, n_more)."""
-        return Span(self.jacobian, self.root, more if self.more is None else np.hstack([self.more, more]))
+        wider = copy(self)
+        wider.more = more if self.more is None else np.hstack([self.more, more])
+        wider.shape = len(self), self.root.shape[1] + wider.more.shape[1]
+        return wider
 
     def times(self, columns: FloatArray) -> FloatArray:
         """Return U times columns (k, ...), (n_rows, ...)."""

@@ -37,6 +37,7 @@ from calib.instruments.kind import Part
 from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information
 from calib.numerics.prior import Prior
+from calib.numerics.tall import Span
 from calib.numerics.variance_components import SharedError
 
 
@@ -160,6 +161,11 @@ class Rows:
     def known(self) -> Information:
         """What these rows and the priors determine."""
         return information(self.factor[:, :-1], self.prior.rows)
+
+    @cached_property
+    def span(self) -> Span:
+        """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
+        return Span(self.jacobian, self.known.root)
 
     @cached_property
     def alone(self) -> Information:

@@ -103,7 +103,9 @@ def test_products_with_a_joint_prior_are_those_with_its_inverse_covariance():
     np.testing.assert_allclose(prior.pull(u), dense @ u)
     np.testing.assert_allclose(prior.added_to(np.eye(5)), np.eye(5) + dense)
     root = np.diag(u) + 1.0
-    np.testing.assert_allclose(prior.share(root, np.sum(root**2, axis=1)), np.trace(root.T @ dense @ root))
+    np.testing.assert_allclose(
+        prior.share(root[prior.together], np.sum(root**2, axis=1)), np.trace(root.T @ dense @ root)
+    )
     assert prior.cost(u) == pytest.approx(u @ dense @ u)
     np.testing.assert_allclose(prior.root @ prior.root.T, np.where(dense != 0, prior.root @ prior.root.T, 0.0))
     some = prior.only(np.array([True, True, True, False, True]))

@@ -76,11 +76,13 @@ class Prior(ReadOnlyArrays):
             pull[self.together] = self._precision @ u[self.together]
         return pull
 
-    def added_to(self, matrix: FloatArray) -> FloatArray:
-        """Return matrix + P^T P, (n, n); the matrix itself is used up."""
-        matrix[self._alone, self._alone] += 1.0
+    def added_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
+        """Return matrix + P^T P, (n, n), of u over their sizes (n,) if given; the matrix itself is used up."""
+        over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
+        matrix[self._alone, self._alone] += over[self._alone] ** 2
         if len(self.together):
-            matrix[np.ix_(self.together, self.together)] += self._precision
+            known = over[self.together]
+            matrix[np.ix_(self.together, self.together)] += known[:, None] * self._precision * known
         return matrix
 
     def only(self, chosen: BoolArray | IntArray) -> Prior:
@@ -90,10 +92,10 @@ class Prior(ReadOnlyArrays):
         number = np.searchsorted(self.together, places[kept])
         return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
 
-    def share(self, root: FloatArray, squares: FloatArray) -> float:
-        """Return |P root|^2, of a matrix (n, k) and the sums of squares of its rows (n,)."""
+    def share(self, rows: FloatArray, squares: FloatArray) -> float:
+        """Return |P A|^2 of a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
         share = float(np.sum(squares[self._alone]))
-        return share + float(np.sum((self._whitening @ root[self.together]) ** 2)) if len(self.together) else share
+        return share + float(np.sum((self._whitening @ rows) ** 2)) if len(self.together) else share
 
     def cost(self, u: FloatArray) -> float:
         """Return |P u|^2, of u (n,)."""

@@ -280,7 +280,6 @@ class Trials:
         if np.any(scales <= EXACT):
             return {}
         solved, n = model.solved(scales, sizes), len(use)
-        factor, step = solved.factor[:, None], solved.factor * solved.step
         known = {}
         for term in others:
             own = np.array([k for k, owner in enumerate(design.owner) if owner == term], dtype=np.intp)
@@ -289,8 +288,8 @@ class Trials:
             columns = np.concatenate([use, own])
             gram, pull = self._all.products(columns).weighed(scales)
             shared = gram[:n, n:]
-            follows = -factor * (solved.root @ (solved.root.T @ (factor * shared)))
-            kind = averaged(gram[n:, n:] + shared.T @ follows, pull[n:] + shared.T @ step)
+            follows = -solved.root @ (solved.root.T @ shared)
+            kind = averaged(gram[n:, n:] + shared.T @ follows, pull[n:] + shared.T @ solved.step)
             if kind.chance > _LITTLE:
                 known[term] = self._parameters(columns, np.vstack([follows @ kind.spread, kind.spread]))
         return known
@@ -352,8 +351,7 @@ class Trials:
     def _unsure(self, terms: tuple[str, ...], scales: FloatArray, sizes: FloatArray) -> float:
         use, model = self._model(terms)
         solved = model.solved(scales, sizes)
-        elsewhere = self._elsewhere[:, use] * solved.factor
-        variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)
+        variances = np.sum((self._elsewhere[:, use] @ solved.root) ** 2, axis=1)
         return 3.0 * float(np.mean(variances)) if len(variances) else 0.0
 
     def _left_out(
@@ -364,7 +362,7 @@ class Trials:
         steps = np.zeros((len(self._design.owner), len(parts)))
         block = np.full(len(data), -1)
         for k, part in enumerate(parts):
-            steps[use, k] = solved.factor * self._step_without(part, solved, prior, scales, use)
+            steps[use, k] = self._step_without(part, solved, prior, scales, use)
             block[layout.visit[layout.reading[part.which]]] = k
         after = {}
         for name, columns in self._by_column.items():
@@ -382,13 +380,10 @@ class Trials:
     def _step_without(
         self, part: _Part, solved: SizedModel, prior: Prior, scales: FloatArray, use: IntArray
     ) -> FloatArray:
-        """Step to the minimum without some rows, in units of `solved.factor`, (n_use,)."""
-        factor = solved.factor
+        """Step to the minimum without some rows, (n_use,)."""
         kept, pull = part.weighed(use, scales)
-        kept *= factor[:, None]  # in place: such matrices are large, and there are many
-        kept *= factor
-        np.subtract(solved.matrix, kept, out=kept)
-        known, size = solved.right - factor * pull, np.diag(solved.matrix)
+        np.subtract(solved.matrix, kept, out=kept)  # in place: such matrices are large, and there are many
+        known, size = solved.right - pull, np.diag(solved.matrix)
         lost = ~prior.has & (np.diag(kept) <= _LOST * size)
         kept[np.diag_indices_from(kept)] += _RIDGE * size
         step = np.zeros(len(use))
@@ -396,7 +391,7 @@ class Trials:
         if np.any(lost):  # places that only these rows see are placed by them
             group = self.fit.whitening.layout.group[part.which]
             divisor = np.where(group >= 0, scales[group], 1.0)
-            rows = self._design.rows[np.ix_(part.which, use)] * factor / divisor[:, None]
+            rows = self._design.rows[np.ix_(part.which, use)] / divisor[:, None]
             right = self._design.residuals[part.which] / divisor
             step[lost] = -np.linalg.lstsq(rows[:, lost], right + rows @ step, rcond=None)[0]
         return step

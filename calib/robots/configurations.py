@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays, numbers_in
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.base.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
 from calib.robots import loops
@@ -36,8 +36,8 @@ class Configurations(ReadOnlyArrays):
     slope: FloatArray
     term_columns: tuple[FloatArray, ...] = ()
 
-    def at(self, part: slice) -> Configurations:
-        """Return some of them."""
+    def at(self, part: slice | IntArray) -> Configurations:
+        """Return some of them, (n_some,)."""
         phi = tuple(columns[part] for columns in self.term_columns)
         return Configurations(self.actuated[part], self.passive[part], self.slope[part], phi)
 

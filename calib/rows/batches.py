@@ -60,17 +60,10 @@ def batches_of(layout: Layout) -> tuple[Batch, ...]:
     batches = []
     for k in range(len(edges) - 1):
         readings = {name: orders[name][places[name][k] : places[name][k + 1]] for name in layout.instruments}
-        rows = np.concatenate([_rows_of(layout, name, chosen) for name, chosen in readings.items()])
+        rows = np.concatenate([layout.rows_of_readings(name, chosen) for name, chosen in readings.items()])
         own = {name: as_slice(chosen) for name, chosen in readings.items()}
         batches.append(Batch(slice(int(edges[k]), int(edges[k + 1])), own, as_slice(rows)))
     return tuple(batches)
-
-
-def _rows_of(layout: Layout, name: str, chosen: IntArray) -> IntArray:
-    """Places of the rows of some readings of an instrument, (n_rows,)."""
-    rows, readings = layout.rows_of(name), layout.readings_of(name)
-    width = (rows.stop - rows.start) // (readings.stop - readings.start)
-    return (rows.start + chosen[:, None] * width + np.arange(width)).ravel()
 
 
 def observed_in(

@@ -83,16 +83,24 @@ class Whitening:
         parts = []
         for name in self._names:
             array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            inverse = self._inverse[name] if batch is None else self._inverse[name][batch.readings[name]]
-            if inverse.ndim == 2:  # no correlations: divide
-                scale = inverse if array.ndim == 2 else inverse[:, :, None]
-                scaled = np.multiply(array, scale, out=array if in_place else None)
-            elif array.ndim == 2:
-                scaled = np.matmul(inverse, array[:, :, None])[:, :, 0]
-            else:
-                scaled = np.matmul(inverse, array)
-            parts.append(scaled.reshape(-1, *array.shape[2:]))
+            chosen = slice(None) if batch is None else batch.readings[name]
+            parts.append(self.whitened(name, array, chosen, in_place=in_place).reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def whitened(self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False) -> FloatArray:
+        """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
+
+        Args:
+            name: The instrument.
+            array: What they have.
+            chosen: Which readings, (n,).
+            in_place: Whether the array may be used up.
+        """
+        inverse = self._inverse[name][chosen]
+        if inverse.ndim == 2:  # no correlations: divide
+            scale = inverse if array.ndim == 2 else inverse[:, :, None]
+            return np.multiply(array, scale, out=array if in_place else None)
+        return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
 
     def read(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
         """Return what whitened numbers, one of each row (n_rows,), are of readings, (n, n_rows) [SI] by instrument.

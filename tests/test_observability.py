@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.base.parameter import Parameter
-from calib.numerics.observability import INDICES, observability, raw_columns, task_index
+from calib.numerics.observability import INDICES, information, observability, raw_columns, task_index
 
 
 def indices_of(matrix, n_poses):
@@ -84,3 +84,20 @@ def test_task_index_is_root_mean_square_and_largest():
     result = task_index(np.array([[3.0], [4.0], [0.0]]))
     assert result.rms == pytest.approx(np.sqrt(25 / 3))
     assert (result.maximum, result.worst_pose) == (4.0, 1)
+
+
+@pytest.mark.parametrize("smallest", [1.0, 1e-3, 1e-7, 0.0])
+@pytest.mark.parametrize("with_priors", [False, True])
+def test_the_root_squares_to_the_covariance_however_clear_the_rank_is(smallest, with_priors):
+    rng = np.random.default_rng(3)
+    sizes, turned = np.array([3.0, 2.0, 1.0, smallest]), np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    rows = np.linalg.qr(rng.standard_normal((4 if with_priors else 20, 4)))[0] @ (sizes[:, None] * turned)
+    priors = np.sqrt(2.0) * turned[:3] if with_priors else np.zeros((0, 4))
+    squares = sizes**2 + 2.0 * (with_priors * np.array([1, 1, 1, 0]))
+    known, seen = information(rows, priors), squares > 0
+    covariance = (turned[seen].T / squares[seen]) @ turned[seen]
+    np.testing.assert_allclose(
+        known.root @ known.root.T * min(squares[seen]), covariance * min(squares[seen]), atol=1e-8
+    )
+    assert known.root.shape[1] == known.rank.rank == int(np.sum(seen))
+    assert known.log_determinant == pytest.approx(float(np.sum(np.log(squares[seen]))), abs=1e-8)

@@ -33,6 +33,7 @@ from calib.base.arrays import FloatArray, ReadOnlyArrays
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
 _BLOCK = 32  # columns that it works on at a time
+_INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 CLEAR_GAP = 30.0
@@ -128,6 +129,20 @@ def reduced_with(factor: FloatArray, rows: FloatArray, right: FloatArray | None 
         block = min(n, _BLOCK)
         factor = np.triu(scipy.linalg.lapack.dgeqrt(block, more, overwrite_a=1)[0][:n]) if n else more[:n]
     return factor
+
+
+def inverse_of_triangle(upper: FloatArray) -> FloatArray:
+    """Return the inverse of an upper triangular matrix, (n, n), by halves: nearly all of the work is in products."""
+    n = len(upper)
+    if n <= _INVERTED:
+        return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
+    first, last = slice(n // 2), slice(n // 2, n)
+    inverse = np.zeros((n, n), order="F")
+    above, below = (inverse_of_triangle(upper[part, part]) for part in (first, last))
+    between = scipy.linalg.blas.dtrmm(-1.0, above, upper[first, last])
+    inverse[first, first], inverse[last, last] = above, below
+    inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
+    return inverse
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

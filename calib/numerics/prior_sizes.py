@@ -35,6 +35,7 @@ import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.chances import EXACT
+from calib.numerics.identifiability import inverse_of_triangle
 from calib.numerics.prior import Prior
 from calib.numerics.tall import Tall
 from calib.numerics.variance_components import LinearModel
@@ -43,7 +44,6 @@ _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
 _SMALLEST = 1e-3  # size below which a family does not fall at once
 _SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
-_BLOCK = 96  # columns of a triangle that LAPACK inverts as fast
 _RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding has made singular
 
 
@@ -218,21 +218,7 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
     upper, failed = scipy.linalg.lapack.dpotrf(matrix.T)  # as LAPACK has it: not copied twice
     if failed:
         upper = scipy.linalg.cholesky(matrix + _RIDGE * np.diag(np.diag(matrix)))
-    return _inverse_of_triangle(upper)
-
-
-def _inverse_of_triangle(upper: FloatArray) -> FloatArray:
-    """Return the inverse of an upper triangular matrix, (n, n), by halves: nearly all of the work is in products."""
-    n = len(upper)
-    if n <= _BLOCK:
-        return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
-    first, last = slice(n // 2), slice(n // 2, n)
-    inverse = np.zeros((n, n), order="F")
-    above, below = (_inverse_of_triangle(upper[part, part]) for part in (first, last))
-    between = scipy.linalg.blas.dtrmm(-1.0, above, upper[first, last])
-    inverse[first, first], inverse[last, last] = above, below
-    inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
-    return inverse
+    return inverse_of_triangle(upper)
 
 
 def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -261,7 +261,7 @@ def effective_parameters(known: Information, prior: Prior) -> float:
         known: What rows and priors determine.
         prior: Of the parameters.
     """
-    return float(known.rank.rank - np.trace(prior_shares(known, prior)))
+    return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
 
 def found_factors(

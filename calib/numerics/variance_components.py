@@ -200,13 +200,13 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
         scales = np.maximum(scales * change, EXACT / 10)
         if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~model.unstated):
             break
-    freedom_left = int(np.sum(counts)) - known.rank.rank + float(np.sum(model.prior.times(known.root) ** 2))
+    freedom_left = int(np.sum(counts)) - known.root.shape[1] + float(np.sum(model.prior.times(known.root) ** 2))
     require_freedom(freedom_left, int(np.sum(counts)))
     stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
     known, step = _solved(model, stacked)
     cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
     determinant = 2.0 * float(np.sum(counts * np.log(scales)))
-    return Components(scales, np.zeros(0), -0.5 * (determinant + _log_determinant(known) + cost))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + known.log_determinant + cost))
 
 
 def found_components(
@@ -322,7 +322,3 @@ def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArr
 
 def _prior_cost(model: LinearModel, step: FloatArray) -> float:
     return model.prior.cost(model.deviations + step)
-
-
-def _log_determinant(known: Information) -> float:
-    return 2.0 * float(np.sum(np.log(known.strengths)))

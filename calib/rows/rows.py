@@ -163,10 +163,15 @@ class Rows:
         """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
         return reduced(self.jacobian, self.residuals)
 
+    @property
+    def _triangle(self) -> FloatArray:
+        """That of J, (n_free, n_free) or fewer rows."""
+        return self.factor[: self.jacobian.shape[1], :-1]
+
     @cached_property
     def known(self) -> Information:
         """What these rows and the priors determine."""
-        return information(self.factor[:, :-1], self.prior.rows)
+        return information(self._triangle, self.prior.rows)
 
     @cached_property
     def span(self) -> Span:
@@ -176,7 +181,7 @@ class Rows:
     @cached_property
     def alone(self) -> Information:
         """What these rows determine without priors."""
-        return information(self.factor[:, :-1])
+        return information(self._triangle)
 
     @property
     def cost(self) -> float:

@@ -18,7 +18,7 @@ import calib
 from calib.base.workers import Workers, in_order
 from calib.fitting.settings import Settings
 from calib.planning.studies.many_calibrations import Repeated
-from calib.planning.studies.study_data import Resampled
+from calib.planning.studies.study_data import Drawn, Resampled
 from calib.planning.studies.study_result import Draws, DrawSums
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -85,13 +85,14 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    result = Repeated(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(data[1])
+    repeated = Repeated.of(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings)
+    (result,) = repeated.estimates([Drawn(truth, data[1])])
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
-    off = (result.robot.values - alone.robot.values)[alone.free] / alone.statistics.std
+    off = (result.values - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
     assert np.max(np.abs(off)) < (1e-4 if loss == "none" else 1e-2)
-    assert result.statistics.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
-    assert result.convergence.converged
+    assert result.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
+    assert not result.open
     assert result.names_outliers == bool(alone.outliers)
 
 

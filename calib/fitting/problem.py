@@ -136,15 +136,16 @@ class Problem(ReadOnlyArrays):
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         return Problem(robot, data, sigma, columns, passive, *_as_stated(robot, data, sigma))
 
-    def read_again(self, data: Measurements, near: Evaluation) -> Problem:
+    def read_again(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings of the same visits; no pose is closed again from home.
 
         Args:
             data: The readings; joint values and conditions as before.
-            near: Where its solution is expected.
+            passive: Passive joints near its solution, (n, n_passive) [m or rad].
         """
-        stated = _as_stated(self.robot, data, self.sigma)
-        return Problem(self.robot, data, self.sigma, self.columns, near.configurations.passive, *stated)
+        if self.whitening.whitens(data):
+            return replace(self, data=data, passive=passive)
+        return Problem(self.robot, data, self.sigma, self.columns, passive, *_as_stated(self.robot, data, self.sigma))
 
     def weighed(self, ratios: FloatArray) -> Problem:
         """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""

@@ -57,10 +57,12 @@ _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
 )
-_STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+STEP_LEFT = 0.05
+"""Standard deviations that a converged fit may be away from its minimum."""
 _FAR = 0.5  # of the farthest way left, for which parameters are named
 _BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
-_ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
+ROUNDING = 1e-8
+"""10 nm and 10 nrad: below, rounding decides about a step."""
 
 
 def place(problem: Problem) -> Evaluation:
@@ -213,7 +215,7 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
     groups, unstated = problem.whitening.start(start.residuals), problem.unstated
     problem = replace(problem, noise_found=unstated)
     if problem.noise_weighs and not np.all(unstated):
-        problem, groups = _contradicted(problem, start, groups)
+        problem, groups = contradicted(problem, start, groups)
     at, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
         finds = (np.any(problem.noise_found) and problem.noise_weighs) or problem.unknowns.families
@@ -239,8 +241,14 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
     raise NotConvergedError(_NO_NOISE)
 
 
-def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
-    """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from."""
+def contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
+    """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from.
+
+    Args:
+        problem: The problem.
+        evaluation: Where its linear model is taken.
+        groups: Scales to keep where nothing is contradicted, (n_groups,).
+    """
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = all_found.found_scales(evaluation, groups)
     contradicted = problem.contradicted(scales)
@@ -310,10 +318,10 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
     pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
     root, unknowns = weighted.known.root, solved.problem.unknowns
     away = np.abs(root @ (root.T @ pull))
-    left = unknowns.scales * away / (std + _ROUNDING)
+    left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
-    stands = step < _STEP_LEFT
+    stands = step < STEP_LEFT
     if stands and not solved.solution.converged:
         message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
     elif solved.solution.converged and not stands:

@@ -31,7 +31,7 @@ Reference: bell2002; cook1982, chapter 3; roberts2017.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,33 +85,58 @@ def scatter(
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom that f was found with.
     """
-    k = span.shape[1]
-    core, leverage, moved, mean, squares = np.zeros((k, k)), np.zeros((k, k)), 0.0, 0.0, 0.0
-    decided_parts, fourth = 0.0, 0.0
-    for rows in of_equal_length(block):
-        values, errors, directions = _directions(span[rows], residuals[rows])
-        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
+    parts = ((span[rows][None], residuals[rows][None], noise[rows][None]) for rows in of_equal_length(block))
+    core, *numbers = scatters(parts, (1, span.shape[1]), np.array([freedom]))
+    return Scatter(core[0], *(float(number[0]) for number in numbers))
+
+
+def scatters(
+    parts: Iterable[tuple[FloatArray, FloatArray, FloatArray]], shape: tuple[int, int], freedom: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return the attributes of `Scatter` for many sets of rows, in its order, each with one more axis.
+
+    Args:
+        parts: Span (n_sets, n_blocks, m, k), residuals (n_sets, n_blocks, m) and noise of blocks of equally many rows.
+        shape: Numbers of sets, and of columns k.
+        freedom: Degrees of freedom that the noise was found with, (n_sets,).
+    """
+    n, k = shape
+    core, leverage = np.zeros((n, k, k)), np.zeros((n, k, k))
+    moved, mean, squares, decided_parts, fourth = np.zeros((5, n))
+    noisy = np.zeros(n, dtype=bool)
+    for span, residuals, noise in parts:
+        n_blocks, m = residuals.shape[1:]
+        values, errors, directions = _directions(span.reshape(-1, m, k), residuals.reshape(-1, m))
+        directions = directions.reshape(n, -1, k)  # of all blocks, one after another
+        values, errors = values.reshape(n, n_blocks, -1), errors.reshape(n, n_blocks, -1)
+        level = np.sqrt(np.mean(noise**2, axis=2, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)
         drawn = np.where(alone, 0.0, errors / np.sqrt(left))
-        pulls = np.matmul(drawn[:, None, :], directions)[:, 0]
-        decided = directions[alone] * np.repeat(level, values.shape[1], axis=1)[alone][:, None]
-        core += pulls.T @ pulls + decided.T @ decided
+        pulls = np.matmul(drawn.reshape(-1, 1, drawn.shape[2]), directions.reshape(-1, drawn.shape[2], k))
+        core += _products(pulls.reshape(n, n_blocks, k))
+        if np.any(alone):
+            core += _products(directions * np.where(alone, level, 0.0).reshape(n, -1, 1))
         w = np.where(alone, 0.0, values)
-        moved += float(np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2))
-        mean += float(np.sum(w))
-        squares += float(np.sum(w**2) - np.sum((w**2 / left) ** 2))
-        scaled = (np.sqrt(w / left)[:, :, None] * directions).reshape(-1, k)
-        leverage += scaled.T @ scaled
-        decided_parts += float(np.sum(values))
-        fourth += float(2.0 * np.sum(values**2) + np.sum(np.sum(values, axis=1) ** 2))
-    half_variance = squares + float(np.sum(leverage**2))
-    behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0 else 0.0
-    if mean <= 0.0 or half_variance <= 0.0 or not np.any(noise > _NONE):
-        return Scatter(core, float("nan"), 1.0, behind, 0.0)
-    total_freedom, square = mean**2 / half_variance, moved / mean
-    chance = float(scipy.special.fdtrc(total_freedom, freedom, square))
-    return Scatter(core, float(np.sqrt(square)), chance, behind, total_freedom)
+        moved += np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2, axis=(1, 2))
+        mean += np.sum(w, axis=(1, 2))
+        squares += np.sum(w**2, axis=(1, 2)) - np.sum((w**2 / left) ** 2, axis=(1, 2))
+        leverage += _products(np.sqrt(w / left).reshape(n, -1, 1) * directions)
+        decided_parts += np.sum(values, axis=(1, 2))
+        fourth += 2.0 * np.sum(values**2, axis=(1, 2)) + np.sum(np.sum(values, axis=2) ** 2, axis=1)
+        noisy |= np.any(noise > _NONE, axis=(1, 2))
+    half_variance = squares + np.sum(leverage**2, axis=(1, 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        behind = np.where(fourth > 0, decided_parts**2 * (k + 2) / (k * fourth), 0.0)
+        tells = (mean > 0.0) & (half_variance > 0.0) & noisy
+        total_freedom, square = np.where(tells, mean**2 / half_variance, 0.0), np.where(tells, moved / mean, np.nan)
+        chance = np.where(tells, scipy.special.fdtrc(total_freedom, freedom, square), 1.0)
+    return core, np.sqrt(square), chance, behind, total_freedom
+
+
+def _products(rows: FloatArray) -> FloatArray:
+    """Return the products of the columns of each matrix (n, m, k) with each other, (n, k, k)."""
+    return np.matmul(rows.transpose(0, 2, 1), rows)
 
 
 def of_equal_length(block: IntArray) -> Iterator[IntArray]:

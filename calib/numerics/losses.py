@@ -61,7 +61,7 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.statistics import Factors
@@ -288,18 +288,43 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     """
     sizes, leverages, largest = [], [], []
     for block in blocks:
-        leverage = _leverage(block.columns, root)
-        values, vectors = np.linalg.eigh(
-            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
-        )
-        turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
-        squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
-        sizes.append(np.sqrt(np.sum(squares, axis=1)))
+        size, leverage = _sizes(block, root)
+        sizes.append(size)
         leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
         largest.append(np.linalg.eigvalsh(leverage)[:, -1])
     size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
-    chance = scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths)
+    chance = _chance(ratio, widths, freedom)
     return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)
+
+
+def any_outlier(blocks: list[Blocks], root: FloatArray, freedom: FloatArray) -> BoolArray:
+    """Return which of many sets of equally many readings name an outlier, (n_sets,).
+
+    Args:
+        blocks: Readings; in each block, those of one set behind those of another.
+        root: As of `studentised`, the same for all.
+        freedom: Degrees of freedom of each fit, (n_sets,).
+    """
+    n = len(freedom)
+    sizes = np.concatenate([_sizes(block, root)[0].reshape(n, -1) for block in blocks], axis=1)
+    widths = np.concatenate([block.widths[: len(block.widths) // n] for block in blocks])
+    scale = np.maximum(np.median(sizes / median_length(widths), axis=1), _NO_NOISE)
+    chance = _chance(sizes / scale[:, None], widths, freedom[:, None])
+    return np.asarray(np.any(sizes.shape[1] * chance < FALSE_ALARM, axis=1))
+
+
+def _sizes(block: Blocks, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """T of each reading, (n,), and h, (n, k, k)."""
+    leverage = _leverage(block.columns, root)
+    values, vectors = np.linalg.eigh(np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage)
+    turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
+    squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+    return np.sqrt(np.sum(squares, axis=1)), leverage
+
+
+def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:
+    """Chance of readings this far off, (..., n_readings)."""
+    return np.asarray(scipy.special.fdtrc(widths, np.maximum(freedom / 2.0, 1.0), ratio**2 / widths))

@@ -284,17 +284,40 @@ def found_factors(
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    read = groups >= 0
-    pulled = squares_of_rows(span)
-    squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups).astype(float)
-    freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
+    squares, freedom = _by_group(residuals**2, squares_of_rows(span), groups, n_groups)
     if confirmed is not None:
-        squares = np.asarray(squares + confirmed)
-        freedom = freedom + confirmed
-    require_freedom(float(np.sum(freedom)), int(np.sum(read)))
-    total = float(np.sum(squares) / np.sum(freedom))
-    factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
+        squares, freedom = squares + confirmed, freedom + confirmed
+    require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
+    factor = _factor(squares, freedom)
     return Factors(factor, freedom, factor)
+
+
+def noise_factors(
+    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return f and degrees of freedom of the groups of rows of many draws, (n_draws, n_groups) each.
+
+    Args:
+        squares: Of whitened residuals, (n_draws, n_rows).
+        leverage: Sums of the squares of each row of J T, (n_draws, n_rows).
+        groups, n_groups: As of `found_factors`.
+    """
+    found, freedom = _by_group(squares, leverage, groups, n_groups)
+    return _factor(found, freedom), freedom
+
+
+def _by_group(
+    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
+) -> tuple[FloatArray, FloatArray]:
+    """Sums of squares of residuals (..., n_rows), and degrees of freedom, of each group, (..., n_groups)."""
+    own = (groups[:, None] == np.arange(n_groups)).astype(float)
+    return squares @ own, (1.0 - leverage) @ own
+
+
+def _factor(squares: FloatArray, freedom: FloatArray) -> FloatArray:
+    """Return f of each group, (..., n_groups); that of all where its own rows say nothing about it."""
+    total = np.sum(squares, axis=-1, keepdims=True) / np.sum(freedom, axis=-1, keepdims=True)
+    return np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
 
 
 def statistics(

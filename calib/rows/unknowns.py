@@ -88,9 +88,14 @@ class Unknowns(ReadOnlyArrays):
 
     def moved(self, robot: Robot, u: FloatArray) -> Robot:
         """Return a robot with these parameters at p = p_expected + s u, u (n,)."""
-        values, change = robot.values.copy(), self.scales * u
-        values[self.index] = self.expected + np.where(np.abs(change) < _ROUNDING, 0.0, change)
+        values = robot.values.copy()
+        values[self.index] = self.values_at(u)
         return robot.with_parameters(values)
+
+    def values_at(self, u: FloatArray) -> FloatArray:
+        """Return p = p_expected + s u, (..., n) [SI], of u (..., n)."""
+        change = self.scales * u
+        return np.asarray(self.expected + np.where(np.abs(change) < _ROUNDING, 0.0, change))
 
 
 def _prior(robot: Robot, kept: list[Parameter]) -> Prior:

@@ -56,6 +56,16 @@ class Whitening:
             widths.append(np.sum(~absent, axis=1))
             self._inverse[name] = _inverse_roots(covariance, absent)
         self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
+        noises = [stated_noise(robot.instrument(name), sigma) for name in self._names]
+        alike = not any(part.beam is not None for noise in noises for part in noise.parts)
+        self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
+
+    def whitens(self, data: Measurements) -> bool:
+        """Whether it is that of other readings, too: all whole, of the same visits, with noise that is alike."""
+        known, readings = self._of_all, data.readings
+        if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
+            return False
+        return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
 
     @property
     def groups(self) -> tuple[Group, ...]:
@@ -254,6 +264,11 @@ def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> Flo
         return readings.covariance
     widths = [len(part.axes) for part in instrument.parts]
     return noise.covariance(instrument.points(readings.values), len(readings), widths)
+
+
+def _are_whole(data: Measurements) -> bool:
+    """Whether every component was read, and no reading has a noise of its own."""
+    return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:

@@ -23,7 +23,8 @@ from calib.calibrating import file_robots
 from calib.fitting import curvature, fit, regions, solving
 from calib.fitting.terms import term_choice
 from calib.judging import claim, error_budget, residual_patterns, verdict
-from calib.planning.studies import many_calibrations, study_data
+from calib.numerics import nearby
+from calib.planning.studies import draw_statistics, many_calibrations, study_data
 from calib.robots import continuation, kinematics
 from calib.rows import jacobian, observed
 from medrue import robot_file
@@ -78,11 +79,12 @@ def works(folder):
         yield f"closing and derivatives, {shown}, with `fast`", fast(step(name)), quick
     medrue, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
     draws = {
-        "evaluations": observed.observe,
-        "minimum, with these": solving.solve_from,
-        "its uncertainty": solving.uncertainty_at,
-        "outliers": many_calibrations.Estimate.names_outliers.fget,
+        "minima": nearby.Nearby.minima,
+        "loops closed in them": continuation.newton,
+        "derivatives in them": observed.observe,
+        "uncertainty": draw_statistics.estimates_at,
         "readings simulated": study_data.Simulated.measured,
+        "what draws share": many_calibrations.Repeated.of,
     }
     yield "a draw of a study, MedRUE, with `fast`", fast(lambda: calib.study(medrue, q, draws=100, sigma=SIGMA)), draws
     fits = {

@@ -43,8 +43,9 @@ from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.numerics.losses import checked_loss
-from calib.planning.studies.many_calibrations import Estimate, Repeated
-from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
+from calib.planning.studies.draw_statistics import Estimate
+from calib.planning.studies.many_calibrations import Repeated
+from calib.planning.studies.study_data import Drawn, Noise, Resampled, Simulated, simulated
 from calib.planning.studies.study_result import Draws, DrawSums, Study
 from calib.robots.acceleration import compilation_requested, compiled, pays
 from calib.robots.configurations import joint_vector
@@ -63,7 +64,7 @@ class _Setting:
     Attributes:
         source: Where the data of a draw come from.
         settings: How to fit.
-        first: The fit that all others start from.
+        repeated: Calibrates like the first time.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
         near: Passive joints there, (n, n_passive) [m or rad].
         compiled: Whether there is so much to do that loading compiled code is worth it.
@@ -73,12 +74,17 @@ class _Setting:
 
     source: Simulated | Resampled
     settings: Settings
-    first: Fit
+    repeated: Repeated
     elsewhere: FloatArray
     near: FloatArray
     compiled: bool
     seed: np.random.SeedSequence
     keep_draws: bool
+
+    @property
+    def first(self) -> Fit:
+        """The fit that all others start from."""
+        return self.repeated.first
 
     @property
     def states_noise(self) -> bool:
@@ -192,7 +198,9 @@ def _prepared(
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    return _Setting(known, settings, first, q, near, use_compiled, seed, keep_draws)
+    with compiled() if use_compiled else nullcontext():
+        repeated = Repeated.of(first, settings, alike=not known.changes_visits)
+    return _Setting(known, settings, repeated, q, near, use_compiled, seed, keep_draws)
 
 
 def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
@@ -203,18 +211,21 @@ def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequenc
 @one_blas_thread
 def _chunk(setting: _Setting, numbers: range) -> _Chunk:
     """Do the draws of these numbers."""
-    repeated = Repeated(setting.first, setting.settings)
-    draws, failures = list[Draws](), list[str]()
+    drawn, failures = list[Drawn | CalibrationError](), list[str]()
     with compiled() if setting.compiled else nullcontext():
         for number in numbers:
             try:
-                drawn = setting.source.measured(_of_draw(setting.seed, number))
-                estimate = repeated.estimate(drawn.data, drawn.passive)
-                if not estimate.convergence.converged:
-                    raise NotConvergedError(estimate.convergence.message)
-                draws.append(_draw(setting, drawn.truth, estimate))
+                drawn.append(setting.source.measured(_of_draw(setting.seed, number)))
             except CalibrationError as error:
-                failures.append(str(error))
+                drawn.append(error)
+        given = setting.repeated.estimates([each for each in drawn if isinstance(each, Drawn)])
+        estimates, draws = iter(given), list[Draws]()
+        for each in drawn:
+            estimate = next(estimates) if isinstance(each, Drawn) else each
+            if isinstance(estimate, Estimate) and isinstance(each, Drawn) and not estimate.open:
+                draws.append(_draw(setting, each.truth, estimate))
+            else:
+                failures.append(estimate.open if isinstance(estimate, Estimate) else str(estimate))
                 draws.append(_unanswered(setting))
     all_draws = Draws.joined(draws)
     return _Chunk(DrawSums.of(all_draws), all_draws if setting.keep_draws else None, tuple(failures))
@@ -224,21 +235,23 @@ def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
     """One draw that gave an answer."""
     first = setting.first
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
-    statistics = estimate.statistics
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
     if len(setting.elsewhere):
-        at = linearise(estimate.robot, estimate.robot.assemble(setting.elsewhere, setting.near))
-        spread = carried(at.jacobian[..., first.unknowns.index], statistics.covariance)
-        half_width = statistics.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
+        values = first.robot.values.copy()
+        values[first.unknowns.index] = estimate.values
+        robot = first.robot.with_parameters(values)
+        at = linearise(robot, robot.assemble(setting.elsewhere, setting.near))
+        spread = carried(at.jacobian[..., first.unknowns.index], estimate.covariance)
+        half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
         errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
-        estimate.robot.values[first.unknowns.index],
-        statistics.std,
-        statistics.half_width,
+        estimate.values,
+        estimate.std,
+        estimate.half_width,
         estimate.sigma,
         estimate.chi_square if setting.states_noise else np.nan,
-        statistics.freedom,
+        estimate.freedom,
         float(estimate.names_outliers),
         errors,
         half_width,

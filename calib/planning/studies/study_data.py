@@ -75,12 +75,17 @@ class Simulated:
     sigma: float | None
     passive: FloatArray
 
+    @property
+    def changes_visits(self) -> bool:
+        """Whether draws are of different visits: where something is touched, the noise is in the joints."""
+        return any(instrument.touches for instrument in self.truth.instruments)
+
     def measured(self, seed: np.random.SeedSequence) -> Drawn:
         """Return what a draw calibrates from."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
-        if any(instrument.touches for instrument in truth.instruments):  # touches: the noise is in the joints
+        if self.changes_visits:
             return Drawn(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
             configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
@@ -103,6 +108,7 @@ class Resampled:
     truth: Robot
     data: Measurements
     passive: FloatArray
+    changes_visits = True
 
     def measured(self, seed: np.random.SeedSequence) -> Drawn:
         """Return what a draw calibrates from."""

@@ -1,0 +1,103 @@
+"""What the minima of many draws say, computed for all of them at once.
+
+The formulas are those of `calib.numerics.statistics`, with one more axis for the draws. With the common coordinates z,
+u = u_0 + T z, and L L^T the Hessian of a draw in these (`calib.numerics.nearby`), its own T is T L^-T, and the span of
+its rows J L^-T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.fitting.fitted import Fit
+from calib.fitting.solving import ROUNDING, STEP_LEFT
+from calib.numerics.chances import UNLIKELY
+from calib.numerics.clusters import of_equal_length, scatters
+from calib.numerics.losses import Blocks, any_outlier
+from calib.numerics.nearby import Minima, Nearby
+from calib.numerics.statistics import noise_factors
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What one draw gave.
+
+    Attributes:
+        values: Of the free parameters, (n_free,) [m or rad].
+        covariance: Theirs, (n_free, n_free).
+        std: Their standard deviations, (n_free,).
+        half_width: Half their 95 % intervals, (n_free,).
+        coverage_factor: How many standard deviations make half a 95 % interval.
+        sigma: Noise found of each group of rows, (n_groups,) [SI].
+        chi_square: Sum of squares of the residuals in units of the stated noise, where all of it is stated.
+        freedom: Degrees of freedom.
+        names_outliers: Whether some reading lies further off than noise explains.
+        open: Why it is no minimum; empty where it is one.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    std: FloatArray
+    half_width: FloatArray
+    coverage_factor: float
+    sigma: FloatArray
+    chi_square: float
+    freedom: float
+    names_outliers: bool
+    open: str = ""
+
+
+def estimates_at(minima: Minima, nearby: Nearby, first: Fit) -> dict[int, Estimate]:
+    """Return what draws gave whose noise is as stated, by their numbers; without those that are no minimum.
+
+    Args:
+        minima: Of the draws.
+        nearby: In which coordinates.
+        first: The calibration at the known minimum, with the same rows.
+    """
+    n_draws, _, n = minima.jacobian.shape
+    layout, unknowns = first.rows.layout, first.unknowns
+    inverse = np.linalg.inv(minima.root).transpose(0, 2, 1)
+    span, root = minima.jacobian @ inverse, first.rows.known.root @ inverse
+    held = nearby.held @ inverse
+    factors, freedom = noise_factors(
+        minima.residuals**2, np.einsum("dij,dij->di", span, span), layout.group, len(layout.groups)
+    )
+    total = np.sum(freedom, axis=1)
+    noise = np.where(layout.group >= 0, factors[:, layout.group], 1.0)
+    poses = of_equal_length(layout.pose_of_row)
+    parts = ((span[:, rows], minima.residuals[:, rows], noise[:, rows]) for rows in poses)
+    scatter, ratio, chance, behind, _ = scatters(parts, (n_draws, n), total)
+    shared = (ratio > 1.0) & (chance < UNLIKELY)
+    weighed = span * np.where(layout.group >= 0, noise, 0.0)[:, :, None]
+    core = held.transpose(0, 2, 1) @ held
+    core += np.where(shared[:, None, None], scatter, weighed.transpose(0, 2, 1) @ weighed)
+    covariance = np.multiply.outer(unknowns.scales, unknowns.scales) * (root @ core @ root.transpose(0, 2, 1))
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    coverage = scipy.special.stdtrit(np.where(shared, np.minimum(total, behind), total), 0.975)
+    beyond = first.statistics.beyond_linear
+    half_width = coverage[:, None] * np.sqrt(std**2 + (0.0 if beyond is None else beyond.values))
+    values = unknowns.values_at(first.rows.deviations + minima.z @ first.rows.known.root.T)
+    away = unknowns.scales * np.abs(np.matmul(root, minima.step[:, :, None])[:, :, 0]) / (std + ROUNDING)
+    ok = (total >= 1.0) & np.all(away < STEP_LEFT, axis=1)
+    outlier = any_outlier(_blocks(span, minima.residuals, first), np.eye(n), total)
+    sigma = factors * np.array([group.typical for group in layout.groups])
+    chi_square = np.sum(freedom * factors**2, axis=1)
+    told = zip(values, covariance, std, half_width, coverage, sigma, chi_square, total, outlier, strict=True)
+    return {k: Estimate(*each) for k, use, each in zip(minima.draws.tolist(), ok, told, strict=True) if use}
+
+
+def _blocks(span: FloatArray, residuals: FloatArray, first: Fit) -> list[Blocks]:
+    """The readings of each instrument in all draws, one draw's behind the other's."""
+    layout, n_draws, result = first.rows.layout, len(span), []
+    for name in layout.instruments:
+        part, readings = layout.rows_of(name), layout.readings_of(name)
+        n = n_draws * (readings.stop - readings.start)
+        widths = np.tile(layout.width[readings], n_draws)
+        columns = span[:, part].reshape(n, -1, span.shape[2])
+        result.append(Blocks(residuals[:, part].reshape(n, -1), columns, widths, np.ones(n)))
+    return result

@@ -13,7 +13,9 @@ import calib
 from calib.fitting.fitted import Convergence
 from calib.fitting.problem import Problem
 from calib.fitting.settings import Settings
-from calib.fitting.solving import convergence_at, place, solve_from, uncertainty_at
+from calib.fitting.solving import convergence_at, place, placed_as, solve_from, uncertainty_at
+from calib.fitting.terms.candidate_terms import missing_terms
+from calib.joint_terms.terms import listed_terms
 from calib.reporting.result_reading import load_calibrated, read_result
 from calib.reporting.results import save
 
@@ -264,3 +266,18 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
     fit = calib.fit(motoman, calib.read_measurements(shared_data / "motoman_right" / "train.csv", motoman), sigma=sigma)
     assert fit.converged
     assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8
+
+
+def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other():
+    arm = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", arm)
+    placed = place(Problem.of(arm, data))
+    known = placed.robot, placed.residuals
+    with_gains = Problem.of(arm.with_terms(missing_terms(arm, listed_terms("gain"))), data)
+    taken, found = placed_as(with_gains, *known), place(with_gains)
+    assert taken is not None
+    assert np.any(with_gains.unknowns.placement)
+    np.testing.assert_allclose(taken.robot.values, found.robot.values, rtol=0.0, atol=1e-9)
+    moved = arm.with_parameters({arm.parameters[0].name: arm.values[0] + 1e-6})
+    assert placed_as(Problem.of(moved, data), *known) is None  # a micrometre elsewhere
+    assert placed_as(Problem.of(arm, data.subset(np.arange(20))), *known) is None

@@ -95,14 +95,14 @@ def _calibrated(
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
-        robot, choice, minimum = _with_terms(robot, data, settings, steps)
+        robot, choice, minimum, nearby = _with_terms(robot, data, settings, steps)
         if robot.description.fleet is not None:
             # here: most robots have no fleet
             from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 
             robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
-            minimum = minimum_of(robot, settings, data, validation, workers, steps)
+            minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
         else:  # what was found without further terms is the minimum
             steps.done()
             steps.done()
@@ -136,11 +136,11 @@ def _calibrated(
 
 def _with_terms(
     robot: Robot, data: Measurements, settings: Settings, steps: Steps
-) -> tuple[Robot, TermChoice | None, Minimum | None]:
-    """The robot with the joint terms that were asked for, and its minimum, if that is known."""
-    described, terms = robot.description.terms, settings.terms
+) -> tuple[Robot, TermChoice | None, Minimum | None, Nearby | None]:
+    """The robot with the joint terms that were asked for; its minimum, or what is left to its fit, if known."""
+    described, terms, nearby = robot.description.terms, settings.terms, None
     if terms is None:
-        return robot, None, None
+        return robot, None, None, None
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
@@ -149,10 +149,11 @@ def _with_terms(
         choice = choose_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
         if choice.sections == described:
-            return robot, choice, minimum
+            return robot, choice, minimum, None
+        nearby = Nearby(placed=(minimum.start.robot, minimum.start.residuals))
     else:
         choice = TermChoice(terms, (*described, *missing_terms(robot, listed_terms(terms))))
-    return robot.with_terms(choice.sections), choice, None
+    return robot.with_terms(choice.sections), choice, None, nearby
 
 
 def _require_measurements(data: object, validation: object) -> None:

@@ -20,7 +20,7 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,7 +37,7 @@ from calib.fitting.pose_checks import check_measurements, keeps_limits, require_
 from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.robust import Solved
 from calib.fitting.settings import Settings
-from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
+from calib.fitting.solving import convergence_at, place, placed_as, seen_from, solve_from, uncertainty_at
 from calib.numerics.observability import observability
 from calib.numerics.statistics import BeyondLinear
 from calib.robots.configurations import Configurations
@@ -49,33 +49,35 @@ from calib.rows.rows import Rows, Scales
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
-    """What a fit leaves to other fits of its visits, or of a part of them: second order, and how loops close.
+    """What a fit leaves to other fits of its visits, or of a part of them: places, second order, and how loops close.
 
     Attributes:
         names: Parameters, (n,).
         beyond_linear: That of `Statistics`, of these; 0 where no intervals are asked for, None where it is not known.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
+        placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
+            by instrument.
     """
 
     names: tuple[str, ...] = ()
     beyond_linear: BeyondLinear | None = None
     joints: FloatArray | None = None
     passive: FloatArray | None = None
+    placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
 
     @staticmethod
     def of(fit: Fit) -> Nearby:
         """Return what this fit leaves."""
-        known = fit.free_names, fit.statistics.beyond_linear
-        return Nearby(*known, fit.identification.data.joints, fit.configurations.passive)
+        known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
+        return Nearby(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     @staticmethod
     def no_intervals(robot: Robot, fit: Fit | None = None) -> Nearby:
         """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
         names = tuple(parameter.name for parameter in robot.parameters)
         nothing = BeyondLinear(partial(np.zeros, len(names)))
-        visits = () if fit is None else (fit.identification.data.joints, fit.configurations.passive)
-        return Nearby(names, nothing, *visits)
+        return replace(Nearby() if fit is None else Nearby.of(fit), names=names, beyond_linear=nothing)
 
     def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
         """Return `beyond_linear` of some parameters; None where it is not known of all of them."""
@@ -157,7 +159,8 @@ def minimum_of(
     check_measurements(seen, data)
     nearby = nearby or Nearby()
     problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints))
-    start = place(problem)
+    start = None if nearby.placed is None else placed_as(problem, *nearby.placed)
+    start = start or place(problem)
     steps.done()
     begin = seen_from(problem, start)
     determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
@@ -225,7 +228,8 @@ def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measureme
         fit: The fit of all of them.
         settings: How it was done.
     """
-    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=Nearby.no_intervals(fit.nominal, fit))
+    nearby = replace(Nearby.no_intervals(fit.nominal, fit), placed=None)  # a part places base and targets elsewhere
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 
 def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scales, rank: int) -> dict[str, float]:

@@ -21,6 +21,7 @@ again. (The statement itself is judged by `calib.judging.rules_noise`.)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -42,6 +43,7 @@ from calib.numerics.least_squares import TOLERANCE
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import BeyondLinear, Factors, Statistics, found_factors, statistics
 from calib.numerics.tall import Span
+from calib.robots.robot import Robot
 from calib.rows.registration import register
 from calib.rows.rows import Rows, Scales
 from calib.rows.unknowns import Unknowns
@@ -57,6 +59,7 @@ _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
 )
+_ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """Standard deviations that a converged fit may be away from its minimum."""
 _FAR = 0.5  # of the farthest way left, for which parameters are named
@@ -93,6 +96,28 @@ def place(problem: Problem) -> Evaluation:
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
+
+
+def placed_as(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
+    """Return what `place` does, from another robot that was placed by the same readings; None if it moves otherwise.
+
+    Args:
+        problem: The problem.
+        other: The other robot, base and targets placed.
+        residuals: Those of the other robot, (n_readings, n_rows) [SI] by instrument.
+    """
+    unknowns, readings = problem.unknowns, problem.data.readings
+    known = dict(zip((parameter.name for parameter in other.parameters), other.values, strict=True))
+    places = [unknowns.names[k] for k in np.flatnonzero(unknowns.placement)]
+    sizes = {name: len(own) for name, own in readings.items()}
+    if not known.keys() >= set(places) or sizes != {name: len(own) for name, own in residuals.items()}:
+        return None
+    placed = problem.evaluate(problem.robot.with_parameters({name: float(known[name]) for name in places}))
+    moves_alike = all(
+        np.allclose(own, residuals[name], rtol=0.0, atol=_ALIKE, equal_nan=True)
+        for name, own in placed.residuals.items()
+    )
+    return placed if moves_alike else None
 
 
 def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:

@@ -14,7 +14,9 @@ from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.effects import gains, scale
 from calib.judging.reasons import Code, Reason
-from calib.numerics.tall import Tall, in_parts
+from calib.numerics.identifiability import reduced_with
+from calib.numerics.observability import information
+from calib.numerics.tall import in_parts
 
 PLAUSIBLE = 4.0
 """Expected errors (sigmas) that a parameter may be away from nominal."""
@@ -84,28 +86,18 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     lengths = scale(setting)
     if fit.computed or not np.any(lengths):
         return
-    turned = gains(setting)
-    linear, k = findings.linear(fit), 1 + turned.shape[1]
-    columns, n_rows = [lengths, turned, linear.rows.jacobian, linear.rows.residuals[:, None]], len(lengths)
-    together = Tall((n_rows, k + len(fit.unknowns) + 1), lambda: _beside(columns))
-    measured = together.factor() / linear.factor  # any of these columns have the same products
-    left = _left_by_parameters(fit, measured[:, :k], measured[:, k:])
-    scaled, part = _cost_with(left[:, :1], left[:, -1], len(measured), is_scale=True)
+    left, n_measured = _left_by_parameters(fit, np.hstack([lengths, gains(setting)]))
+    scaled, part = _cost_with(left[:, :1], left[:, -1], n_measured, is_scale=True)
     if abs(part) <= SCALED:
         return
-    alone, _ = _cost_with(left[:, :0], left[:, -1], len(measured))
-    geared, _ = _cost_with(left[:, 1:k], left[:, -1], len(measured))
+    alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
+    geared, _ = _cost_with(left[:, 1:-1], left[:, -1], n_measured)
     by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
         yield Code.LENGTHS_SCALED.says(
             f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
             " of the measurements, the scale of the instrument and the size of the artefact"
         )
-
-
-def _beside(columns: list[FloatArray]) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield columns (n_rows, k) each beside one another, some rows at a time."""
-    return ((part, np.hstack([own[part] for own in columns])) for part in in_parts(len(columns[0])))
 
 
 def _scaled(part: float) -> str:
@@ -115,20 +107,27 @@ def _scaled(part: float) -> str:
     return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
 
 
-def _left_by_parameters(fit: Fit, columns: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return what the parameters leave of further columns, and of the residuals as the last, (n + n_inside, k + 1).
+def _left_by_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
+    """Return what the parameters leave of further columns, and of the residuals as the last, over the noise found.
 
     Args:
         fit: The fit.
-        columns: What is tried, over the noise found, (n, k).
-        measured: Derivatives by the parameters, and residuals, reduced together with the columns, (n, n_free + 1).
+        columns: What is tried, (n_rows, k).
+
+    Returns:
+        Few rows with the same products as all that were measured, above one for each deviation of a parameter,
+        (n, k + 1); and how many of them were measured.
     """
-    inside, deviations = ~fit.unknowns.placement, fit.rows.deviations
-    priors = np.hstack([np.zeros((len(inside), columns.shape[1])), deviations[:, None]])[inside]
-    explained = np.vstack([np.hstack([columns, measured[:, -1:]]), priors])
-    matrix = np.vstack([measured[:, :-1], np.eye(len(inside))[inside]])
-    matrix = matrix / _lengths(matrix)
-    return np.asarray(explained - matrix @ np.linalg.lstsq(matrix, explained, rcond=None)[0])
+    linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
+    rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
+    known = information(rows.factor[:n, :-1] / linear.factor, np.eye(n)[inside])
+    told = np.zeros((n, tried.shape[1]))
+    told[inside, -1] = rows.deviations[inside]
+    step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + told))
+    measured: FloatArray = np.zeros((0, tried.shape[1]))
+    for part in in_parts(len(tried)):
+        measured = reduced_with(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
+    return np.vstack([measured, (told + step)[inside]]), len(measured)
 
 
 def _cost_with(
@@ -141,19 +140,13 @@ def _cost_with(
         n_measured: How many of the rows were measured; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """
-    size = _lengths(columns)
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
     solution = np.linalg.lstsq(columns / size, -right, rcond=None)[0]
     squares = (columns / size @ solution + right) ** 2
     first = float(solution[0] / size[0]) if len(size) else 0.0
     noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0
     return float(np.sum(squares[:n_measured]) / noise + np.sum(squares[n_measured:])), first
-
-
-def _lengths(columns: FloatArray) -> FloatArray:
-    """Return the length of each column, 1 of a column of zeros, (k,)."""
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths[lengths == 0] = 1.0
-    return lengths
 
 
 def large_terms(fit: Fit) -> Iterator[Reason]:

@@ -26,7 +26,7 @@ def residual(
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
     joints, n_passive = mechanism.all_joints(actuated, passive), len(mechanism.passive)
     shared, select = kinematics.Shared(mechanism, mechanism.loops), mechanism.select_moving
-    moving = kinematics.Coordinates.of(shared.reduced, mechanism.loop_signs, select)
+    moving = kinematics.Coordinates.of(shared.reduced, mechanism.loop_signs[:, shared.reduced.joints], select)
     values = np.empty((len(joints), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, select.shape[1]))
     for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
@@ -74,7 +74,9 @@ def motion(
     mapping[:, 3:, 3:] = to_frame
 
     def by(select: FloatArray) -> FloatArray:
-        coordinates = kinematics.Coordinates.of(swept.reduced, mechanism.between(target)[None], select)
+        coordinates = kinematics.Coordinates.of(
+            swept.reduced, mechanism.between(target)[None, swept.reduced.joints], select
+        )
         return kinematics.joint_derivative(swept, mapping, coordinates)
 
     jacobian = by(mechanism.select_actuated)

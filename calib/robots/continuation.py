@@ -2,6 +2,8 @@
 
 Newton. Solve r(a, p) = 0 for the passive joints p of given actuated joints a from a start nearby: p <- p - C_p^-1 r,
 with C_p = dr/dp. A start is near enough if each correction is at most half of the one before, the first below 0.5 rad.
+C_p of the correction before serves again where the residual has fallen so much that this closes the pose: it then falls
+about as much once more.
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in about a
 fifth of a five-bar's poses (docs/theory/loops.md prints the figure), and a small residual does not show it.
@@ -39,6 +41,7 @@ _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most a
 LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
+_AGAIN = 0.01  # part of the tolerance that a correction by the matrix of the last one must come to
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
@@ -73,15 +76,14 @@ def newton(
         accepted[accepted] = mode.holds(slope if np.all(accepted) else slope[accepted])
     else:
         reduced, _ = mechanism.around(mechanism.loops)
-        select = mechanism.select_passive[reduced.joints], mechanism.select_actuated[reduced.joints]
-        rest = actuated @ select[1].T + mechanism.constant[reduced.joints]
+        rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        model, limits = (fast.tree(mechanism, reduced), fast.loops(mechanism, reduced)), (LARGEST_STEP, _MAX_NEWTON)
-        n, n_passive = passive.shape
+        loops, (n, n_passive) = fast.loops(mechanism, reduced), passive.shape
+        model = fast.tree(mechanism, reduced), loops, fast.blocks(mode, reduced, loops), mode.signs
         slope, slope_actuated = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, actuated.shape[1]))
         accepted = np.empty(n, dtype=bool)
-        fast.close(*model, rest, *select, passive, scale, enough, *limits, slope, slope_actuated, accepted)
-        fast.same_signs(slope, *mode.places, mode.signs, accepted)
+        limits = enough, _AGAIN * enough, LARGEST_STEP, _MAX_NEWTON
+        fast.close(*model, rest, passive, scale, *limits, slope, slope_actuated, accepted)
     return passive, slope, slope_actuated, accepted
 
 

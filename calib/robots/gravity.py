@@ -337,7 +337,9 @@ def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> 
 def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
     """C_a, (n, n_passive, n_driven)."""
     swept = kinematics.sweep(mechanism, joints, mechanism.loops)
-    driven = kinematics.Coordinates.of(swept.reduced, mechanism.loop_signs, mechanism.select_actuated)
+    driven = kinematics.Coordinates.of(
+        swept.reduced, mechanism.loop_signs[:, swept.reduced.joints], mechanism.select_actuated
+    )
     return kinematics.joint_derivative(swept, kinematics.gaps(swept)[1], driven)
 
 

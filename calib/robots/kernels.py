@@ -1,9 +1,8 @@
-"""Kinematics compiled with numba: closing loops, and derivatives through them, pose by pose without Python.
+"""Kinematics compiled with numba: closing loops, and derivatives through them, without Python.
 
 The same formulas as in `calib.robots.continuation`, `calib.robots.kinematics` and `calib.rows.jacobian`, which
-stay the reference and work without numba; tests hold both together to 1e-12 on every robot. What is saved is what calls
-from Python cost: a closed pose of twenty joints takes a few microseconds. Loops whose directions are constrained
-(type 6d) are left to the reference.
+stay the reference and work without numba; tests hold both together to 1e-12 on every robot. A closed pose of twenty
+joints takes about a microsecond. Loops whose directions are constrained (type 6d) are left to the reference.
 
 A frame i has the pose T_i in the world, twelve numbers: its rotation column by column, then its position
 (`calib.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis is
@@ -13,25 +12,35 @@ Compiled code is kept beside this file, or where numba may write (`kept`), so th
 it, and says so. All of it is in this one file, because numba compiles again only where the file of a function has
 changed. Arrays are filled element by element: numba compiles an assignment of whole arrays with the texts of its
 errors, which takes longer than all of the rest.
+
+Poses are computed `_LANES` at once, each number of theirs in a row of its own, (rows, _LANES) or (rows, n). So almost
+all work is in short inner loops over lanes, in which the processor computes with eight numbers at a time; numba finds
+that out only where few rows meet in a loop and only one of them changes. Lanes beyond the last pose are computed, too,
+and not used. Each lane has pivots of its own.
 """
 
 from __future__ import annotations
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numba.core import event
-from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.robots.closure import AssemblyMode
 from calib.robots.mechanism import Mechanism, Reduced
 
 _LOG = logging.getLogger("calib")
-_Places = NDArray[np.uintp]  # without a sign, so that compiled code need not ask whether they count from the end
-_compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
+_LANES = 64
+"""Poses at once, a number of one behind that of the other in memory: the processor computes with eight at a time."""
+_ALL, _NONE = np.uintp(_LANES), np.uintp(0)  # without signs: compiled code need not ask whether places are negative
+_JIT: Any = partial(njit, error_model="numpy", fastmath={"contract"})
+_compiled = _JIT(cache=True)
+_part = _JIT(no_cpython_wrapper=True, no_cfunc_wrapper=True)  # of compiled functions, never called from Python
 
 
 class _FirstUse(event.Listener):
@@ -68,21 +77,6 @@ class Tree(NamedTuple):
     axes: FloatArray
 
 
-class Loops(NamedTuple):
-    """Constrained rows of all loops, one after another.
-
-    Attributes:
-        a, b: Frames of the loop that each row belongs to, (n_rows,).
-        axis: Which coordinate, in the axes of a, (n_rows,).
-        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
-    """
-
-    a: IntArray
-    b: IntArray
-    axis: IntArray
-    signs: FloatArray
-
-
 class Plan(NamedTuple):
     """In which order a matrix (n, n) is eliminated of which most entries are zero, whatever the other numbers are.
 
@@ -91,14 +85,41 @@ class Plan(NamedTuple):
         n_rows: How many rows may have entries there, (n,).
         rows: Which they are, that of the pivot first, (n, n).
         n_others: In how many further columns, (n,).
-        others: Which these are, and the right sides, (n, n + m).
+        others: Which these are, (n, n).
+        pattern: Where entries may be, (n, n).
+        block: Which block each step belongs to, (n,).
+        signs: Sign of each block's determinant where that of its pivots is positive, (n_blocks,).
     """
 
-    columns: _Places
+    columns: IntArray
     n_rows: IntArray
-    rows: _Places
+    rows: IntArray
     n_others: IntArray
-    others: _Places
+    others: IntArray
+    pattern: BoolArray
+    block: IntArray
+    signs: FloatArray
+
+
+class Loops(NamedTuple):
+    """Constrained rows of all loops, one after another, and the coordinates: passive joints, then actuated ones.
+
+    Attributes:
+        a, b: Frames of the loop that each row belongs to, (n_rows,).
+        axis: Which coordinate, in the axes of a, (n_rows,).
+        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+        leader: Which coordinate each joint follows, or -1, (n_joints,).
+        factor: And by what factor, (n_joints,).
+        plan: How to solve for the passive joints.
+    """
+
+    a: IntArray
+    b: IntArray
+    axis: IntArray
+    signs: FloatArray
+    leader: IntArray
+    factor: FloatArray
+    plan: Plan
 
 
 def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
@@ -108,184 +129,341 @@ def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
 
 def loops(mechanism: Mechanism, reduced: Reduced) -> Loops:
     """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
-    a, b, axis = mechanism.loop_rows.T
-    return Loops(reduced.places[a], reduced.places[b], axis.copy(), mechanism.loop_signs[:, reduced.joints])
+    if "loops" not in reduced.compiled:
+        (a, b, axis), n_passive = mechanism.loop_rows.T, len(mechanism.passive)
+        signs, select = mechanism.loop_signs[:, reduced.joints], mechanism.select_moving[reduced.joints]
+        leads = np.argmax(select != 0.0, axis=1), select.sum(axis=1)  # of one coordinate at most
+        leader = np.where(leads[1] == 0.0, -1, leads[0])
+        pattern, every = np.abs(signs) @ np.abs(select[:, :n_passive]) > 0.0, np.arange(n_passive)
+        frames = reduced.places[a], reduced.places[b], axis.copy()
+        plan = _plan(pattern, (every,), (every,))
+        reduced.compiled["loops"] = Loops(*frames, np.ascontiguousarray(signs), leader, leads[1], plan)
+    kept: Loops = reduced.compiled["loops"]
+    return kept
 
 
-@_compiled
-def _walk(tree: Tree, moved: BoolArray, q: FloatArray, T: FloatArray) -> None:
-    """Fill in the poses T (n_joints + 1, 12) of the frames that have moved, in one configuration q (n_joints,)."""
-    P, S = tree.origins, tree.axes
-    for i in range(len(q)):
-        if not moved[i]:
-            continue
-        m, f = tree.parents[i], i + 1
-        x, y, z = S[i, 3], S[i, 4], S[i, 5]
-        s, c = 0.0, 1.0
-        if q[i] != 0.0 and (x != 0.0 or y != 0.0 or z != 0.0):
-            s, c = np.sin(q[i]), np.cos(q[i])
-        v = 1.0 - c
-        for r in range(3):
-            j, k, l = T[m, r], T[m, 3 + r], T[m, 6 + r]  # noqa: E741
-            d = j * P[i, 0] + k * P[i, 1] + l * P[i, 2]
-            e = j * P[i, 3] + k * P[i, 4] + l * P[i, 5]
-            g = j * P[i, 6] + k * P[i, 7] + l * P[i, 8]
-            T[f, r] = d * (c + v * x * x) + e * (v * x * y + s * z) + g * (v * x * z - s * y)  # Rodrigues' formula
-            T[f, 3 + r] = d * (v * x * y - s * z) + e * (c + v * y * y) + g * (v * y * z + s * x)
-            T[f, 6 + r] = d * (v * x * z + s * y) + e * (v * y * z - s * x) + g * (c + v * z * z)
-            slid = q[i] * (d * S[i, 0] + e * S[i, 1] + g * S[i, 2])
-            T[f, 9 + r] = T[m, 9 + r] + j * P[i, 9] + k * P[i, 10] + l * P[i, 11] + slid
+def blocks(mode: AssemblyMode, reduced: Reduced, loops: Loops) -> Plan:
+    """Return how to find the signs of the blocks of C_p by which the assembly mode is told."""
+    if mode not in reduced.compiled:
+        inside = np.zeros_like(loops.plan.pattern)
+        for rows, columns in zip(mode.block_rows, mode.block_columns, strict=True):
+            inside[np.ix_(rows, columns)] = True
+        reduced.compiled[mode] = _plan(loops.plan.pattern & inside, mode.block_rows, mode.block_columns)
+    kept: Plan = reduced.compiled[mode]
+    return kept
 
 
-@_compiled
-def _stand(T: FloatArray) -> None:
-    """Put the world's own pose into T[0]."""
-    for r in range(12):
-        T[0, r] = 1.0 if r in (0, 4, 8) else 0.0
-
-
-@_compiled
-def _twist(T: FloatArray, i: int, xi: FloatArray, e: int, out: FloatArray, j: int) -> None:
-    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out[j]."""
-    for r in range(3):
-        out[j, r] = T[i, r] * xi[e, 0] + T[i, 3 + r] * xi[e, 1] + T[i, 6 + r] * xi[e, 2]
-        out[j, 3 + r] = T[i, r] * xi[e, 3] + T[i, 3 + r] * xi[e, 4] + T[i, 6 + r] * xi[e, 5]
-    out[j, 0] += T[i, 10] * out[j, 5] - T[i, 11] * out[j, 4]
-    out[j, 1] += T[i, 11] * out[j, 3] - T[i, 9] * out[j, 5]
-    out[j, 2] += T[i, 9] * out[j, 4] - T[i, 10] * out[j, 3]
-
-
-@_compiled
-def _row(T: FloatArray, a: int, axis: int, b: int, out: FloatArray, r: int) -> None:
-    """Put what a world twist moves at p_b, along an axis x of frame a, into out[r]: [x, p x x]."""
-    x, y, z = T[a, 3 * axis], T[a, 3 * axis + 1], T[a, 3 * axis + 2]
-    out[r, 0], out[r, 1], out[r, 2] = x, y, z
-    out[r, 3] = T[b, 10] * z - T[b, 11] * y
-    out[r, 4] = T[b, 11] * x - T[b, 9] * z
-    out[r, 5] = T[b, 9] * y - T[b, 10] * x
-
-
-@_compiled
-def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
-    return (
-        a[i, 0] * b[j, 0]
-        + a[i, 1] * b[j, 1]
-        + a[i, 2] * b[j, 2]
-        + a[i, 3] * b[j, 3]
-        + a[i, 4] * b[j, 4]
-        + a[i, 5] * b[j, 5]
-    )
-
-
-@_compiled
-def _plan(pattern: BoolArray, m: int) -> Plan:
-    """Return in which order to eliminate a matrix with this pattern (n, n), which is used up, beside m right sides.
+def _plan(pattern: BoolArray, block_rows: tuple[IntArray, ...], block_columns: tuple[IntArray, ...]) -> Plan:
+    """Return in which order to eliminate a matrix with this pattern (n, n), all entries of which are in blocks.
 
     The column with the fewest rows is next. Which of these rows has the pivot depends on the numbers, so that all of
     them count as having entries wherever one has any.
     """
-    n = len(pattern)
-    columns, n_rows, n_others = np.empty(n, dtype=np.uintp), np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
-    rows, others = np.empty((n, n), dtype=np.uintp), np.empty((n, n + m), dtype=np.uintp)
-    row_left, column_left = np.ones(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    n, fill = len(pattern), pattern.copy()
+    columns, n_rows, n_others, block = (np.zeros(n, dtype=np.intp) for _ in range(4))
+    rows, others = np.zeros((n, max(n, 1)), dtype=np.intp), np.zeros((n, n), dtype=np.intp)
+    row_left, column_left = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     for k in range(n):
-        fewest, n_rows[k], n_others[k], rows[k, 0] = n + 1, 0, 0, 0
-        for c in range(n):
-            count = 0
-            for r in range(n):
-                count += row_left[r] and pattern[r, c]
-            if column_left[c] and count < fewest:
-                fewest, columns[k] = count, c
+        columns[k] = np.argmin(np.where(column_left, np.sum(fill & row_left[:, None], axis=0), n + 1))
         column_left[columns[k]] = False
-        for r in range(n):
-            if row_left[r] and pattern[r, columns[k]]:
-                rows[k, n_rows[k]] = r
-                n_rows[k] += 1
-        for c in range(n):
-            used = False
-            for e in range(n_rows[k]):
-                used = used or pattern[rows[k, e], c]
-            if used and column_left[c]:
-                others[k, n_others[k]] = c
-                n_others[k] += 1
-                for e in range(n_rows[k]):
-                    pattern[rows[k, e], c] = True
-        for j in range(m):
-            others[k, n_others[k] + j] = n + j
-        if n_rows[k]:
-            row_left[rows[k, 0]] = False
-    return Plan(columns, n_rows, rows, n_others, others)
+        has = np.flatnonzero(row_left & fill[:, columns[k]])
+        further = np.flatnonzero(column_left & np.any(fill[has], axis=0))
+        fill[np.ix_(has, further)] = True
+        n_rows[k], n_others[k] = len(has), len(further)
+        rows[k, : len(has)], others[k, : len(further)] = has, further
+        row_left[has[:1]] = False
+    signs = np.ones(len(block_rows))
+    for b, (of_rows, of_columns) in enumerate(zip(block_rows, block_columns, strict=True)):
+        steps = np.flatnonzero(np.isin(columns, of_columns))
+        block[steps] = b
+        for order, own in ((rows[steps, 0], of_rows), (columns[steps], of_columns)):
+            at = np.argsort(own)[np.searchsorted(np.sort(own), order)]
+            signs[b] *= (-1.0) ** np.sum(np.triu(at[:, None] > at))
+    return Plan(columns, n_rows, rows, n_others, others, pattern, block, signs)
 
 
-@_compiled
-def _solve(plan: Plan, A: FloatArray, X: FloatArray) -> bool:
-    """Solve for X (n, m) with pivots; A is [matrix, right], (n, n + m), and used up; False where it is singular."""
-    n, m = X.shape
-    for k in range(n):
-        c, first, n_others = plan.columns[k], plan.rows[k, 0], plan.n_others[k] + m
-        pivot = first
+@_part
+def _sines(tree: Tree, q: FloatArray, s: FloatArray, c: FloatArray) -> None:
+    """Fill in sines and cosines of joints q (n_joints, _LANES) that turn; 0 and 1 of those that slide.
+
+    By the polynomials of Sun's fdlibm (k_sin.c, k_cos.c) for what is left of an angle beside quarters of a turn, which
+    are taken off in three parts, so that eight angles are computed at once; both are correct to a rounding or two.
+    """
+    for j in range(len(q)):
+        turns, far = tree.axes[j, 3] != 0.0 or tree.axes[j, 4] != 0.0 or tree.axes[j, 5] != 0.0, 0
+        for lane in range(_ALL):
+            far += abs(q[j, lane]) > 1e4
+        if far or not turns:
+            for lane in range(_ALL):
+                s[j, lane], c[j, lane] = (np.sin(q[j, lane]), np.cos(q[j, lane])) if turns else (0.0, 1.0)
+            continue
+        for lane in range(_ALL):
+            k = np.rint(q[j, lane] * 0.6366197723675814)
+            x = ((q[j, lane] - k * 1.5707963267341256) - k * 6.077100506303966e-11) - k * 2.0222662487959506e-21
+            z = x * x
+            odd = 8.33333333332248946124e-03 + z * (
+                -1.98412698298579493134e-04
+                + z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))
+            )
+            even = -1.38888888888741095749e-03 + z * (
+                2.48015872894767294178e-05
+                + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))
+            )
+            sine = x + x * z * (-1.66666666666666324348e-01 + z * odd)
+            cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * even)
+            quarter = k - 4.0 * np.floor(k * 0.25)
+            across = quarter == 1.0 or quarter == 3.0
+            a, b = (cosine, sine) if across else (sine, cosine)
+            s[j, lane] = -a if quarter >= 2.0 else a
+            c[j, lane] = -b if quarter == 1.0 or quarter == 2.0 else b
+
+
+@_part
+def _walk(
+    tree: Tree,
+    moved: BoolArray,
+    joints: tuple[FloatArray, FloatArray, FloatArray],
+    T: FloatArray,
+    at: int,
+    D: FloatArray,
+) -> None:
+    """Fill in the poses of the frames that have moved, T (12 n_joints + 12, n), from `at` on.
+
+    Args:
+        tree: The model.
+        moved: Which joints have moved, (n_joints,).
+        joints: Their values, sines and cosines, (n_joints, _LANES) each.
+        T: The poses.
+        at: Of T, where to begin.
+        D: Space, (5, _LANES).
+    """
+    P, S, (q, s, c) = tree.origins, tree.axes, joints
+    for i in range(len(q)):
+        if not moved[i]:
+            continue
+        m, f = 12 * tree.parents[i], 12 * (i + 1)
+        for r in range(3):
+            for k in range(4):
+                x, y, z = P[i, 3 * k], P[i, 3 * k + 1], P[i, 3 * k + 2]
+                for lane in range(_ALL):
+                    D[k, lane] = T[m + r, at + lane] * x + T[m + 3 + r, at + lane] * y + T[m + 6 + r, at + lane] * z
+            x, y, z = S[i, 3], S[i, 4], S[i, 5]
+            for lane in range(_ALL):
+                D[4, lane] = (1.0 - c[i, lane]) * (x * D[0, lane] + y * D[1, lane] + z * D[2, lane])
+            for k in range(3):  # Rodrigues' formula
+                d, e = (k + 1) % 3, (k + 2) % 3
+                x, y, z = S[i, 3 + k], S[i, 3 + d], S[i, 3 + e]
+                for lane in range(_ALL):
+                    T[f + 3 * k + r, at + lane] = (
+                        c[i, lane] * D[k, lane] + x * D[4, lane] + s[i, lane] * (z * D[d, lane] - y * D[e, lane])
+                    )
+            x, y, z = S[i, 0], S[i, 1], S[i, 2]
+            for lane in range(_ALL):
+                slid = q[i, lane] * (x * D[0, lane] + y * D[1, lane] + z * D[2, lane])
+                T[f + 9 + r, at + lane] = T[m + 9 + r, at + lane] + D[3, lane] + slid
+
+
+@_part
+def _stand(T: FloatArray) -> None:
+    """Put the world's own pose into the first twelve rows of T."""
+    for r in range(12):
+        for lane in range(T.shape[1]):
+            T[r, lane] = 1.0 if r in (0, 4, 8) else 0.0
+
+
+@_part
+def _seen(T: FloatArray, i: int, at: int, xi: FloatArray, e: int, k: int, out: FloatArray) -> None:
+    """Put the vector in columns k of xi[e], seen from the world instead of frame i, into rows k of out."""
+    x, y, z = xi[e, k], xi[e, k + 1], xi[e, k + 2]
+    for r in range(3):
+        for lane in range(_ALL):
+            out[k + r, lane] = (
+                T[12 * i + r, at + lane] * x + T[12 * i + 3 + r, at + lane] * y + T[12 * i + 6 + r, at + lane] * z
+            )
+
+
+@_part
+def _add_moment(T: FloatArray, i: int, at: int, a: FloatArray, j: int, o: int) -> None:
+    """Add p x a to rows o of a, p being where frame i is, and a the vector in rows j."""
+    for r in range(3):
+        y, z = (r + 1) % 3, (r + 2) % 3
+        p, w = 12 * i + 9 + y, 12 * i + 9 + z
+        for lane in range(_ALL):
+            a[o + r, lane] += T[p, at + lane] * a[j + z, lane] - T[w, at + lane] * a[j + y, lane]
+
+
+@_part
+def _twist(T: FloatArray, i: int, at: int, xi: FloatArray, e: int, out: FloatArray) -> None:
+    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out (6, _LANES)."""
+    for k in range(0, 6, 3):
+        _seen(T, i, at, xi, e, k, out)
+    _add_moment(T, i, at, out, np.intp(3), np.intp(0))  # of one type, so that it is compiled once
+
+
+@_part
+def _rows(rows: Loops, T: FloatArray, at: int, out: FloatArray) -> None:
+    """Put what a world twist moves in each row, at p_b along an axis x of frame a, into out: [x, p x x]."""
+    for i in range(len(rows.a)):
+        for r in range(3):
+            x = 12 * rows.a[i] + 3 * rows.axis[i] + r
+            for lane in range(_ALL):
+                out[6 * i + r, lane] = T[x, at + lane]
+                out[6 * i + 3 + r, lane] = 0.0
+        _add_moment(T, rows.b[i], at, out, 6 * i, 6 * i + 3)
+
+
+@_part
+def _add_dot(g: float, a: FloatArray, i: int, b: FloatArray, count: int, out: FloatArray, o: int) -> None:
+    """Add g times the product of the first `count` numbers, 3 or 6, in rows i of a and in b, to row o of out."""
+    for k in range(0, count, 3):
+        for lane in range(_ALL):
+            out[o, lane] += g * (
+                a[i + k, lane] * b[k, lane] + a[i + k + 1, lane] * b[k + 1, lane] + a[i + k + 2, lane] * b[k + 2, lane]
+            )
+
+
+@_part
+def _swap(A: FloatArray, i: int, j: int, larger: FloatArray, s: int) -> None:
+    """Exchange rows i and j of A in those lanes of which larger[s] is not 0."""
+    for lane in range(_ALL):
+        a, b = A[i, lane], A[j, lane]
+        A[i, lane] = b if larger[s, lane] != 0.0 else a
+        A[j, lane] = a if larger[s, lane] != 0.0 else b
+
+
+@_part
+def _factor(plan: Plan, A: FloatArray, width: int, larger: FloatArray, sign: FloatArray) -> None:
+    """Eliminate matrices A, each lane with pivots of its own; what is left of them serves to solve.
+
+    Args:
+        plan: The order.
+        A: Row by row, (n width, _LANES). Then what rows are multiplied with, and the pivots' inverses, which are not
+            finite where a matrix is singular.
+        width: How many columns there are, those behind the matrix (n, n) with them.
+        larger: Where rows have changed places, one after the other, (at most n^2 / 2, _LANES).
+        sign: Sign of each block's determinant, but for `Plan.signs`, (n_blocks, _LANES).
+    """
+    s = np.intp(0)
+    for b in range(len(plan.signs)):
+        for lane in range(_ALL):
+            sign[b, lane] = 1.0
+    for k in range(len(plan.columns)):
+        c, first, b = plan.columns[k], width * plan.rows[k, 0], plan.block[k]
         for e in range(1, plan.n_rows[k]):
-            if abs(A[plan.rows[k, e], c]) > abs(A[pivot, c]):
-                pivot = plan.rows[k, e]
-        if plan.n_rows[k] == 0 or not abs(A[pivot, c]) > 0.0:
-            return False
-        if pivot != first:
-            A[first, c], A[pivot, c] = A[pivot, c], A[first, c]
-            for o in range(n_others):
+            i, count = width * plan.rows[k, e], 0
+            for lane in range(_ALL):
+                exchange = abs(A[i + c, lane]) > abs(A[first + c, lane])
+                larger[s, lane] = 1.0 if exchange else 0.0
+                count += exchange
+            for o in range(-1, plan.n_others[k] if count else -1):
+                j = plan.others[k, o] if o >= 0 else c
+                _swap(A, first + j, i + j, larger, s)
+            for lane in range(_ALL):
+                sign[b, lane] *= 1.0 - 2.0 * larger[s, lane]
+            s += 1
+        for lane in range(_ALL):
+            pivot = A[first + c, lane] if plan.n_rows[k] else 0.0
+            sign[b, lane] *= 1.0 if pivot > 0.0 else (-1.0 if pivot < 0.0 else 0.0)
+            A[first + c, lane] = 1.0 / pivot
+        for e in range(1, plan.n_rows[k]):
+            i = width * plan.rows[k, e]
+            for lane in range(_ALL):
+                A[i + c, lane] *= A[first + c, lane]
+            for o in range(plan.n_others[k]):
                 j = plan.others[k, o]
-                A[first, j], A[pivot, j] = A[pivot, j], A[first, j]
+                for lane in range(_ALL):
+                    A[i + j, lane] -= A[i + c, lane] * A[first + j, lane]
+
+
+@_part
+def _solve(plan: Plan, A: FloatArray, width: int, larger: FloatArray, b: FloatArray, x: FloatArray) -> None:
+    """Solve A x = b (n, _LANES), with A, its width and `larger` of `_factor`; b is used up."""
+    n, s = len(plan.columns), np.intp(0)
+    for k in range(n):
+        c, first = plan.columns[k], plan.rows[k, 0]
+        for e in range(1, plan.n_rows[k]):
+            _swap(b, first, plan.rows[k, e], larger, s)
+            s += 1
         for e in range(1, plan.n_rows[k]):
             i = plan.rows[k, e]
-            factor = A[i, c] / A[first, c]
-            if factor != 0.0:
-                for o in range(n_others):
-                    A[i, plan.others[k, o]] -= factor * A[first, plan.others[k, o]]
+            for lane in range(_ALL):
+                b[i, lane] -= A[width * i + c, lane] * b[first, lane]
     for k in range(n - 1, -1, -1):
         c, first = plan.columns[k], plan.rows[k, 0]
-        for j in range(m):
-            left = A[first, n + j]
+        for o in range(plan.n_others[k]):
+            j = plan.others[k, o]
+            for lane in range(_ALL):
+                b[first, lane] -= A[width * first + j, lane] * x[j, lane]
+        for lane in range(_ALL):
+            x[c, lane] = b[first, lane] * A[width * first + c, lane]
+
+
+@_part
+def _solve_left(plan: Plan, A: FloatArray, larger: FloatArray, b: FloatArray, x: FloatArray, m: int) -> None:
+    """Solve X A = B for m rows of X, each (m n, _LANES) column by column; b is used up."""
+    n, s = len(plan.columns), np.intp(0)
+    for k in range(n):
+        c, first = plan.columns[k], plan.rows[k, 0]
+        s += max(plan.n_rows[k] - 1, 0)
+        for r in range(m):
+            for lane in range(_ALL):
+                x[m * first + r, lane] = b[m * c + r, lane] * A[n * first + c, lane]
             for o in range(plan.n_others[k]):
-                left -= A[first, plan.others[k, o]] * X[plan.others[k, o], j]
-            X[c, j] = left / A[first, c]
-    return True
+                j = plan.others[k, o]
+                for lane in range(_ALL):
+                    b[m * j + r, lane] -= x[m * first + r, lane] * A[n * first + j, lane]
+    for k in range(n - 1, -1, -1):
+        c, first = plan.columns[k], plan.rows[k, 0]
+        for e in range(plan.n_rows[k] - 1, 0, -1):
+            i = plan.rows[k, e]
+            for r in range(m):
+                for lane in range(_ALL):
+                    x[m * first + r, lane] -= A[n * i + c, lane] * x[m * i + r, lane]
+        for e in range(plan.n_rows[k] - 1, 0, -1):
+            s -= 1
+            for r in range(m):
+                _swap(x, m * first + r, m * plan.rows[k, e] + r, larger, s)
 
 
-@_compiled
-def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return which coordinate each joint follows, or -1 where no loop feels it, and by what factor, (n_joints,)."""
-    leader, factor = np.empty(len(select), dtype=np.intp), np.zeros(len(select))
-    for j in range(len(select)):
-        leader[j], felt = -1, False
-        for r in range(len(signs)):
-            felt = felt or signs[r, j] != 0.0
-        for c in range(select.shape[1]):
-            if select[j, c] != 0.0 and felt:
-                leader[j], factor[j] = c, select[j, c]  # one at most
-    return leader, factor
+@_part
+def _slopes(
+    tree: Tree, loops: Loops, T: FloatArray, width: int, first: int, rows: FloatArray, twist: FloatArray, C: FloatArray
+) -> None:
+    """Fill in the derivative of the loops by the first coordinates, row by row.
 
-
-@_compiled
-def _felt(signs: FloatArray, follows: IntArray) -> tuple[int, IntArray, IntArray]:
-    """Return in how many places a joint that follows a passive one moves a row of the loops; row and joint of each."""
-    count, rows, joints = 0, np.empty(signs.size, dtype=np.intp), np.empty(signs.size, dtype=np.intp)
-    for r in range(signs.shape[0]):
-        for j in range(signs.shape[1]):
-            if follows[j] >= 0 and signs[r, j] != 0.0:
-                rows[count], joints[count] = r, j
-                count += 1
-    return count, rows, joints
+    Args:
+        tree, loops, T: The model, its loops, and where its frames are.
+        width: How many coordinates there are.
+        first: By how many of them to differentiate.
+        rows: Space for what twists move, (6 n_rows, _LANES).
+        twist: The same for a twist, (6, _LANES).
+        C: The derivative, (n_rows width, _LANES).
+    """
+    _rows(loops, T, _NONE, rows)
+    for r in range(len(C)):
+        for lane in range(_ALL):
+            C[r, lane] = 0.0
+    for j in range(len(loops.leader)):
+        if loops.leader[j] < 0 or loops.leader[j] >= first:
+            continue
+        _twist(T, j + 1, _NONE, tree.axes, j, twist)
+        for r in range(len(loops.a)):
+            if loops.signs[r, j] != 0.0:
+                g, o = loops.signs[r, j] * loops.factor[j], r * width + loops.leader[j]
+                _add_dot(g, rows, 6 * r, twist, len(twist), C, o)
 
 
 @_compiled
 def close(
     tree: Tree,
     loops: Loops,
+    blocks: Plan,
+    signs: FloatArray,
     rest: FloatArray,
-    select: FloatArray,
-    motors: FloatArray,
     passive: FloatArray,
     scale: FloatArray,
     enough: float,
+    again: float,
     largest: float,
     rounds: int,
     slope: FloatArray,
@@ -294,154 +472,113 @@ def close(
 ) -> None:
     """Newton on the passive joints, in place, as `calib.robots.continuation.newton` says.
 
-    One function, because handing all these arrays to another one costs a quarter of the time.
-
     Args:
         tree: The model.
         loops: What must be zero.
+        blocks, signs: By which signs the assembly mode is told, (n_blocks,), and how to find them.
         rest: Joint values without the passive ones, (n, n_joints).
-        select: Of the passive joints, (n_joints, n_passive).
-        motors: The same of the actuated joints, (n_joints, n_actuated).
         passive: Where to start; where it ends, (n, n_passive).
         scale: By what changes of passive joints are divided, (n_passive,).
         enough: Largest residual of a closed pose.
+        again: The same of one that the last matrix still serves, times how far the residual has grown smaller.
         largest: Correction up to which a start is near.
         rounds: How many corrections.
         slope: Where to put C_p, NaN where not closed, (n, n_passive, n_passive).
         by_motor: The same for C_a, (n, n_passive, n_actuated).
-        closed: The same for which poses closed, (n,).
+        closed: The same for which poses closed in the assembly mode, (n,).
     """
-    n, n_passive = passive.shape
-    n_joints, n_actuated = motors.shape
-    T, twists = np.empty((n_joints + 1, 12)), np.empty((n_joints, 6))
-    rows, q = np.empty((n_passive, 6)), np.empty(n_joints)
-    C, step = np.empty((n_passive, n_passive + 1)), np.empty((n_passive, 1))
-    follows, factor = _leads(select, loops.signs)
-    driven, gear = _leads(motors, loops.signs)
-    n_felt, at_row, at_joint = _felt(loops.signs, follows)
-    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
-    for e in range(n_felt):
-        pattern[at_row[e], follows[at_joint[e]]] = True
-    plan = _plan(pattern, 1)
-    all_joints, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
+    (n, n_passive), n_joints, n_actuated = passive.shape, rest.shape[1], by_motor.shape[2]
+    width = n_passive + n_actuated
+    T, D, twist = np.empty((12 * n_joints + 12, _LANES)), np.empty((5, _LANES)), np.empty((6, _LANES))
+    q, s, c = np.zeros((n_joints, _LANES)), np.empty((n_joints, _LANES)), np.empty((n_joints, _LANES))
+    rows, C = np.empty((6 * n_passive, _LANES)), np.empty((n_passive * width, _LANES))
+    larger, sign = np.empty((n_passive * n_passive, _LANES)), np.empty((n_passive, _LANES))
+    gap, step = np.zeros((n_passive, _LANES)), np.zeros((n_passive, _LANES))
+    worst, last, before = np.empty((1, _LANES)), np.empty((1, _LANES)), np.empty((1, _LANES))
+    left, anyway = np.empty(_LANES, dtype=np.bool_), np.ones(n_joints, dtype=np.bool_)
+    moved = np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
-        before = tree.parents[j]
-        moved[j] = follows[j] >= 0 or (before > 0 and moved[before - 1])
+        parent = tree.parents[j]
+        moved[j] = 0 <= loops.leader[j] < n_passive or (parent > 0 and moved[parent - 1])
     _stand(T)
-    for k in range(n):
-        last, closed[k] = np.inf, False
+    for start in range(0, n, _LANES):
+        at, lanes = np.uintp(start), np.uintp(min(_LANES, n - start))
+        for lane in range(lanes):
+            last[0, lane], before[0, lane], left[lane], closed[at + lane] = np.inf, np.inf, True, False
+            for j in range(n_joints):
+                q[j, lane] = rest[at + lane, j]
+        for attempt in range(rounds + 1):
+            for j in range(n_joints):
+                if 0 <= loops.leader[j] < n_passive:
+                    for lane in range(lanes):
+                        q[j, lane] = rest[at + lane, j] + loops.factor[j] * passive[at + lane, loops.leader[j]]
+            _sines(tree, q, s, c)
+            _walk(tree, moved if attempt else anyway, (q, s, c), T, _NONE, D)
+            for lane in range(_ALL):
+                worst[0, lane] = 0.0
+            for r in range(n_passive):
+                x, a, b = 12 * loops.a[r] + 3 * loops.axis[r], 12 * loops.a[r] + 9, 12 * loops.b[r] + 9
+                for lane in range(_ALL):
+                    gap[r, lane] = 0.0
+                for k in range(3):
+                    for lane in range(_ALL):
+                        gap[r, lane] += T[x + k, lane] * (T[b + k, lane] - T[a + k, lane])
+                for lane in range(_ALL):
+                    worst[0, lane] = max(worst[0, lane], abs(gap[r, lane]))
+            ends, good = True, attempt > 0
+            for lane in range(lanes):
+                left[lane] = left[lane] and attempt < rounds
+                if left[lane] and worst[0, lane] <= enough:
+                    closed[at + lane], left[lane] = True, False
+                if left[lane]:
+                    ends, good = False, good and worst[0, lane] ** 2 <= again * before[0, lane]
+                before[0, lane] = worst[0, lane]
+            if ends or not good:
+                _slopes(tree, loops, T, width, width if ends else n_passive, rows, twist, C)
+            if ends:
+                for lane in range(lanes):
+                    for r in range(n_passive):
+                        for k in range(n_passive):
+                            slope[at + lane, r, k] = C[r * width + k, lane] if closed[at + lane] else np.nan
+                        for k in range(n_actuated):
+                            by_motor[at + lane, r, k] = (
+                                C[r * width + n_passive + k, lane] if closed[at + lane] else np.nan
+                            )
+            if ends or not good:
+                _factor(blocks if ends else loops.plan, C, width, larger, sign)
+            if ends:
+                break
+            _solve(loops.plan, C, width, larger, gap, step)
+            for lane in range(lanes):
+                size, limit = 0.0, max(0.5 * min(last[0, lane], 2 * largest), 1e-9)
+                for k in range(n_passive if left[lane] else 0):
+                    part = abs(step[k, lane] / scale[k])
+                    size = max(size, part) if part <= limit else np.inf  # also where it is no number
+                left[lane] = left[lane] and size <= limit
+                for k in range(n_passive if left[lane] else 0):
+                    passive[at + lane, k] -= step[k, lane]
+                last[0, lane] = size
+        for lane in range(lanes):
+            for b in range(len(signs)):
+                closed[at + lane] = closed[at + lane] and blocks.signs[b] * sign[b, lane] == signs[b]
+
+
+@_compiled
+def poses(tree: Tree, joints: FloatArray) -> FloatArray:
+    """Return the poses of all frames in configurations (n, n_joints), (12 n_joints + 12, n or a few more)."""
+    n, n_joints = joints.shape
+    T = np.empty((12 * n_joints + 12, (n + _LANES - 1) // _LANES * _LANES))
+    all_joints = np.ones(n_joints, dtype=np.bool_)
+    D, q = np.empty((5, _LANES)), np.zeros((n_joints, _LANES))
+    s, c = np.empty((n_joints, _LANES)), np.empty((n_joints, _LANES))
+    _stand(T)
+    for start in range(0, n, _LANES):
+        at, lanes = np.uintp(start), np.uintp(min(_LANES, n - start))
         for j in range(n_joints):
-            q[j] = rest[k, j]
-        for attempt in range(rounds):
-            for j in range(n_joints):
-                if follows[j] >= 0:
-                    q[j] = rest[k, j] + factor[j] * passive[k, follows[j]]
-            _walk(tree, moved if attempt else all_joints, q, T)
-            for j in range(n_joints):
-                if follows[j] >= 0:
-                    _twist(T, j + 1, tree.axes, j, twists, j)
-            worst = 0.0
-            for r in range(n_passive):
-                for c in range(n_passive + 1):
-                    C[r, c] = 0.0
-                a, b, axis = loops.a[r], loops.b[r], loops.axis[r]
-                for i in range(3):
-                    C[r, n_passive] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
-                worst = max(worst, abs(C[r, n_passive]))
-                _row(T, a, axis, b, rows, r)
-            for e in range(n_felt):
-                r, j = at_row[e], at_joint[e]
-                C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
-            if worst <= enough:
-                closed[k] = True
-                for r in range(n_passive):
-                    for c in range(n_passive):
-                        slope[k, r, c] = C[r, c]
-                    for c in range(n_actuated):
-                        by_motor[k, r, c] = 0.0
-                for j in range(n_joints):
-                    if driven[j] >= 0:
-                        _twist(T, j + 1, tree.axes, j, twists, j)
-                        for r in range(n_passive):
-                            if loops.signs[r, j] != 0.0:
-                                by_motor[k, r, driven[j]] += loops.signs[r, j] * gear[j] * _dot(rows, r, twists, j)
-                break
-            if not _solve(plan, C, step):
-                break
-            size, limit = 0.0, max(0.5 * min(last, 2 * largest), 1e-9)
-            for c in range(n_passive):
-                part = abs(step[c, 0] / scale[c])
-                size = max(size, part) if part <= limit else np.inf  # also where it is no number
-            if size > limit:
-                break
-            for c in range(n_passive):
-                passive[k, c] -= step[c, 0]
-            last = size
-        if not closed[k]:
-            for r in range(n_passive):
-                for c in range(n_passive):
-                    slope[k, r, c] = np.nan
-                for c in range(n_actuated):
-                    by_motor[k, r, c] = np.nan
-
-
-@_compiled
-def same_signs(
-    slope: FloatArray, rows: IntArray, columns: IntArray, ends: IntArray, signs: FloatArray, same: BoolArray
-) -> None:
-    """Leave only those poses in `same` (n,) in which the determinant of each block of C_p has its sign.
-
-    Args:
-        slope: C_p, (n, n_passive, n_passive).
-        rows, columns: Of all blocks, one after another, (n_passive,).
-        ends: Where each block ends, (n_blocks,).
-        signs: Sign of each, (n_blocks,).
-        same: Which poses to look at; which are left.
-    """
-    A = np.empty((len(rows), len(rows)))
-    for k in range(len(slope)):
-        first = 0
-        for b in range(len(ends)):
-            size = ends[b] - first
-            for r in range(size if same[k] else 0):
-                for c in range(size):
-                    A[r, c] = slope[k, rows[first + r], columns[first + c]]
-            same[k] = same[k] and _sign(A, size) == signs[b]
-            first = ends[b]
-
-
-@_compiled
-def _sign(A: FloatArray, n: int) -> float:
-    """Return the sign of the determinant of the first n rows and columns of A, which are used up."""
-    sign = 1.0
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[pivot, k]):
-                pivot = i
-        if A[pivot, k] == 0.0:
-            return 0.0
-        if pivot != k:
-            sign = -sign
-            for j in range(k, n):
-                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
-        sign = sign if A[k, k] > 0.0 else -sign
-        for i in range(k + 1, n):
-            if A[i, k] != 0.0:
-                factor = A[i, k] / A[k, k]
-                for j in range(k + 1, n):
-                    A[i, j] -= factor * A[k, j]
-    return sign
-
-
-@_compiled
-def poses(tree: Tree, q: FloatArray) -> FloatArray:
-    """Return the poses of all frames in configurations q (n, n_joints), (n, n_joints + 1, 12)."""
-    n, n_joints = q.shape
-    T, all_joints = np.empty((n, n_joints + 1, 12)), np.ones(n_joints, dtype=np.bool_)
-    for k in range(n):
-        _stand(T[k])
-        _walk(tree, all_joints, q[k], T[k])
+            for lane in range(lanes):
+                q[j, lane] = joints[at + lane, j]
+        _sines(tree, q, s, c)
+        _walk(tree, all_joints, (q, s, c), T, at, D)
     return T
 
 
@@ -449,42 +586,40 @@ def poses(tree: Tree, q: FloatArray) -> FloatArray:
 def motion(
     tree: Tree,
     loops: Loops,
-    joint_poses: FloatArray,
-    mapping: FloatArray,
+    T: FloatArray,
+    places: IntArray,
     signs: FloatArray,
     direct: FloatArray,
-    select: FloatArray,
     slope: FloatArray,
     entries: tuple[IntArray, IntArray, FloatArray],
-    width: int,
-) -> FloatArray:
+    result: FloatArray,
+) -> None:
     """Derivative through the loops, as `calib.rows.jacobian` says.
 
     Args:
         tree: The model.
         loops: Its loops.
-        joint_poses: Of `poses`.
-        mapping: From V_b - V_a to what is differentiated, (n, n_rows, 6).
+        T: Of `poses`.
+        places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
         signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
         direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
-        select: Of the passive joints, (n_joints, n_passive).
         slope: C_p, (n, n_passive, n_passive).
-        entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), one joint's
-            behind each other, and twist in the frame before the origin, (n_entries, 6).
-        width: Number of columns.
-
-    Returns:
-        (n, n_rows, width).
+        entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
+            the frame before the origin, (n_entries, 6).
+        result: Where to put the derivative, (n, n_rows, width).
     """
-    n, n_rows = mapping.shape[:2]
-    n_joints, n_passive = select.shape
-    result = np.zeros((n, n_rows, width))
-    twist, X = np.empty((1, 6)), np.empty((n_passive, n_rows))
-    transposed = np.empty((n_passive, n_passive + n_rows))  # C_p, beside it the derivative by the passive joints
-    rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
+    n, n_rows, width = result.shape
+    n_passive, n_joints = loops.signs.shape
+    maps, gaps = np.empty((6 * n_rows, _LANES)), np.empty((6 * n_passive, _LANES))
+    C, larger = np.empty((n_passive * n_passive, _LANES)), np.empty((n_passive * n_passive, _LANES))
+    B, X = np.empty((n_passive * n_rows, _LANES)), np.empty((n_passive * n_rows, _LANES))
+    total, twist, out = np.empty((6 * n_rows, _LANES)), np.empty((6, _LANES)), np.empty((n_rows * width, _LANES))
+    sign, active, feels = np.empty((1, _LANES)), np.empty(n_rows, dtype=np.bool_), np.empty(n_passive, dtype=np.intp)
     joints, columns, twists = entries
+    rows = Loops(places[0], places[1], places[2], signs, loops.leader, loops.factor, loops.plan)
     alike = np.empty(n_joints, dtype=np.intp)  # the first joint that moves what this one moves
+    wanted, whole = np.zeros(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
         alike[j] = j
         for i in range(j - 1, -1, -1):
@@ -494,59 +629,74 @@ def motion(
             if same:
                 alike[j] = alike[i]
                 break
-    follows, factor = _leads(select, np.ones((1, n_joints)))
-    n_felt, at_row, at_joint = _felt(loops.signs, follows)
-    pattern = np.zeros((n_passive, n_passive), dtype=np.bool_)
-    for e in range(n_felt):
-        pattern[follows[at_joint[e]], at_row[e]] = True
-    plan = _plan(pattern, n_rows)
-    for k in range(n):
-        T, map_k = joint_poses[k], mapping[k]
+    for e in range(len(joints)):
+        a = alike[joints[e]]
+        wanted[a] = True
+        whole[a] = whole[a] or twists[e, 3] != 0.0 or twists[e, 4] != 0.0 or twists[e, 5] != 0.0
+    plan = loops.plan
+    for start in range(0, n, _LANES):
+        at, lanes = np.uintp(start), np.uintp(min(_LANES, n - start))
+        _rows(rows, T, at, maps)
+        _rows(loops, T, at, gaps)
+        for r in range(n_rows):
+            for k in range(3 if places[3, r] else 0):
+                for lane in range(_ALL):
+                    maps[6 * r + 3 + k, lane] = maps[6 * r + k, lane]
+                    maps[6 * r + k, lane] = 0.0
         for c in range(n_passive):
-            for r in range(n_rows):
-                transposed[c, n_passive + r] = direct[r, c]
             for r in range(n_passive):
-                transposed[c, r] = slope[k, r, c]
-        for j in range(n_joints):
-            if follows[j] >= 0:
-                _twist(T, j + 1, tree.axes, j, twist, 0)
-                for r in range(n_rows):
-                    if signs[r, j] != 0.0:
-                        moved = signs[r, j] * factor[j] * _dot(map_k, r, twist, 0)
-                        transposed[follows[j], n_passive + r] += moved
-        if n_passive and not _solve(plan, transposed, X):
-            for i in range(n_passive):
-                for r in range(n_rows):
-                    X[i, r] = np.nan
-        for i in range(n_passive):
-            _row(T, loops.a[i], loops.axis[i], loops.b[i], rows, i)
-        for j in range(n_joints):
-            if alike[j] != j:
-                continue
+                if plan.pattern[r, c]:
+                    for lane in range(lanes):
+                        C[r * n_passive + c, lane] = slope[at + lane, r, c]
             for r in range(n_rows):
-                for c in range(6):
-                    total[j, r, c] = signs[r, j] * map_k[r, c]
+                for lane in range(_ALL):
+                    B[c * n_rows + r, lane] = direct[r, c]
+        for j in range(n_joints):
+            c = loops.leader[j]
+            if c < 0 or c >= n_passive:
+                continue
+            _twist(T, j + 1, at, tree.axes, j, twist)
+            for r in range(n_rows):
+                if signs[r, j] != 0.0:
+                    _add_dot(signs[r, j] * loops.factor[j], maps, 6 * r, twist, len(twist), B, c * n_rows + r)
+        if n_passive:
+            _factor(plan, C, n_passive, larger, sign)
+            _solve_left(plan, C, larger, B, X, n_rows)
+        for r in range(n_rows * width):
+            for lane in range(_ALL):
+                out[r, lane] = 0.0
+        for a in range(n_joints):
+            if not wanted[a]:
+                continue
+            felt = 0
             for i in range(n_passive):
-                if loops.signs[i, j] != 0.0:
+                if loops.signs[i, a] != 0.0:
+                    feels[felt], felt = i, felt + 1
+            parts = 6 if whole[a] else 3
+            for r in range(n_rows):
+                active[r] = felt > 0 or signs[r, a] != 0.0
+                for k in range(6 * r, 6 * r + parts if active[r] else 0):
+                    for lane in range(_ALL):
+                        total[k, lane] = signs[r, a] * maps[k, lane]
+                for e in range(0, felt, 2):
+                    i, j = feels[e], feels[min(e + 1, felt - 1)]  # two at a time
+                    x, y, g, h = i * n_rows + r, j * n_rows + r, loops.signs[i, a], loops.signs[j, a]
+                    h = h if e + 1 < felt else 0.0
+                    for k in range(parts):
+                        for lane in range(_ALL):
+                            total[6 * r + k, lane] -= (
+                                g * X[x, lane] * gaps[6 * i + k, lane] + h * X[y, lane] * gaps[6 * j + k, lane]
+                            )
+            for e in range(len(joints)):
+                if alike[joints[e]] == a:
+                    _twist(T, tree.parents[joints[e]], at, twists, e, twist)
                     for r in range(n_rows):
-                        weight = loops.signs[i, j] * X[i, r]
-                        for c in range(6):
-                            total[j, r, c] -= weight * rows[i, c]
-        for e in range(len(joints)):
-            j, column = joints[e], columns[e]
-            m, a = tree.parents[j], alike[j]
-            if twists[e, 3] == 0.0 and twists[e, 4] == 0.0 and twists[e, 5] == 0.0:
-                x, y, z = twists[e, 0], twists[e, 1], twists[e, 2]
-                u = T[m, 0] * x + T[m, 3] * y + T[m, 6] * z
-                v = T[m, 1] * x + T[m, 4] * y + T[m, 7] * z
-                w = T[m, 2] * x + T[m, 5] * y + T[m, 8] * z
-                for r in range(n_rows):
-                    result[k, r, column] += total[a, r, 0] * u + total[a, r, 1] * v + total[a, r, 2] * w
-                continue
-            _twist(T, m, twists, e, twist, 0)
+                        if active[r]:
+                            _add_dot(1.0, total, 6 * r, twist, parts, out, r * width + columns[e])
+        for lane in range(lanes):
             for r in range(n_rows):
-                result[k, r, column] += _dot(total[a], r, twist, 0)
-    return result
+                for k in range(width):
+                    result[at + lane, r, k] = out[r * width + k, lane]
 
 
 def kept() -> bool:

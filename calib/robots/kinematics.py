@@ -137,14 +137,14 @@ class Coordinates:
 
         Args:
             reduced: The joints that count.
-            signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_joints).
+            signs: What each joint that counts moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
         left = select[reduced.joints]
         coordinate, joints = np.nonzero(left.T)
         every = np.arange(left.shape[1])
         sums = None if np.array_equal(coordinate, every) else (coordinate[:, None] == every).astype(float)
-        return cls(joints, signs[:, reduced.joints[joints]] * left[joints, coordinate], sums)
+        return cls(joints, signs[:, joints] * left[joints, coordinate], sums)
 
 
 class Shared:
@@ -200,11 +200,13 @@ class Sweep:
         poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
         jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where compiled code has
             computed the poses, which needs none.
+        compiled: The poses as compiled code has made them.
     """
 
     shared: Shared
     poses: FloatArray
     jacobian: FloatArray | None
+    compiled: FloatArray | None = None
 
     @property
     def reduced(self) -> Reduced:
@@ -235,7 +237,8 @@ def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
         shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
     """
-    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
+    poses = shared.functions.poses(shared.tree, joints[:, shared.reduced.joints])
+    return Sweep(shared, poses.reshape(-1, 12, poses.shape[1])[:, :, : len(joints)].transpose(2, 0, 1), None, poses)
 
 
 def sweep(

@@ -61,11 +61,13 @@ class Reduced:
         joints: Which origins stay, parents first, (n_reduced,).
         places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
+        compiled: What compiled code has made of that (`calib.robots.kernels`).
     """
 
     joints: IntArray
     places: IntArray
     parents: IntArray
+    compiled: dict[Any, Any] = field(default_factory=dict)
 
 
 class Workspaces(dict[tuple[RelativeFrame, ...], tuple[Reduced, list[Any]]]):

@@ -100,7 +100,7 @@ def origin_jacobian(
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
         slope = configurations.slope[part]
-        derivative[part] = relative_motion(mechanism, swept, mechanism.targets, slope, twists, angular=turns)
+        relative_motion(mechanism, swept, mechanism.targets, slope, twists, angular=turns, out=derivative[part])
     return positions, derivative
 
 
@@ -152,6 +152,7 @@ def relative_motion(
     twists: FloatArray | None,
     *,
     angular: bool,
+    out: FloatArray | None = None,
 ) -> FloatArray:
     """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
 
@@ -162,16 +163,24 @@ def relative_motion(
         slope: C_p, (n, n_passive, n_passive).
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
+        out: Where to put it, if that is known.
 
     Returns:
         (n, n_pairs, 3 or 6, 6 n_joints or k).
     """
-    mapping = kinematics.motion_map(swept, pairs, angular=angular)
-    n, n_rows = mapping.shape[:2]
-    signs = np.repeat([mechanism.between(pair) for pair in pairs], n_rows // len(pairs), axis=0)
-    direct = np.zeros((n_rows, len(mechanism.passive)))
-    derivative = _motion(mechanism, swept, mapping, signs, direct, slope, twists)
-    return derivative.reshape(n, len(pairs), n_rows // len(pairs), derivative.shape[2])
+    each = 6 if angular else 3
+    n, n_rows = len(swept.poses), each * len(pairs)
+    signs = np.repeat([mechanism.between(pair) for pair in pairs], each, axis=0)
+    direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.along(twists, signs)
+    result = np.empty((n, len(pairs), each, along.before.shape[2])) if out is None else out
+    if swept.compiled is not None:
+        index = swept.index
+        rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
+        _compiled_motion(swept, np.array(rows).T.copy(), along, direct, slope, result.reshape(n, n_rows, -1))
+    else:
+        mapping = kinematics.motion_map(swept, pairs, angular=angular)
+        result[:] = _motion(mechanism, swept, mapping, along, direct, slope).reshape(result.shape)
+    return result
 
 
 def passive_motion(
@@ -189,18 +198,42 @@ def passive_motion(
     n = len(swept.rotation)
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
-    nothing = np.zeros((n, 1, 6)), np.zeros((1, mechanism.n_joints))
-    return _motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
+    along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
+    if swept.compiled is not None:
+        result = np.empty((n, 1, along.before.shape[2]))
+        _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], slope, result)
+        return result
+    return _motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], slope)
+
+
+def _compiled_motion(
+    swept: kinematics.Sweep,
+    rows: IntArray,
+    along: kinematics.Along,
+    direct: FloatArray,
+    slope: FloatArray,
+    result: FloatArray,
+) -> None:
+    """Fill in what `_motion` returns, by compiled code.
+
+    Args:
+        swept: Of the poses.
+        rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
+        along, direct, slope: As there.
+        result: Where to put it, (n, n_rows, k).
+    """
+    shared = swept.shared
+    model, signs = (shared.tree, shared.loops, swept.compiled), np.ascontiguousarray(along.signs)
+    shared.functions.motion(*model, rows, signs, direct, slope, along.entries, result)
 
 
 def _motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     mapping: FloatArray,
-    signs: FloatArray,
+    along: kinematics.Along,
     direct: FloatArray,
     slope: FloatArray,
-    twists: FloatArray | None,
 ) -> FloatArray:
     """Return dx/dxi of the module docstring along origin twists, (n, n_rows, k).
 
@@ -208,23 +241,14 @@ def _motion(
         mechanism: The mechanism.
         swept: Of the poses.
         mapping: From V_b - V_a to x, (n, n_rows, 6).
-        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+        along: The twists, and what they move.
         direct: What passive joints do to x beside that, (n_rows, n_passive).
         slope: C_p, (n, n_passive, n_passive).
-        twists: Combinations (6 n_joints, k), or None for every origin twist.
     """
-    reduced, shared = swept.reduced, swept.shared
-    along = shared.along(twists, signs)
-    if swept.jacobian is None:
-        model, select = (shared.tree, shared.loops, swept.poses), mechanism.select_passive[reduced.joints]
-        slope, width = np.ascontiguousarray(slope), along.before.shape[2]
-        derivative: FloatArray = shared.functions.motion(
-            *model, mapping, along.signs, direct, select, slope, along.entries, width
-        )
-        return derivative
     if not mechanism.loops:
         return kinematics.origin_derivative(swept, mapping, None, along)
-    passive = kinematics.Coordinates.of(reduced, signs, mechanism.select_passive)
+    signs = along.signs[: along.n_rows]
+    passive = kinematics.Coordinates.of(swept.reduced, signs, mechanism.select_passive)
     by_passive = direct + kinematics.joint_derivative(swept, mapping, passive)
     through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
     return kinematics.origin_derivative(swept, mapping, through, along)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.numerics.clusters import LeftOut, scatter
+from calib.numerics.clusters import LeftOut, moved_without, scatter
 from calib.numerics.observability import information
 from calib.numerics.prior import Prior
 
@@ -64,6 +64,23 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
     np.testing.assert_allclose(LeftOut(span, block).foretold(residuals), expected, rtol=1e-9, atol=1e-9)
     of_fewer = LeftOut(span[:, :-2], block)
     np.testing.assert_allclose(of_fewer.foretold(residuals, span[:, -2:]), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_rows_move_as_in_a_fit_without_their_block():
+    jacobian, root, has_prior, block = problem(3, [1, 3, 3, 9, 12, 12])
+    errors, weights = np.random.default_rng(4).standard_normal((2, len(block)))
+    weighted = jacobian * np.exp(weights)[:, None]
+    root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(1.0 * has_prior)))
+    residuals, solution = fitted(weighted, root, has_prior, errors)
+    moved, largest = moved_without(weighted @ root, residuals, block, 7, jacobian @ root)
+    for b in range(6):
+        own = block == b
+        normal = weighted[~own].T @ weighted[~own] + np.diag(1.0 * has_prior)
+        without = np.linalg.solve(normal, weighted[~own].T @ errors[~own])
+        np.testing.assert_allclose(moved[own], jacobian[own] @ (root @ solution - without), rtol=1e-8, atol=1e-8)
+        hat = weighted[own] @ root @ root.T @ weighted[own].T
+        assert largest[b] == pytest.approx(np.linalg.eigvalsh(hat)[-1], rel=1e-9)
+    assert largest[6] == 0.0
 
 
 def draws(seed, lengths, shared, n=400):

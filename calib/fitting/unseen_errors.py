@@ -41,8 +41,8 @@ from calib.base.threads import one_blas_thread
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.validation import readings_at
-from calib.numerics.clusters import pulls_without
-from calib.numerics.tall import in_parts
+from calib.numerics.clusters import moved_without
+from calib.numerics.tall import Span
 from calib.robots.held import Accuracy, SeenAt
 
 COVERED = 0.95
@@ -87,11 +87,8 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
     pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
     n_poses = int(pose_of_visit.max()) + 1
-    pulls, decided = pulls_without(rows.span, rows.residuals, pose_of_row, n_poses)
-    moved = np.empty(rows.layout.n_rows)
-    steps = pulls @ fit.root.T
-    for part in in_parts(len(moved)):
-        moved[part] = np.einsum("ij,ij->i", fit.rows.jacobian[part], steps[pose_of_row[part]])
+    seen = rows.span if rows is fit.rows else Span(fit.rows.jacobian, fit.root)
+    moved, decided = moved_without(rows.span, rows.residuals, pose_of_row, n_poses, seen)
     read = fit.whitening.read(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     foretold = (decided <= _DECIDES)[pose_of_visit]

@@ -175,28 +175,30 @@ def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Fl
     return values, errors, size[:, :, None] * turned
 
 
-def pulls_without(
-    span: FloatArray | Span, residuals: FloatArray, block: IntArray, n_blocks: int
+def moved_without(
+    span: FloatArray | Span, residuals: FloatArray, block: IntArray, n_blocks: int, seen: FloatArray | Span
 ) -> tuple[FloatArray, FloatArray]:
-    """Return c_b = U_b^T (1 - H_b)^-1 r_b of each block, (n_blocks, k), and the largest w of it, (n_blocks,).
+    """Return how far rows move where their own block is left out, (n_rows,), and the largest w of it, (n_blocks,).
 
-    Without block b, the solution in the coordinates of T is c_b further on. Where w is nearly 1, a direction rests on
-    that block alone, and c_b is not a number to rely on.
+    Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on. Where w is nearly
+    1, a direction rests on that block alone, and c_b is not a number to rely on.
 
     Args:
         span: U = J T of whitened rows, (n_rows, k).
         residuals: r, whitened, (n_rows,).
-        block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none.
+        block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none, which do not move.
         n_blocks: Number of blocks, some of which may have no rows.
+        seen: The same as `span` without the weights of a robust loss, (n_rows, k): the rows that move.
     """
-    pulls, largest = np.zeros((n_blocks, span.shape[1])), np.zeros(n_blocks)
+    moved, largest = np.zeros(len(residuals)), np.zeros(n_blocks)
     for rows in of_equal_length(block):
-        values, errors, directions = _directions(span[rows], residuals[rows])
+        own = span[rows]
+        values, errors, directions = _directions(own, residuals[rows])
         numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
-        left = np.maximum(1.0 - values, _NONE)
-        pulls[numbers] = np.einsum("nd,ndk->nk", errors / left, directions)
-    return pulls, largest
+        pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), directions)
+        moved[rows] = np.matmul(own if seen is span else seen[rows], pulls[:, :, None])[:, :, 0]
+    return moved, largest
 
 
 class LeftOut:

@@ -97,10 +97,12 @@ def _fitted_again(
         intervals: Whether anybody reads its intervals.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
+    nearby = Nearby.of(fit) if intervals else Nearby.no_intervals(robot, fit)
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
-    nearby = Nearby.of(fit) if intervals else Nearby.no_intervals(robot, fit)
+    else:
+        nearby = replace(nearby, whitening=fit.whitening)
     again = fit_data(robot, settings, data, validation, workers, nearby=nearby)
     if fit.folds is None:
         return again
@@ -170,16 +172,18 @@ class FitFiles(Mapping[Holds, FileRobot]):
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
-        fit, nominal = self._fit, without_terms(self._fit.nominal, Holds.ZEROS).at_nominal()
-        commands = fit.identification.data.joints
-        actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
-        moved, errors = commands - commands.mean(axis=0), actual - commands
-        turned_round = np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING
-        signs = np.where(turned_round, -1.0, 1.0)
+        nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).at_nominal(), self._signs()
         fitted = self._again(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]
         offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
         return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
+
+    def _signs(self) -> FloatArray:
+        """With which sign joints count, (n_actuated,): -1 where one moves against its commands."""
+        fit, commands = self._fit, self._fit.identification.data.joints
+        actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
+        moved, errors = commands - commands.mean(axis=0), actual - commands
+        return np.where(np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING, -1.0, 1.0)
 
 
 def with_zeros(nominal: Robot) -> Robot:

@@ -45,6 +45,7 @@ from calib.robots.robot import Robot
 from calib.rows.determination import Determination
 from calib.rows.observed import observe
 from calib.rows.rows import Rows, Scales
+from calib.rows.whitening import Whitening
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +59,7 @@ class Nearby:
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
             by instrument.
+        whitening: What whitens the readings, where these are the same, too; it takes as much memory as they do.
     """
 
     names: tuple[str, ...] = ()
@@ -65,6 +67,7 @@ class Nearby:
     joints: FloatArray | None = None
     passive: FloatArray | None = None
     placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
+    whitening: Whitening | None = None
 
     @staticmethod
     def of(fit: Fit) -> Nearby:
@@ -158,7 +161,7 @@ def minimum_of(
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     nearby = nearby or Nearby()
-    problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints))
+    problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
     start = None if nearby.placed is None else placed_as(problem, *nearby.placed)
     start = start or place(problem)
     steps.done()

@@ -313,6 +313,8 @@ class Fit(ReadOnlyArrays):
     @property
     def offsets(self) -> dict[str, FloatArray]:
         """Size of the error that readings of one pose share, as the weights assume, (n_rows,) [SI] by instrument."""
+        if not np.any(self.scales.ratios):
+            return {}
         instruments = self.robot.instruments
         sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
         ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]

@@ -120,7 +120,13 @@ class Problem(ReadOnlyArrays):
     limits: bool = False
 
     @staticmethod
-    def of(robot: Robot, data: Measurements, sigma: float | None = None, near: FloatArray | None = None) -> Problem:
+    def of(
+        robot: Robot,
+        data: Measurements,
+        sigma: float | None = None,
+        near: FloatArray | None = None,
+        whitening: Whitening | None = None,
+    ) -> Problem:
         """Close every visit and whiten what was read there.
 
         Args:
@@ -128,13 +134,16 @@ class Problem(ReadOnlyArrays):
             data: Measurements.
             sigma: As in the attributes.
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
+            whitening: Of the same readings by the same instruments and sigma, if it is known.
 
         Raises:
             UnreachablePoseError: A pose cannot be closed.
         """
         columns = term_columns(robot, data.joints, data.conditions)
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
-        return Problem(robot, data, sigma, columns, passive, *_as_stated(robot, data, sigma))
+        return Problem(
+            robot, data, sigma, columns, passive, *_as_stated(robot, whitening or Whitening(robot, data, sigma))
+        )
 
     def read_again(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings of the same visits; no pose is closed again from home.
@@ -145,7 +154,14 @@ class Problem(ReadOnlyArrays):
         """
         if self.whitening.whitens(data):
             return replace(self, data=data, passive=passive)
-        return Problem(self.robot, data, self.sigma, self.columns, passive, *_as_stated(self.robot, data, self.sigma))
+        return Problem(
+            self.robot,
+            data,
+            self.sigma,
+            self.columns,
+            passive,
+            *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
+        )
 
     def weighed(self, ratios: FloatArray) -> Problem:
         """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""
@@ -481,11 +497,8 @@ class _Way:
         return AbovePrior(rows, self._unknowns.prior)
 
 
-def _as_stated(
-    robot: Robot, data: Measurements, sigma: float | None
-) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
+def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
     """Whitening, unknowns, groups to find and ratios, before any noise is found."""
-    whitening = Whitening(robot, data, sigma)
     return whitening, Unknowns.of(robot), _unstated(whitening), np.zeros(whitening.n_offsets)
 
 

@@ -142,7 +142,7 @@ def error_budget(
     of_parameter = np.array(causes_of(after))[unknowns.index]
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
-    layout = Whitening(after, errors.data, sigma).layout
+    layout = Whitening(after, errors.data, sigma).layout if rows is None else rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
     path = _along(before, after, errors, unknowns, members, layout, counted)
     n, width, removed = len(path.before), int(np.sum(counted)), path.removed
@@ -238,7 +238,8 @@ def _seen(
 ) -> Iterator[tuple[Batch, FloatArray, FloatArray]]:
     """Yield batches of rows with their derivative (n, n_free) and residuals (n,), under a robot on the way."""
     data = errors.data
-    configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+    conditions = data.conditions if robot.terms else None
+    configurations = robot.assemble(data.joints, errors.passive, data.labels, conditions)
     for batch, observed in observed_in(robot, configurations, data.readings, batches_of(layout), index=unknowns.index):
         jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
         yield batch, jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)

@@ -83,7 +83,7 @@ def test_loops_are_open_alike_one_by_one_and_together(medrue):
     mechanism = medrue.mechanism
     q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
     swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
-    values, maps = kinematics.gaps(swept)
+    values, maps = kinematics.gaps(swept), kinematics.gap_maps(swept)
     assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
     assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
 

@@ -8,6 +8,7 @@ sign is taken of each strongly connected part of C_p's pattern, one for each fiv
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,19 +21,45 @@ from calib.robots import kinematics
 from calib.robots.mechanism import Mechanism, RelativeFrame
 
 
+class LoopRows:
+    """The rows of all loops of a mechanism, at some poses after others.
+
+    Args:
+        mechanism: The robot.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.shared = mechanism, kinematics.Shared(mechanism, mechanism.loops)
+        signs = mechanism.loop_signs[:, self.shared.reduced.joints]
+        self.passive, self.moving = (
+            kinematics.Coordinates.of(self.shared.reduced, signs, select)
+            for select in (mechanism.select_passive, mechanism.select_moving)
+        )
+
+    def chunks(self, n: int) -> Iterator[slice]:
+        """Yield n poses in parts that are good at once."""
+        return kinematics.chunks(n, kinematics.at_once(self.shared.reduced))
+
+    def at(self, actuated: FloatArray, passive: FloatArray, *, poses_only: bool = False) -> kinematics.Sweep:
+        """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
+        joints = self.mechanism.all_joints(actuated, passive)
+        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared, poses_only=poses_only)
+
+    def by(self, swept: kinematics.Sweep, coordinates: kinematics.Coordinates) -> FloatArray:
+        """Return dr/d(coordinates), (n, n_rows, n_coordinates)."""
+        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
+
+
 def residual(
     mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
-    joints, n_passive = mechanism.all_joints(actuated, passive), len(mechanism.passive)
-    shared, select = kinematics.Shared(mechanism, mechanism.loops), mechanism.select_moving
-    moving = kinematics.Coordinates.of(shared.reduced, mechanism.loop_signs[:, shared.reduced.joints], select)
-    values = np.empty((len(joints), len(mechanism.loop_signs)))
-    slope = np.empty((*values.shape, select.shape[1]))
-    for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
-        swept = kinematics.sweep(mechanism, joints[part], mechanism.loops, shared)
-        values[part], maps = kinematics.gaps(swept)
-        slope[part] = kinematics.joint_derivative(swept, maps, moving)
+    rows, n_passive = LoopRows(mechanism), len(mechanism.passive)
+    values = np.empty((len(actuated), len(mechanism.loop_signs)))
+    slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
+    for part in rows.chunks(len(actuated)):
+        swept = rows.at(actuated[part], passive[part])
+        values[part], slope[part] = kinematics.gaps(swept), rows.by(swept, rows.moving)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

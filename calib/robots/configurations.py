@@ -27,7 +27,7 @@ class Configurations(ReadOnlyArrays):
         actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
             how links are tilted (`calib.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
-        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive).
+        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive); see `loops.Closed`.
         term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
     """
 

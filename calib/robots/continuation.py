@@ -2,8 +2,8 @@
 
 Newton. Solve r(a, p) = 0 for the passive joints p of given actuated joints a from a start nearby: p <- p - C_p^-1 r,
 with C_p = dr/dp. A start is near enough if each correction is at most half of the one before, the first below 0.5 rad.
-C_p of the correction before serves again where the residual has fallen so much that this closes the pose: it then falls
-about as much once more.
+Corrections that follow each other are about |d_3| = |d_2|^3 / |d_1|^2 at most, and residuals alike. Where this says
+that the next correction closes the loops, and the slopes there are not wanted, it is the last one.
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in about a
 fifth of a five-bar's poses (docs/theory/loops.md prints the figure), and a small residual does not show it.
@@ -30,8 +30,9 @@ import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.halton import halton
+from calib.robots import kinematics
 from calib.robots.acceleration import kernels
-from calib.robots.closure import AssemblyMode, residual
+from calib.robots.closure import AssemblyMode, LoopRows
 from calib.robots.mechanism import Mechanism
 
 TOLERANCE = 1e-12
@@ -41,7 +42,7 @@ _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most a
 LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
-_AGAIN = 0.01  # part of the tolerance that a correction by the matrix of the last one must come to
+_SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
@@ -61,9 +62,16 @@ def closing_tolerance(mechanism: Mechanism) -> float:
 
 
 def newton(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, exact: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
+
+    Args:
+        mechanism: The robot.
+        mode: Its assembly mode.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        passive: Where to start, (n, n_passive) [m or rad].
+        exact: Whether C_p and C_a are wanted at the solution; else they may be those before the last correction.
 
     Returns:
         Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, and which
@@ -72,7 +80,9 @@ def newton(
     passive, enough = passive.copy(), closing_tolerance(mechanism) / 10
     fast = kernels(mechanism, len(passive))
     if fast is None:
-        slope, slope_actuated, accepted = _corrected(mechanism, actuated, passive, enough)
+        slope, slope_actuated, accepted = _corrected(
+            mechanism, actuated, passive, enough, 0.0 if exact else _SURE * enough
+        )
         accepted[accepted] = mode.holds(slope if np.all(accepted) else slope[accepted])
     else:
         reduced, _ = mechanism.around(mechanism.loops)
@@ -82,36 +92,44 @@ def newton(
         model = fast.tree(mechanism, reduced), loops, fast.blocks(mode, reduced, loops), mode.signs
         slope, slope_actuated = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, actuated.shape[1]))
         accepted = np.empty(n, dtype=bool)
-        limits = enough, _AGAIN * enough, LARGEST_STEP, _MAX_NEWTON
+        limits = enough, 0.0 if exact else _SURE * enough, LARGEST_STEP, _MAX_NEWTON
         fast.close(*model, rest, passive, scale, *limits, slope, slope_actuated, accepted)
     return passive, slope, slope_actuated, accepted
 
 
 def _corrected(
-    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray, enough: float
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray, enough: float, sure: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Correct passive joints in place until no residual is above `enough`; C_p, C_a, and which poses came there."""
+    """Correct passive joints in place until no residual is above `enough`; C_p, C_a, and which poses came there.
+
+    Or until the next one is below `sure`, as far as is known from two; C_p and C_a are then those of the second.
+    """
     n, n_passive = passive.shape
     slope = np.full((n, n_passive, n_passive), np.nan)
     slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
-    accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
-    active = np.arange(n)
-    for _ in range(_MAX_NEWTON):
-        values, slope_p, slope_a = residual(mechanism, actuated[active], passive[active])
-        small = np.max(np.abs(values), axis=1) <= enough
-        slope[active[small]], slope_actuated[active[small]] = slope_p[small], slope_a[small]
-        accepted[active[small]] = True
-        rest = ~small & np.all(np.isfinite(slope_p), axis=(1, 2))
-        correction = solved_for(slope_p[rest], values[rest])
-        size = np.max(np.abs(in_radians(mechanism, correction)), axis=1)
-        still = active[rest]
-        # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
-        contracts = size <= np.maximum(0.5 * np.minimum(last[still], 2 * LARGEST_STEP), 1e-9)
-        passive[still[contracts]] -= correction[contracts]
-        last[still] = size
-        active = still[contracts]
-        if len(active) == 0:
-            break
+    accepted, loops = np.zeros(n, dtype=bool), LoopRows(mechanism)
+    for part in loops.chunks(n):
+        active = np.arange(part.start, part.stop)
+        last, before = np.full(len(active), np.inf), np.zeros(len(active))
+        for _ in range(_MAX_NEWTON):
+            swept = loops.at(actuated[active], passive[active])
+            values, slopes = kinematics.gaps(swept), loops.by(swept, loops.moving)
+            worst = np.max(np.abs(values), axis=1)
+            small = worst <= enough
+            rest = ~small & np.all(np.isfinite(slopes), axis=(1, 2))
+            correction = solved_for(slopes[rest, :, :n_passive], values[rest])
+            size = np.max(np.abs(in_radians(mechanism, correction)), axis=1)
+            # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
+            contracts = size <= np.maximum(0.5 * np.minimum(last[rest], 2 * LARGEST_STEP), 1e-9)
+            rest[rest] = contracts
+            passive[active[rest]] -= correction[contracts]
+            known = worst**3 <= sure * before**2
+            done, on = small | (rest & known), rest & ~known
+            at, found = active[done], slopes[done]
+            slope[at], slope_actuated[at], accepted[at] = found[:, :, :n_passive], found[:, :, n_passive:], True
+            last, before, active = size[contracts][~known[rest]], worst[on], active[on]
+            if len(active) == 0:
+                break
     return slope, slope_actuated, accepted
 
 

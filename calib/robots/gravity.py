@@ -340,7 +340,7 @@ def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray
     driven = kinematics.Coordinates.of(
         swept.reduced, mechanism.loop_signs[:, swept.reduced.joints], mechanism.select_actuated
     )
-    return kinematics.joint_derivative(swept, kinematics.gaps(swept)[1], driven)
+    return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), driven)
 
 
 def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:

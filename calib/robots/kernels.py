@@ -427,26 +427,35 @@ def _solve_left(plan: Plan, A: FloatArray, larger: FloatArray, b: FloatArray, x:
 
 @_part
 def _slopes(
-    tree: Tree, loops: Loops, T: FloatArray, width: int, first: int, rows: FloatArray, twist: FloatArray, C: FloatArray
+    tree: Tree,
+    loops: Loops,
+    T: FloatArray,
+    at: int,
+    width: int,
+    first: int,
+    rows: FloatArray,
+    twist: FloatArray,
+    C: FloatArray,
 ) -> None:
     """Fill in the derivative of the loops by the first coordinates, row by row.
 
     Args:
         tree, loops, T: The model, its loops, and where its frames are.
+        at: Of T, where to begin.
         width: How many coordinates there are.
         first: By how many of them to differentiate.
         rows: Space for what twists move, (6 n_rows, _LANES).
         twist: The same for a twist, (6, _LANES).
         C: The derivative, (n_rows width, _LANES).
     """
-    _rows(loops, T, _NONE, rows)
+    _rows(loops, T, at, rows)
     for r in range(len(C)):
         for lane in range(_ALL):
             C[r, lane] = 0.0
     for j in range(len(loops.leader)):
         if loops.leader[j] < 0 or loops.leader[j] >= first:
             continue
-        _twist(T, j + 1, _NONE, tree.axes, j, twist)
+        _twist(T, j + 1, at, tree.axes, j, twist)
         for r in range(len(loops.a)):
             if loops.signs[r, j] != 0.0:
                 g, o = loops.signs[r, j] * loops.factor[j], r * width + loops.leader[j]
@@ -463,7 +472,7 @@ def close(
     passive: FloatArray,
     scale: FloatArray,
     enough: float,
-    again: float,
+    sure: float,
     largest: float,
     rounds: int,
     slope: FloatArray,
@@ -480,10 +489,10 @@ def close(
         passive: Where to start; where it ends, (n, n_passive).
         scale: By what changes of passive joints are divided, (n_passive,).
         enough: Largest residual of a closed pose.
-        again: The same of one that the last matrix still serves, times how far the residual has grown smaller.
+        sure: Largest residual that is not computed but known from two before it; 0: none.
         largest: Correction up to which a start is near.
         rounds: How many corrections.
-        slope: Where to put C_p, NaN where not closed, (n, n_passive, n_passive).
+        slope: Where to put C_p of the last correction, NaN where not closed, (n, n_passive, n_passive).
         by_motor: The same for C_a, (n, n_passive, n_actuated).
         closed: The same for which poses closed in the assembly mode, (n,).
     """
@@ -495,7 +504,8 @@ def close(
     larger, sign = np.empty((n_passive * n_passive, _LANES)), np.empty((n_passive, _LANES))
     gap, step = np.zeros((n_passive, _LANES)), np.zeros((n_passive, _LANES))
     worst, last, before = np.empty((1, _LANES)), np.empty((1, _LANES)), np.empty((1, _LANES))
-    left, anyway = np.empty(_LANES, dtype=np.bool_), np.ones(n_joints, dtype=np.bool_)
+    left, known = np.empty(_LANES, dtype=np.bool_), np.empty(_LANES, dtype=np.bool_)
+    anyway = np.ones(n_joints, dtype=np.bool_)
     moved = np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
         parent = tree.parents[j]
@@ -504,10 +514,10 @@ def close(
     for start in range(0, n, _LANES):
         at, lanes = np.uintp(start), np.uintp(min(_LANES, n - start))
         for lane in range(lanes):
-            last[0, lane], before[0, lane], left[lane], closed[at + lane] = np.inf, np.inf, True, False
+            last[0, lane], before[0, lane], left[lane], closed[at + lane] = np.inf, 0.0, True, False
             for j in range(n_joints):
                 q[j, lane] = rest[at + lane, j]
-        for attempt in range(rounds + 1):
+        for attempt in range(rounds):
             for j in range(n_joints):
                 if 0 <= loops.leader[j] < n_passive:
                     for lane in range(lanes):
@@ -525,30 +535,21 @@ def close(
                         gap[r, lane] += T[x + k, lane] * (T[b + k, lane] - T[a + k, lane])
                 for lane in range(_ALL):
                     worst[0, lane] = max(worst[0, lane], abs(gap[r, lane]))
-            ends, good = True, attempt > 0
+            _slopes(tree, loops, T, _NONE, width, width, rows, twist, C)
             for lane in range(lanes):
-                left[lane] = left[lane] and attempt < rounds
-                if left[lane] and worst[0, lane] <= enough:
-                    closed[at + lane], left[lane] = True, False
-                if left[lane]:
-                    ends, good = False, good and worst[0, lane] ** 2 <= again * before[0, lane]
-                before[0, lane] = worst[0, lane]
-            if ends or not good:
-                _slopes(tree, loops, T, width, width if ends else n_passive, rows, twist, C)
-            if ends:
-                for lane in range(lanes):
+                small = worst[0, lane] <= enough
+                known[lane] = small or worst[0, lane] ** 3 <= sure * before[0, lane] ** 2
+                if left[lane] and known[lane]:
                     for r in range(n_passive):
                         for k in range(n_passive):
-                            slope[at + lane, r, k] = C[r * width + k, lane] if closed[at + lane] else np.nan
+                            slope[at + lane, r, k] = C[r * width + k, lane]
                         for k in range(n_actuated):
-                            by_motor[at + lane, r, k] = (
-                                C[r * width + n_passive + k, lane] if closed[at + lane] else np.nan
-                            )
-            if ends or not good:
-                _factor(blocks if ends else loops.plan, C, width, larger, sign)
-            if ends:
-                break
+                            by_motor[at + lane, r, k] = C[r * width + n_passive + k, lane]
+                closed[at + lane], left[lane] = closed[at + lane] or (left[lane] and small), left[lane] and not small
+                before[0, lane] = worst[0, lane]
+            _factor(loops.plan, C, width, larger, sign)
             _solve(loops.plan, C, width, larger, gap, step)
+            ends = True
             for lane in range(lanes):
                 size, limit = 0.0, max(0.5 * min(last[0, lane], 2 * largest), 1e-9)
                 for k in range(n_passive if left[lane] else 0):
@@ -557,8 +558,22 @@ def close(
                 left[lane] = left[lane] and size <= limit
                 for k in range(n_passive if left[lane] else 0):
                     passive[at + lane, k] -= step[k, lane]
-                last[0, lane] = size
+                closed[at + lane] = closed[at + lane] or (left[lane] and known[lane])
+                left[lane] = left[lane] and not known[lane]
+                last[0, lane], ends = size, ends and not left[lane]
+            if ends:
+                break
+        for r in range(n_passive):
+            for k in range(n_passive):
+                for lane in range(lanes):
+                    C[r * width + k, lane] = slope[at + lane, r, k]
+        _factor(blocks, C, width, larger, sign)
         for lane in range(lanes):
+            for r in range(0 if closed[at + lane] else n_passive):
+                for k in range(n_passive):
+                    slope[at + lane, r, k] = np.nan
+                for k in range(n_actuated):
+                    by_motor[at + lane, r, k] = np.nan
             for b in range(len(signs)):
                 closed[at + lane] = closed[at + lane] and blocks.signs[b] * sign[b, lane] == signs[b]
 
@@ -590,7 +605,6 @@ def motion(
     places: IntArray,
     signs: FloatArray,
     direct: FloatArray,
-    slope: FloatArray,
     entries: tuple[IntArray, IntArray, FloatArray],
     result: FloatArray,
 ) -> None:
@@ -604,7 +618,6 @@ def motion(
         signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
         direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
-        slope: C_p, (n, n_passive, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
             the frame before the origin, (n_entries, 6).
         result: Where to put the derivative, (n, n_rows, width).
@@ -637,18 +650,13 @@ def motion(
     for start in range(0, n, _LANES):
         at, lanes = np.uintp(start), np.uintp(min(_LANES, n - start))
         _rows(rows, T, at, maps)
-        _rows(loops, T, at, gaps)
+        _slopes(tree, loops, T, at, n_passive, n_passive, gaps, twist, C)
         for r in range(n_rows):
             for k in range(3 if places[3, r] else 0):
                 for lane in range(_ALL):
                     maps[6 * r + 3 + k, lane] = maps[6 * r + k, lane]
                     maps[6 * r + k, lane] = 0.0
-        for c in range(n_passive):
-            for r in range(n_passive):
-                if plan.pattern[r, c]:
-                    for lane in range(lanes):
-                        C[r * n_passive + c, lane] = slope[at + lane, r, c]
-            for r in range(n_rows):
+            for c in range(n_passive):
                 for lane in range(_ALL):
                     B[c * n_rows + r, lane] = direct[r, c]
         for j in range(n_joints):

@@ -242,7 +242,12 @@ def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
 
 
 def sweep(
-    mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], shared: Shared | None = None
+    mechanism: Mechanism,
+    joints: FloatArray,
+    pairs: tuple[RelativeFrame, ...],
+    shared: Shared | None = None,
+    *,
+    poses_only: bool = False,
 ) -> Sweep:
     """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
 
@@ -253,6 +258,7 @@ def sweep(
         joints: Configurations.
         pairs: Frames that are needed.
         shared: What other sweeps for these pairs have computed.
+        poses_only: Whether the Jacobian is not needed.
     """
     shared = Shared(mechanism, pairs) if shared is None else shared
     reduced, spare = shared.reduced, shared.spare
@@ -263,8 +269,14 @@ def sweep(
     model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
     space.origins[:] = mechanism.placements[reduced.joints]
     n, count = len(joints), len(reduced.joints)
-    every_pose, every_jacobian = np.empty((n, count + 1, 12)), np.empty((n, count, 6))
-    compute = pin.computeJointJacobians
+    every_pose = np.empty((n, count + 1, 12))
+    if poses_only:
+        for q, to_poses in zip(joints[:, reduced.joints], every_pose, strict=True):
+            pin.forwardKinematics(model, data, q)
+            to_poses[:] = poses
+        spare.append(space)
+        return Sweep(shared, every_pose, None)
+    every_jacobian, compute = np.empty((n, count, 6)), pin.computeJointJacobians
     for q, to_poses, to_jacobian in zip(joints[:, reduced.joints], every_pose, every_jacobian, strict=True):
         compute(model, data, q)
         to_poses[:] = poses
@@ -336,20 +348,24 @@ def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     return translation[:, pair.rows]
 
 
-def gaps(swept: Sweep) -> tuple[FloatArray, FloatArray]:
-    """Return `value` and `twist_map` of all loops, one loop's rows after the other's; faster than one by one.
-
-    Returns:
-        Constrained components (n, n_rows) [m, rad], and the map from each row's own V_b - V_a, (n, n_rows, 6).
-    """
+def gaps(swept: Sweep) -> FloatArray:
+    """Return `value` of all loops, one loop's rows after the other's, (n, n_rows) [m, rad]; faster than one by one."""
     loops = swept.shared.mechanism.loops
     if any(loop.full_pose for loop in loops):
-        values, maps = zip(*((value(swept, loop), twist_map(swept, loop)) for loop in loops), strict=True)
-        return np.concatenate(values, axis=1), np.concatenate(maps, axis=1)
+        return np.concatenate([value(swept, loop) for loop in loops], axis=1)
     a, b, axis = swept.shared.loop_rows
-    axes, at = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], swept.translation[:, b]
-    components: FloatArray = np.sum(axes * (at - swept.translation[:, a]), axis=2)
-    return components, _with_moments(at, axes)
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    components: FloatArray = np.einsum("nij,nij->ni", swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], offset)
+    return components
+
+
+def gap_maps(swept: Sweep) -> FloatArray:
+    """Return `twist_map` of all loops, from each row's own V_b - V_a, (n, n_rows, 6); faster than one by one."""
+    loops = swept.shared.mechanism.loops
+    if any(loop.full_pose for loop in loops):
+        return np.concatenate([twist_map(swept, loop) for loop in loops], axis=1)
+    a, b, axis = swept.shared.loop_rows
+    return _with_moments(swept.translation[:, b], swept.rotation.transpose(0, 1, 3, 2)[:, a, axis])
 
 
 def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArray]:
@@ -434,19 +450,21 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
     return moved if coordinates.sums is None else moved @ coordinates.sums
 
 
-def origin_derivative(swept: Sweep, mapping: FloatArray, through: FloatArray | None, along: Along) -> FloatArray:
+def origin_derivative(
+    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: Along
+) -> FloatArray:
     """Return map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
         swept: Of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
-        through: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows); None: no loops.
+        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
     """
     n, n_rows = mapping.shape[:2]
     (joints, _, twists), (groups, order) = along.entries, along.groups
     world = world_twists(swept, joints[order], twists[order])
-    maps = mapping[:, :0] if through is None else gaps(swept)[1]
+    through, maps = (None, mapping[:, :0]) if loops is None else loops
     moved = np.zeros((n, n_rows, len(order)))
     for group in groups:
         every = len(group.rows) == n_rows

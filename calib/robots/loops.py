@@ -43,7 +43,7 @@ class Closed:
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
         ok: Which poses closed, (n,).
-        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive).
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); from a seed, before the last correction.
     """
 
     passive: FloatArray
@@ -79,12 +79,13 @@ def close(
         return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     seeded = np.zeros(n, dtype=bool) if seed is None else np.all(np.isfinite(seed), axis=1)
     if seed is not None and np.all(seeded):
-        passive, slope, _, ok = newton(mechanism, mode, actuated, seed)
+        passive, slope, _, ok = newton(mechanism, mode, actuated, seed, exact=False)
     else:
         passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
         ok = np.zeros(n, dtype=bool)
         if seed is not None and np.any(seeded):
-            passive[seeded], slope[seeded], _, ok[seeded] = newton(mechanism, mode, actuated[seeded], seed[seeded])
+            there = newton(mechanism, mode, actuated[seeded], seed[seeded], exact=False)
+            passive[seeded], slope[seeded], _, ok[seeded] = there
     if seed is not None:
         passive = wrapped(mechanism, mode, passive)
         ok &= within_limits(mechanism, passive) | (not limits)

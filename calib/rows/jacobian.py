@@ -99,8 +99,7 @@ def origin_jacobian(
     for part, swept in sweeps(mechanism, configurations, mechanism.targets):
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
-        slope = configurations.slope[part]
-        relative_motion(mechanism, swept, mechanism.targets, slope, twists, angular=turns, out=derivative[part])
+        relative_motion(mechanism, swept, mechanism.targets, twists, angular=turns, out=derivative[part])
     return positions, derivative
 
 
@@ -148,7 +147,6 @@ def relative_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     pairs: tuple[RelativeFrame, ...],
-    slope: FloatArray,
     twists: FloatArray | None,
     *,
     angular: bool,
@@ -160,7 +158,6 @@ def relative_motion(
         mechanism: The mechanism.
         swept: Of the poses.
         pairs: The frames.
-        slope: C_p, (n, n_passive, n_passive).
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether dw is wanted too.
         out: Where to put it, if that is known.
@@ -176,15 +173,15 @@ def relative_motion(
     if swept.compiled is not None:
         index = swept.index
         rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
-        _compiled_motion(swept, np.array(rows).T.copy(), along, direct, slope, result.reshape(n, n_rows, -1))
+        _compiled_motion(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
     else:
         mapping = kinematics.motion_map(swept, pairs, angular=angular)
-        result[:] = _motion(mechanism, swept, mapping, along, direct, slope).reshape(result.shape)
+        result[:] = _motion(mechanism, swept, mapping, along, direct).reshape(result.shape)
     return result
 
 
 def passive_motion(
-    mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, slope: FloatArray, twists: FloatArray
+    mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, twists: FloatArray
 ) -> FloatArray:
     """Return d(q_j)/d(origin twists) of one joint coordinate that the loops decide, (n, 1, k).
 
@@ -192,7 +189,6 @@ def passive_motion(
         mechanism: The mechanism.
         swept: Of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
-        slope: C_p, (n, n_passive, n_passive).
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
     n = len(swept.rotation)
@@ -201,9 +197,9 @@ def passive_motion(
     along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
     if swept.compiled is not None:
         result = np.empty((n, 1, along.before.shape[2]))
-        _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], slope, result)
+        _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
         return result
-    return _motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], slope)
+    return _motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None])
 
 
 def _compiled_motion(
@@ -211,7 +207,6 @@ def _compiled_motion(
     rows: IntArray,
     along: kinematics.Along,
     direct: FloatArray,
-    slope: FloatArray,
     result: FloatArray,
 ) -> None:
     """Fill in what `_motion` returns, by compiled code.
@@ -219,12 +214,12 @@ def _compiled_motion(
     Args:
         swept: Of the poses.
         rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
-        along, direct, slope: As there.
+        along, direct: As there.
         result: Where to put it, (n, n_rows, k).
     """
     shared = swept.shared
     model, signs = (shared.tree, shared.loops, swept.compiled), np.ascontiguousarray(along.signs)
-    shared.functions.motion(*model, rows, signs, direct, slope, along.entries, result)
+    shared.functions.motion(*model, rows, signs, direct, along.entries, result)
 
 
 def _motion(
@@ -233,7 +228,6 @@ def _motion(
     mapping: FloatArray,
     along: kinematics.Along,
     direct: FloatArray,
-    slope: FloatArray,
 ) -> FloatArray:
     """Return dx/dxi of the module docstring along origin twists, (n, n_rows, k).
 
@@ -243,15 +237,17 @@ def _motion(
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
         direct: What passive joints do to x beside that, (n_rows, n_passive).
-        slope: C_p, (n, n_passive, n_passive).
     """
     if not mechanism.loops:
         return kinematics.origin_derivative(swept, mapping, None, along)
     signs = along.signs[: along.n_rows]
     passive = kinematics.Coordinates.of(swept.reduced, signs, mechanism.select_passive)
     by_passive = direct + kinematics.joint_derivative(swept, mapping, passive)
+    maps, in_loops = kinematics.gap_maps(swept), along.signs[along.n_rows :]
+    loops = kinematics.Coordinates.of(swept.reduced, in_loops, mechanism.select_passive)
+    slope = kinematics.joint_derivative(swept, maps, loops)
     through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
-    return kinematics.origin_derivative(swept, mapping, through, along)
+    return kinematics.origin_derivative(swept, mapping, (through, maps), along)
 
 
 def parameter_twists(robot: Robot, values: FloatArray | None = None) -> FloatArray:

@@ -121,15 +121,14 @@ class _Work:
         index = self._order[first:last]
         if len(index) == 0:
             return
-        slope = configurations.slope[part]
         if isinstance(self.instrument, JointInstrument):
             self._fill_joint(self.instrument, index, part, swept, configurations, twists)
             return
         chosen = {k: index[self.readings.pairs[index] == k] for k in np.unique(self.readings.pairs[index]).tolist()}
-        self._fill_pairs(chosen, part, swept, slope, twists)
+        self._fill_pairs(chosen, part, swept, twists)
 
     def _fill_pairs(
-        self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, slope: FloatArray, twists: FloatArray
+        self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, twists: FloatArray
     ) -> None:
         """Compare the readings of each pair."""
         pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
@@ -142,7 +141,7 @@ class _Work:
         if not self._columns.shape[2]:
             return
         angular = any(np.any(comparison.by_twist[:, :, 3:]) for comparison in comparisons)
-        motions = relative_motion(self.robot.mechanism, swept, pairs, slope, twists, angular=angular)
+        motions = relative_motion(self.robot.mechanism, swept, pairs, twists, angular=angular)
         for k, (own, comparison) in enumerate(zip(chosen.values(), comparisons, strict=True)):
             motion, by_twist, at = motions[:, k], comparison.by_twist[:, :, : motions.shape[2]], visits[own]
             if len(at) != len(motion) or np.any(at != np.arange(len(at))):
@@ -167,7 +166,7 @@ class _Work:
         assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
         if not self._columns.shape[2]:
             return
-        motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
+        motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)
         self._columns[as_slice(chosen)] = comparison.by_joint[:, :, None] * motion[at]
         self._add_unknowns(chosen, comparison)
         if self._columns.shape[2] > self._by_joint:

@@ -17,6 +17,7 @@ from viz.poses import PoseTable
 from viz.scene import Joint
 from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, plain_ticks, styled, thinned
 
+_BOX = 0.55  # height of a box, of the distance between two
 _STANDS = 0.01  # range of a joint [deg, mm] below which it did not move
 
 
@@ -144,17 +145,7 @@ def error_by_axis(errors: PartErrors) -> Plot:
         columns = [column[np.isfinite(column)] for column in errors.shown(state).T]
         known = [k for k, column in enumerate(columns) if len(column)]
         if known:
-            boxes = axes.boxplot(
-                [columns[k] for k in known],
-                positions=[k + 1 for k in known],
-                orientation="horizontal",
-                widths=0.55,
-                patch_artist=True,
-                flierprops={"marker": ".", "markersize": 2.5},
-                medianprops={"color": "black"},
-            )
-            for patch, k in zip(boxes["boxes"], known, strict=True):
-                patch.set(facecolor=_look(k)[0], alpha=0.45)
+            _draw_boxes(axes, [columns[k] for k in known], np.array(known) + 1.0, [_look(k)[0] for k in known])
         axes.set_yticks(range(1, len(names) + 1), names if state == "before" else [""] * len(names))
         axes.axvline(0.0, color="black", linewidth=0.8)
         axes.invert_yaxis()
@@ -164,6 +155,33 @@ def error_by_axis(errors: PartErrors) -> Plot:
         "Boxes hold the middle half of the poses; a box away from zero is a systematic error. Mind the two scales.",
         figure,
     )
+
+
+def _draw_boxes(axes: Any, columns: list[FloatArray], places: FloatArray, colours: list[str]) -> None:
+    """Draw boxes as matplotlib's `boxplot` does, which imports all of pyplot.
+
+    Args:
+        axes: Where to.
+        columns: The values of each box.
+        places: Where each is, along the vertical axis.
+        colours: Of the boxes.
+    """
+    from matplotlib.cbook import boxplot_stats
+
+    told = boxplot_stats(columns)
+    keys = ("q1", "med", "q3", "whislo", "whishi")
+    low, middle, high, least, most = (np.array([box[key] for box in told]) for key in keys)
+    for start, width, place, colour in zip(low, high - low, places, colours, strict=True):
+        axes.broken_barh(
+            [(start, width)], (place - _BOX / 2, _BOX), facecolor=colour, edgecolor="black", alpha=0.45, zorder=2
+        )
+    line = {"colors": "black", "linewidth": 1.0, "capstyle": "projecting", "zorder": 2}
+    axes.hlines(np.tile(places, 2), np.concatenate([least, high]), np.concatenate([low, most]), **line)
+    for ends, half in ((middle, _BOX / 2), (least, _BOX / 4), (most, _BOX / 4)):
+        axes.vlines(ends, places - half, places + half, **line)
+    others, of_others = np.concatenate([box["fliers"] for box in told]), [len(box["fliers"]) for box in told]
+    axes.plot(others, np.repeat(places, of_others), ".", color="black", markersize=2.5, markerfacecolor="none")
+    axes.set_ylim(min(places) - 0.5, max(places) + 0.5)
 
 
 @styled

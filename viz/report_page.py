@@ -39,7 +39,7 @@ from viz.rendering import picture_of, points_of
 from viz.report_tables import extent, headline, judged_by, tolerance_of, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.scene_data import in_space
-from viz.viewer_page import Page
+from viz.viewer_page import Page, templates
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -134,11 +134,7 @@ def _space(scene: Scene | None, part: str) -> list[float] | None:
 
 def page_environment() -> Environment:
     """Return where pages to print are made: everything that is put into them is escaped; with formats for numbers."""
-    from jinja2 import Environment, PackageLoader
-
-    environment = Environment(
-        loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = templates(trim_blocks=True, lstrip_blocks=True)
     formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence, "cell": cell}
     environment.filters |= formats | {"powers": powers}
     return environment

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from viz.ticks import Ticks, draw_small
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -97,7 +99,7 @@ def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
 
 def svg_file(figure: Figure) -> bytes:
     """Return a figure as an SVG file; the same figure gives the same bytes."""
-    _mark_small_ticks(figure)
+    draw_small(figure)
     if figure.get_layout_engine() is None and all(axes.get_subplotspec() for axes in figure.axes):
         _lay_out(figure)  # axes that were placed by hand stay
     stream = io.BytesIO()
@@ -118,40 +120,6 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
     return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" ', 1)
-
-
-def _mark_small_ticks(figure: Any) -> None:
-    """Draw the small ticks of an axis as the marks of one line: matplotlib makes five artists of each."""
-    import matplotlib
-    from matplotlib.lines import Line2D
-    from matplotlib.markers import TICKDOWN, TICKLEFT
-    from matplotlib.ticker import NullLocator
-
-    style: Any = matplotlib.rcParams
-    marks: dict[str, Any] = {"x": TICKDOWN, "y": TICKLEFT}
-    axes_of = {axis: axes for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)}
-    places_of = {axis: np.asarray(axis.get_minorticklocs()) for axis in axes_of}  # before any is taken away: some share
-    for axis, places in places_of.items():
-        low, high = sorted(axis.get_view_interval())
-        places, name = places[(places >= low) & (places <= high)], axis.axis_name
-        along_x, axes = name == "x", axes_of[axis]
-        axis.set_minor_locator(NullLocator())
-        if not len(places):
-            continue
-        edge = np.zeros(len(places))
-        axes.add_artist(
-            Line2D(
-                *((places, edge) if along_x else (edge, places)),
-                linestyle="none",
-                marker=marks[name],
-                color=style[f"{name}tick.color"],
-                markersize=style[f"{name}tick.minor.size"],
-                markeredgewidth=style[f"{name}tick.minor.width"],
-                transform=axes.get_xaxis_transform() if along_x else axes.get_yaxis_transform(),
-                clip_on=False,
-                zorder=axis.get_zorder(),
-            )
-        )
 
 
 def _lay_out(figure: Any) -> None:
@@ -177,7 +145,7 @@ def _lay_out(figure: Any) -> None:
         ways = [axis.label.get_transform() for axis in (axes.xaxis, axes.yaxis)]
         for axis in (axes.xaxis, axes.yaxis):  # labels in the middle: their own places would have ticks measured twice
             axis.set_label_coords(0.5, 0.5)
-        x_ticks, y_ticks = (axis.get_tightbbox(renderer) or inner for axis in (axes.xaxis, axes.yaxis))
+        x_ticks, y_ticks = (_extent(axis, renderer) or inner for axis in (axes.xaxis, axes.yaxis))
         x_label, y_label = (axis.label.get_window_extent(renderer) for axis in (axes.xaxis, axes.yaxis))
         down = max(inner.y0 - x_ticks.y0, axes.xaxis.get_tick_padding())  # to where ticks and their numbers end
         out = max(inner.x0 - y_ticks.x0, axes.yaxis.get_tick_padding())
@@ -203,6 +171,16 @@ def _lay_out(figure: Any) -> None:
     for axes, under, aside, below_x, beside_y in labels:  # they stay there, and need not be measured again
         axes.xaxis.set_label_coords(0.5, axes.bbox.y0 - under, below_x)
         axes.yaxis.set_label_coords(axes.bbox.x0 - aside, 0.5, beside_y)
+    drawn = [Ticks.of(axis) for axes in panels for axis in (axes.xaxis, axes.yaxis)]  # all at first: some share theirs
+    for ticks in drawn:
+        if ticks is not None:
+            ticks.draw()
+
+
+def _extent(axis: Any, renderer: Any) -> Any:
+    """What the numbers of an axis cover, a `Bbox` [points]; None without any."""
+    ticks = Ticks.of(axis)
+    return axis.get_tightbbox(renderer) if ticks is None else ticks.extent(renderer)
 
 
 def plain_ticks(*axes: Any) -> None:

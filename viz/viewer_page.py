@@ -6,15 +6,22 @@ import base64
 import hashlib
 import html
 import json
+import os
+import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from calib.base.files import write_file
 from calib.base.version import VERSION
 from viz.scene import Scene
 from viz.scene_data import scene_data
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _SCRIPTS = (
     "kinematics.js",
@@ -66,6 +73,22 @@ class Page:
         return f'<iframe srcdoc="{html.escape(self.html)}" style="width: 100%; height: 640px; border: 0"></iframe>'
 
 
+def templates(**options: Any) -> Environment:
+    """Return where pages are made, everything that is put into them escaped; `options` go to Jinja's `Environment`.
+
+    Compiled templates stay for later, where Python keeps its modules as well.
+    """
+    from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader
+
+    folder = Path(__file__).parent / "templates"
+    kept = folder / "__pycache__"
+    if not sys.dont_write_bytecode:
+        with suppress(OSError):
+            kept.mkdir(exist_ok=True)
+    cache = FileSystemBytecodeCache(str(kept), "%s.template") if os.access(kept, os.W_OK) else None
+    return Environment(loader=FileSystemLoader(folder), autoescape=True, bytecode_cache=cache, **options)
+
+
 def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
     """Return the viewer page of a scene.
 
@@ -74,26 +97,25 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
         live: Whether the page listens to the server that sends it.
         report: File beside the page with the report, to link to; none if not given.
     """
-    from jinja2 import Environment, PackageLoader
-
-    templates = files("viz") / "templates"
-    scripts = "\n".join(
-        (templates / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS
-    )
+    folder = files("viz") / "templates"
+    scripts = "\n".join((folder / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS)
     code, licences = meshcat_script()
     meshcat, script = in_script(code), in_script('"use strict";\n' + scripts)
-    environment = Environment(loader=PackageLoader("viz", "templates"), autoescape=True)
-    text = environment.get_template("viewer.html").render(
-        title=scene.title,
-        version=VERSION,
-        live=live,
-        report=report,
-        licences=licences,
-        allowed=" ".join(f"'sha256-{digest_of_script(source)}'" for source in (meshcat, script)),
-        meshcat=meshcat,
-        style=(templates / "viewer.css").read_text(encoding="utf-8"),
-        script=script,
-        scene=json_in_script(scene_data(scene, live=live)),
+    text = (
+        templates()
+        .get_template("viewer.html")
+        .render(
+            title=scene.title,
+            version=VERSION,
+            live=live,
+            report=report,
+            licences=licences,
+            allowed=" ".join(f"'sha256-{digest_of_script(source)}'" for source in (meshcat, script)),
+            meshcat=meshcat,
+            style=(folder / "viewer.css").read_text(encoding="utf-8"),
+            script=script,
+            scene=json_in_script(scene_data(scene, live=live)),
+        )
     )
     return Page(text)
 

@@ -35,6 +35,7 @@ PROGRAMS = {"calib": ["-m", "calib"], "medrue": ["-c", "from medrue.cli import m
 def taken(arguments, folder):
     """Processor time [s] and peak memory [GB] of one run of Python, with one thread of linear algebra."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # what is compiled stays, as it does for users
     environment |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     process = subprocess.Popen(
         [sys.executable, *arguments], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

@@ -108,7 +108,8 @@ class _Work:
     def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
         self.all_pairs = robot.pairs(instrument)
-        self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if self.all_pairs else ()
+        self._numbers: list[int] = np.unique(readings.pairs).tolist()
+        self.pairs = tuple(self.all_pairs[k] for k in self._numbers) if self.all_pairs else ()
         self._by_joint, n = robot.coefficients.start, len(readings)  # where columns by joints begin
         self._residuals = np.empty((n, instrument.n_rows))
         self._columns = np.empty((n, instrument.n_rows, width))  # each is filled once
@@ -124,8 +125,14 @@ class _Work:
         if isinstance(self.instrument, JointInstrument):
             self._fill_joint(self.instrument, index, part, swept, configurations, twists)
             return
-        chosen = {k: index[self.readings.pairs[index] == k] for k in np.unique(self.readings.pairs[index]).tolist()}
-        self._fill_pairs(chosen, part, swept, twists)
+        self._fill_pairs(self._of_pairs(index), part, swept, twists)
+
+    def _of_pairs(self, index: IntArray) -> dict[int, IntArray]:
+        """Readings (n,) of each pair that they look along."""
+        if len(self._numbers) == 1:
+            return {self._numbers[0]: index}
+        number = self.readings.pairs[index]
+        return {k: chosen for k in self._numbers if len(chosen := index[number == k])}
 
     def _fill_pairs(
         self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, twists: FloatArray

@@ -104,8 +104,9 @@ def bends(
             with compiled_for(len(own), MANY):
                 for chosen, bent in way.along(configurations, own.visits, np.flatnonzero(own.pairs == number)):
                     where = as_slice(rows.layout.rows_of_readings(name, chosen))
-                    whitened = whitening.whitened(name, bent, as_slice(chosen), in_place=True)
-                    total += rows.jacobian[where].T @ (whitened.reshape(-1, total.shape[1]) / scale[where])
+                    own_rows = (rows.jacobian[where] / scale[where]).reshape(*bent.shape[:2], -1)
+                    pulling = whitening.whitened(name, own_rows, as_slice(chosen), in_place=True, across=True)  # W^T J
+                    total += pulling.reshape(-1, len(total)).T @ bent.reshape(-1, total.shape[1])
             pulled.append(total)
             places.append(way.places)
     return Bends(np.hstack(pulled), scipy.sparse.vstack(places, format="csr"), len(index))

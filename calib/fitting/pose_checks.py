@@ -31,11 +31,11 @@ from calib.data.measurements import Measurements, with_points
 from calib.fitting.joint_conventions import joint_changes
 from calib.fitting.problem import Evaluation, Problem
 from calib.joint_terms.term import COLUMNS, Condition
-from calib.numerics.identifiability import reduced_with
 from calib.robots.configurations import close
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination, determination
 from calib.rows.registration import register
+from calib.rows.unknowns import Unknowns
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
 _ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
@@ -182,16 +182,14 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
 
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return the whitened derivative by parameters (n,), not scaled; of very many rows their triangular factor."""
+    """Return the whitened derivative by parameters (n,), not scaled; of very many rows a few that are worth as much."""
     whitening, groups = problem.whitening, problem.whitening.start()
-    factor: FloatArray = np.zeros((0, len(index)))
-    for batch, observed in evaluation.observed(index):
-        columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, batch, in_place=True)
-        columns /= whitening.row_scale(groups, batch)[:, None]
-        if len(evaluation.batches) == 1:
-            return columns
-        factor = reduced_with(factor, columns)
-    return factor
+    if len(evaluation.batches) > 1:
+        unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
+        return problem.condensed(evaluation, groups, unknowns)[0][:, :-1] / unknowns.scales
+    (_, observed), *_ = evaluation.observed(index)
+    columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, in_place=True)
+    return columns / whitening.row_scale(groups)[:, None]
 
 
 def _why(problem: Problem) -> str:

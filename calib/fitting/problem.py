@@ -25,10 +25,10 @@ from calib.data.measurements import Measurements
 from calib.instruments.kind import Readings
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import LeftOut
-from calib.numerics.identifiability import reduced_with
+from calib.numerics.identifiability import reduced, reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
-from calib.numerics.tall import AbovePrior, Multiplied, Tall
+from calib.numerics.tall import AbovePrior, Factored, Multiplied, Tall
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
@@ -53,6 +53,7 @@ class Evaluation:
         readings: What was read, of each instrument, by name.
         batches: In which batches it is looked at.
         products: What `Problem.products` remembers: scales of the unknowns, and products for these.
+        factors: What `Problem.condensed` remembers: factors of the rows of each group.
     """
 
     robot: Robot
@@ -60,6 +61,7 @@ class Evaluation:
     readings: Mapping[str, Readings]
     batches: tuple[Batch, ...]
     products: list[tuple[FloatArray, Products]] = field(default_factory=list)
+    factors: list[FloatArray] = field(default_factory=list)
 
     @cached_property
     def _all(self) -> dict[str, Observed]:
@@ -298,21 +300,44 @@ class Problem(ReadOnlyArrays):
             len(unknowns.families),
         )
 
-    def _condensed(self, evaluation: Evaluation, ones: FloatArray) -> LinearModel:
-        """The same of very many rows, by the triangular factors of the rows of each group."""
+    def condensed(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns) -> tuple[FloatArray, IntArray]:
+        """Return a few rows [J r] that have the products of all, (n_few, n + 1), and the group of each, (n_few,).
+
+        They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
+        an evaluation, by all parameters that belong to no family.
+
+        Args:
+            evaluation, groups: As of `rows`.
+            unknowns: Some of these parameters.
+        """
+        every = Unknowns.of(self.robot, np.array([not p.family for p in self.robot.parameters]))
+        if not evaluation.factors:
+            evaluation.factors.extend(self._factors(evaluation, every))
+        factors = evaluation.factors
+        chosen = np.append(np.searchsorted(every.index, unknowns.index), len(every))
+        sizes = np.append(unknowns.scales / every.scales[chosen[:-1]], 1.0)
+        rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
+        return rows, np.repeat(np.arange(len(groups)), [len(factor) for factor in factors])
+
+    def _factors(self, evaluation: Evaluation, unknowns: Unknowns) -> list[FloatArray]:
+        """Triangular factors of [J r] of the rows of each group, as stated, (at most n + 1, n + 1)."""
+        ones = np.ones(len(self.whitening.groups))
         group, residuals = self.whitening.layout.group, self.residuals(evaluation, ones)
-        n, n_groups = len(self.unknowns), len(ones)
-        factors: list[FloatArray] = [np.zeros((0, n + 1)) for _ in range(n_groups)]
-        for places, columns in self.derivative(evaluation, ones, self.unknowns).parts():
-            for g in range(n_groups):
+        factors: list[FloatArray] = [np.zeros((0, len(unknowns) + 1)) for _ in ones]
+        for places, columns in self.derivative(evaluation, ones, unknowns).parts():
+            for g in range(len(ones)):
                 mine = group[places] == g
                 whole = bool(np.all(mine))
                 rows, right = (columns, residuals[places]) if whole else (columns[mine], residuals[places][mine])
                 factors[g] = reduced_with(factors[g], rows, right)
-        rows, numbers = np.vstack(factors), np.repeat(np.arange(n_groups), [len(factor) for factor in factors])
-        u, unknowns = self.unknowns.deviations(evaluation.robot.values), self.unknowns
+        return factors
+
+    def _condensed(self, evaluation: Evaluation, ones: FloatArray) -> LinearModel:
+        """The same of very many rows, by a few that are worth as much."""
+        unknowns, group, n = self.unknowns, self.whitening.layout.group, len(self.unknowns)
+        rows, numbers = self.condensed(evaluation, ones, unknowns)
         families = unknowns.family, len(unknowns.families)
-        counts = np.bincount(group[group >= 0], minlength=n_groups)
+        counts, u = np.bincount(group[group >= 0], minlength=len(ones)), unknowns.deviations(evaluation.robot.values)
         return LinearModel(rows[:, n], rows[:, :n], unknowns.prior, u, numbers, self.noise_found, *families, counts)
 
     def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -491,9 +516,11 @@ class _Way:
             else Tall.of(self._rows(evaluation).jacobian)
         )
         self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
-        problem, groups, rows = self._problem, self._groups, plain
+        problem, groups, unknowns, rows = self._problem, self._groups, self._unknowns, plain
         if self._is_of_families:
             rows = Multiplied(plain, lambda: problem.products(evaluation, groups, plain).weighed(groups))
+        elif self._in_batches and self._weights is None and evaluation.factors and not np.any(unknowns.family >= 0):
+            rows = Factored(plain, lambda: reduced(problem.condensed(evaluation, groups, unknowns)[0]))
         return AbovePrior(rows, self._unknowns.prior)
 
 

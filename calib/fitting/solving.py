@@ -127,8 +127,11 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
     solution.
     """
-    unknowns = problem.unknowns
-    lengths = problem.derivative(placed, problem.whitening.start(), unknowns).lengths()
+    unknowns, groups = problem.unknowns, problem.whitening.start()
+    if len(placed.batches) > 1 and not unknowns.families:
+        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns)[0][:, :-1], axis=0)
+    else:
+        lengths = problem.derivative(placed, groups, unknowns).lengths()
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
     if not np.any(blind):
         return placed

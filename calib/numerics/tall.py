@@ -99,6 +99,23 @@ class Multiplied(Tall):
         return np.block([[gram, pull[:, None]], [pull, right @ right]])
 
 
+class Factored(Tall):
+    """Very many rows whose triangular factor, with the residuals beside them, is known where it is asked for.
+
+    Args:
+        rows: The rows, J.
+        known: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows.
+    """
+
+    def __init__(self, rows: Tall, known: Callable[[], FloatArray]) -> None:
+        super().__init__(rows.shape, rows.parts, is_cut=rows.is_cut)
+        self._known = known
+
+    def factor(self, right: FloatArray | None = None) -> FloatArray:
+        """Return the triangular factor, of the rows and the residuals (n_rows,) if given; see `Tall.factor`."""
+        return self._known() if right is not None else self._known()[: self.shape[1], :-1]
+
+
 class AbovePrior(Tall):
     """Rows above those of a prior, P, which are hardly more than ones.
 
@@ -120,7 +137,9 @@ class AbovePrior(Tall):
     def factor(self, right: FloatArray | None = None) -> FloatArray:
         """Return the triangular factor; see `Tall.factor`. Of few rows, it is found at once."""
         if self._rows.is_cut:
-            return super().factor(right)
+            n = self._rows.shape[0]
+            factor = self._rows.factor(None if right is None else right[:n])
+            return reduced_with(factor, self._prior.rows, None if right is None else right[n:])
         return reduced(np.vstack([self._rows.whole(), self._prior.rows]), right)
 
     def products(self, right: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ Method. For a given R this is linear in t and all p. Solved for them, what is le
 so that all poses shrink into ten rows: a quadratic function on the rotations, whatever the mechanism is. It may have
 several minima; damped Newton steps descend from each of the 60 rotations of the icosahedron, no rotation being more
 than 45 degrees away from one of them, and the lowest end is taken. Where sigma is given, the noise is found from the
-residuals.
+residuals. The more noise, the larger is the sum everywhere: where it is smallest now, it was no larger without noise.
+So only ends are descended from again that were lower then than the lowest one is now.
 
 What the poses cannot tell stays as near as it can to the guess: first the points (a link that never turns shows nothing
 of its point, one that turns about one axis does not tell the point's direction from that of X), then the rotation of X
@@ -40,6 +41,7 @@ _RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
 _STILL = 1e-11  # step below which a descent has ended [rad]
+_SAME = 1e-6  # difference of rotations below which they are one minimum
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
 _RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise below which it is found: as a part of it, and in m
 _SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
@@ -103,9 +105,9 @@ def place(
     for point in points:
         _check(point, weights)
     system = _system(points, weights, guess, frame_known)
-    noise = 0.0
+    noise, search = 0.0, _Search(system, guess.rotation)
     for _ in range(_NOISE_ROUNDS):
-        rotation = guess.rotation if frame_known else _best_rotation(system, noise, guess.rotation)
+        rotation = guess.rotation if frame_known else search.best(noise)
         moved = _reduced(system, noise).moved(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
         estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
@@ -225,16 +227,47 @@ def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
     return _Reduced(solution[:, :9], solution[:, 9], rest[:, :9], rest[:, 9])
 
 
-def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArray:
-    """Return the rotation R (3, 3) with the smallest sum of squares, near the guess where that leaves it open."""
-    searched = _reduced(system, noise, _POINT_WEIGHT * system.weight)
-    turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
-    rows = np.vstack(
-        [np.column_stack([searched.F, searched.f]), turn * np.column_stack([np.eye(9), guess.ravel()])],
-    )
-    rotation = _descend(
-        reduced(rows), np.concatenate([[guess], scipy.spatial.transform.Rotation.create_group("I").as_matrix()])
-    )
+class _Search:
+    """The search for the rotation with the smallest sum of squares, for several sizes of the noise, 0 first.
+
+    Args:
+        system: The system.
+        guess: A rotation to stay near where the system leaves it open, (3, 3).
+    """
+
+    def __init__(self, system: _System, guess: FloatArray) -> None:
+        self._system, self._guess = system, guess
+        self._ends: FloatArray | None = None  # of the first search, without noise, the lowest first
+        self._squares: FloatArray = np.zeros(0)
+
+    def best(self, noise: float) -> FloatArray:
+        """Return the rotation, (3, 3), for a noise [m]."""
+        rows = self._rows(noise)
+        if self._ends is None:
+            starts = np.concatenate([[self._guess], scipy.spatial.transform.Rotation.create_group("I").as_matrix()])
+            ends, squares = _descend(rows, starts)
+            order = np.argsort(squares, kind="stable")
+            self._ends, self._squares = ends[order], squares[order]
+            return _ended(self._system, noise, self._ends[0])
+        ends, squares = _descend(rows, self._ends[:1])
+        others = np.max(np.abs(self._ends - self._ends[0]), axis=(1, 2)) > _SAME
+        others &= self._squares <= squares[0]
+        if np.any(others):
+            more, of_more = _descend(rows, self._ends[others])
+            ends, squares = np.concatenate([ends, more]), np.concatenate([squares, of_more])
+        return _ended(self._system, noise, ends[np.argmin(squares)])
+
+    def _rows(self, noise: float) -> FloatArray:
+        """What is to be small, as of `_descend`; distances to all guesses count a little."""
+        system = self._system
+        searched = _reduced(system, noise, _POINT_WEIGHT * system.weight)
+        turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
+        near = turn * np.column_stack([np.eye(9), self._guess.ravel()])
+        return reduced(np.vstack([np.column_stack([searched.F, searched.f]), near]))
+
+
+def _ended(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) that a descent ended near, without the distances that count a little."""
     exact = _reduced(system, noise)
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
@@ -245,8 +278,8 @@ def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArr
     return rotation
 
 
-def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
-    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return the best end (3, 3).
+def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return ends, and it there (n,).
 
     With R exp(w), errors e and slope J, half of the sum has the gradient J^T e and the second derivative
 
@@ -276,7 +309,7 @@ def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
         damping = np.where(better, 0.1 * damping, 10 * damping)
         if np.all(np.linalg.norm(steps, axis=1) < _STILL):
             break
-    return rotations[np.argmin(np.sum(errors**2, axis=1))]
+    return rotations, np.sum(errors**2, axis=1)
 
 
 def _positive(square: FloatArray) -> BoolArray:

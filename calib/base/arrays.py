@@ -19,6 +19,13 @@ IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 
 
+def as_slice(chosen: IntArray) -> IntArray | slice:
+    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
+    first = int(chosen[0]) if len(chosen) else 0
+    span = slice(first, first + len(chosen))
+    return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
+
+
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array itself if it is read-only, else a read-only copy."""
     if not array.flags.writeable and array.base is None:

@@ -31,23 +31,20 @@ class LoopRows:
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.shared = mechanism, kinematics.Shared(mechanism, mechanism.loops)
         signs = mechanism.loop_signs[:, self.shared.reduced.joints]
-        self.passive, self.moving = (
-            kinematics.Coordinates.of(self.shared.reduced, signs, select)
-            for select in (mechanism.select_passive, mechanism.select_moving)
-        )
+        self._moving = kinematics.Coordinates.of(self.shared.reduced, signs, mechanism.select_moving)
 
     def chunks(self, n: int) -> Iterator[slice]:
         """Yield n poses in parts that are good at once."""
         return kinematics.chunks(n, kinematics.at_once(self.shared.reduced))
 
-    def at(self, actuated: FloatArray, passive: FloatArray, *, poses_only: bool = False) -> kinematics.Sweep:
+    def at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
         """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
         joints = self.mechanism.all_joints(actuated, passive)
-        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared, poses_only=poses_only)
+        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
 
-    def by(self, swept: kinematics.Sweep, coordinates: kinematics.Coordinates) -> FloatArray:
-        """Return dr/d(coordinates), (n, n_rows, n_coordinates)."""
-        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
+    def slopes(self, swept: kinematics.Sweep) -> FloatArray:
+        """Return [C_p C_a], (n, n_rows, n_passive + n_actuated)."""
+        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), self._moving)
 
 
 def residual(
@@ -59,7 +56,7 @@ def residual(
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
     for part in rows.chunks(len(actuated)):
         swept = rows.at(actuated[part], passive[part])
-        values[part], slope[part] = kinematics.gaps(swept), rows.by(swept, rows.moving)
+        values[part], slope[part] = kinematics.gaps(swept), rows.slopes(swept)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

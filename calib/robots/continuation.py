@@ -108,28 +108,34 @@ def _corrected(
     slope = np.full((n, n_passive, n_passive), np.nan)
     slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
     accepted, loops = np.zeros(n, dtype=bool), LoopRows(mechanism)
+    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     for part in loops.chunks(n):
-        active = np.arange(part.start, part.stop)
-        last, before = np.full(len(active), np.inf), np.zeros(len(active))
+        index = np.arange(part.start, part.stop)
+        last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):
-            swept = loops.at(actuated[active], passive[active])
-            values, slopes = kinematics.gaps(swept), loops.by(swept, loops.moving)
+            swept = loops.at(actuated[index], passive[index])
+            values, slopes = kinematics.gaps(swept), loops.slopes(swept)
             worst = np.max(np.abs(values), axis=1)
-            small = worst <= enough
-            rest = ~small & np.all(np.isfinite(slopes), axis=(1, 2))
-            correction = solved_for(slopes[rest, :, :n_passive], values[rest])
-            size = np.max(np.abs(in_radians(mechanism, correction)), axis=1)
-            # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
-            contracts = size <= np.maximum(0.5 * np.minimum(last[rest], 2 * LARGEST_STEP), 1e-9)
-            rest[rest] = contracts
-            passive[active[rest]] -= correction[contracts]
-            known = worst**3 <= sure * before**2
-            done, on = small | (rest & known), rest & ~known
-            at, found = active[done], slopes[done]
-            slope[at], slope_actuated[at], accepted[at] = found[:, :, :n_passive], found[:, :, n_passive:], True
-            last, before, active = size[contracts][~known[rest]], worst[on], active[on]
-            if len(active) == 0:
+            small, known = worst <= enough, worst**3 <= sure * before**2
+            if np.all(small):
+                contracts = ~small
+            else:
+                correction = solved_for(slopes[:, :, :n_passive], values)
+                last, longest = np.max(np.abs(correction / scale), axis=1), np.minimum(last, 2 * LARGEST_STEP)
+                # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
+                contracts = (worst > enough) & (last <= np.maximum(0.5 * longest, 1e-9))
+            done, on = small | (contracts & known), contracts & ~known
+            if np.all(done):
+                slope[index], slope_actuated[index] = slopes[:, :, :n_passive], slopes[:, :, n_passive:]
+            else:
+                slope[index[done]] = slopes[done, :, :n_passive]
+                slope_actuated[index[done]] = slopes[done, :, n_passive:]
+            accepted[index] = done
+            if np.any(contracts):
+                passive[index] -= np.where(contracts[:, None], correction, 0.0)
+            if not np.any(on):
                 break
+            index, last, before = index[on], last[on], worst[on]
     return slope, slope_actuated, accepted
 
 

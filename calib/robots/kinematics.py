@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray, as_slice
 from calib.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
 
 CHUNK = 64
@@ -53,23 +53,36 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
         yield slice(k * n // count, (k + 1) * n // count)
 
 
-@dataclass(frozen=True, eq=False)
-class Alike:
-    """Twists of origins that move the same rows.
+class WorldTwists:
+    """Twists that are given in the frames before origins, to be seen in the world.
 
-    Attributes:
-        rows: Which rows they move, through the loops or not, (m,).
-        signs: By which sign they move each of these themselves, (m,).
-        felt: Which rows of the loops they move, (l,).
-        loop_signs: By which sign, (l,).
-        entries: Which of the twists they are, in the order of `Along.order`.
+    Args:
+        reduced: The joints that count.
+        joints: Place of each twist's origin among them, (n_twists,).
+        twists: xi, (n_twists, 6).
     """
 
-    rows: IntArray
-    signs: FloatArray
-    felt: IntArray
-    loop_signs: FloatArray
-    entries: slice
+    def __init__(self, reduced: Reduced, joints: IntArray, twists: FloatArray) -> None:
+        parents = reduced.parents[joints]
+        self._frames, at = np.unique(parents, return_inverse=True)
+        spread = np.zeros((len(self._frames), 6, len(joints)))  # R xi of all frames and twists is one product
+        spread[at, :, np.arange(len(joints))] = twists
+        self._turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
+        self._linear, self._angular = spread[:, :3].reshape(-1, len(joints)), spread[:, 3:, self._turning]
+        self._angular, self._points = self._angular.reshape(len(self._linear), -1), parents[self._turning]
+
+    def seen(self, swept: Sweep) -> FloatArray:
+        """Return Ad(T_before) xi, (n, 6, n_twists)."""
+        n, turning = len(swept.poses), as_slice(self._turning)
+        axes = swept.poses[:, self._frames, :9].reshape(n, -1, 3).transpose(0, 2, 1).reshape(3 * n, -1)
+        x, y, z = swept.poses[:, self._points, 9:].transpose(2, 0, 1)
+        turns = (axes @ self._angular).reshape(n, 3, -1)
+        result = np.zeros((n, 6, self._linear.shape[1]))
+        result[:, :3], result[:, 3:, turning] = (axes @ self._linear).reshape(n, 3, -1), turns
+        result[:, 0, turning] += y * turns[:, 2] - z * turns[:, 1]
+        result[:, 1, turning] += z * turns[:, 0] - x * turns[:, 2]
+        result[:, 2, turning] += x * turns[:, 1] - y * turns[:, 0]
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,40 +94,39 @@ class Along:
         signs: By which sign each origin moves each row, then each row of the loops, (n_rows + n_loop_rows, n_reduced).
         n_rows: Number of rows without those of the loops.
         before: The twists in the frames before the origins that count, (n_reduced, 6, k).
+        reduced: The joints that count.
     """
 
     twists: FloatArray | None
     signs: FloatArray
     n_rows: int
     before: FloatArray
+    reduced: Reduced
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6)."""
+        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6); turns last."""
         joints, columns = np.nonzero(np.any(self.before != 0.0, axis=1))
-        return joints, columns, np.ascontiguousarray(self.before[joints, :, columns])
+        twists = self.before[joints, :, columns]
+        order = np.argsort(np.any(twists[:, 3:] != 0.0, axis=1), kind="stable")
+        return joints[order], columns[order], twists[order]
 
     @cached_property
-    def groups(self) -> tuple[list[Alike], IntArray]:
-        """Entries that move the same rows, and the order in which they then are, (n_entries,)."""
-        numbers: dict[tuple[float, ...], int] = {}
-        number = [numbers.setdefault(signs, len(numbers)) for signs in map(tuple, self.signs.T.tolist())]
-        of_entry = np.array(number, dtype=np.intp)[self.entries[0]]
-        ends = np.searchsorted(np.sort(of_entry), np.arange(len(numbers) + 1)).tolist()
-        groups = []
-        for signs, first, last in zip(numbers, ends[:-1], ends[1:], strict=True):
-            own, loop = np.array(signs[: self.n_rows]), np.array(signs[self.n_rows :])
-            felt = np.flatnonzero(loop)
-            rows = np.arange(self.n_rows) if len(felt) else np.flatnonzero(own)
-            if len(rows) and last > first:
-                groups.append(Alike(rows, own[rows], felt, loop[felt], slice(first, last)))
-        return groups, np.argsort(of_entry, kind="stable")
+    def world(self) -> WorldTwists:
+        """The entries' twists."""
+        return WorldTwists(self.reduced, self.entries[0], self.entries[2])
 
     @cached_property
-    def sums(self) -> FloatArray:
-        """Which column each entry in the order of `groups` belongs to, as ones, (n_entries, k)."""
-        columns = self.entries[1][self.groups[1]]
-        return (columns[:, None] == np.arange(self.before.shape[2])).astype(float)
+    def signs_of_entries(self) -> tuple[FloatArray, FloatArray]:
+        """By which sign each entry moves each row, (n_rows, n_entries), and each row of the loops."""
+        signs = self.signs[:, self.entries[0]]
+        return signs[: self.n_rows], signs[self.n_rows :]
+
+    @cached_property
+    def sums(self) -> FloatArray | None:
+        """Which column each entry belongs to, as ones, (n_entries, k); None: no two to the same."""
+        columns, every = self.entries[1], np.arange(self.before.shape[2])
+        return None if len(np.unique(columns)) == len(columns) else (columns[:, None] == every).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +199,9 @@ class Shared:
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
         if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
-            self._along = last = Along(twists, signs, n_rows, self.mechanism.twists_before(twists)[counts])
+            self._along = last = Along(
+                twists, signs, n_rows, self.mechanism.twists_before(twists)[counts], self.reduced
+            )
         return last
 
 
@@ -283,30 +297,6 @@ def sweep(
         to_jacobian[:] = jacobian
     spare.append(space)
     return Sweep(shared, every_pose, every_jacobian.transpose(0, 2, 1))
-
-
-def world_twists(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
-    """Return Ad(T_before) xi, twists in the world that are given in the frames before origins, (n, 6, n_twists).
-
-    Args:
-        swept: Of the poses.
-        joints: Place of each twist's origin among those that count, (n_twists,).
-        twists: xi, (n_twists, 6).
-    """
-    frames = np.ascontiguousarray(swept.poses.transpose(0, 2, 1))  # few: of each twist would take ten times as long
-    before = np.take(frames, swept.reduced.parents[joints], axis=2)
-    n, _, count = before.shape
-    axes, (x, y, z) = before[:, :9].reshape(n, 3, 3, count), before[:, 9:].transpose(1, 0, 2)
-    result = np.empty((n, 6, count))
-    for part in (slice(3), slice(3, 6)):
-        v, w, u = twists[:, part].T
-        np.multiply(axes[:, 0], v, out=result[:, part])
-        result[:, part] += axes[:, 1] * w
-        result[:, part] += axes[:, 2] * u
-    result[:, 0] += y * result[:, 5] - z * result[:, 4]
-    result[:, 1] += z * result[:, 3] - x * result[:, 5]
-    result[:, 2] += x * result[:, 4] - y * result[:, 3]
-    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,14 +452,17 @@ def origin_derivative(
         along: The twists, and what they move.
     """
     n, n_rows = mapping.shape[:2]
-    (joints, _, twists), (groups, order) = along.entries, along.groups
-    world = world_twists(swept, joints[order], twists[order])
-    through, maps = (None, mapping[:, :0]) if loops is None else loops
-    moved = np.zeros((n, n_rows, len(order)))
-    for group in groups:
-        every = len(group.rows) == n_rows
-        total = (mapping if every else mapping[:, group.rows]) * group.signs[:, None]
-        if through is not None and len(group.felt):
-            total -= np.matmul(through[:, :, group.felt] * group.loop_signs, maps[:, group.felt])
-        moved[:, slice(None) if every else group.rows, group.entries] = np.matmul(total, world[:, :, group.entries])
-    return (moved.reshape(n * n_rows, len(order)) @ along.sums).reshape(n, n_rows, along.sums.shape[1])
+    world, (own, in_loops) = along.world.seen(swept), along.signs_of_entries
+    moved = np.matmul(mapping, world)
+    moved *= own
+    if loops is not None:
+        through, maps = loops
+        opened = np.matmul(maps, world)
+        opened *= in_loops
+        moved -= np.matmul(through, opened)
+    width = along.before.shape[2]
+    if along.sums is not None:
+        return (moved.reshape(n * n_rows, -1) @ along.sums).reshape(n, n_rows, width)
+    result = np.zeros((n, n_rows, width))
+    result[:, :, along.entries[1]] = moved
+    return result

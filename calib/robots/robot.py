@@ -205,7 +205,7 @@ class Robot(RobotData):
         """
         configurations, pair = self.assemble(q), self._seen(frame)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
-        swept = kinematics.sweep(self.mechanism, joints, (pair,))
+        swept = kinematics.sweep(self.mechanism, joints, (pair,), poses_only=True)
         transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
@@ -254,7 +254,7 @@ class Robot(RobotData):
         """
         configurations = self.assemble(q, seed, context=context)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
-        swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
+        swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets, poses_only=True)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)
 
     @worded

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import IntArray
+from calib.base.arrays import IntArray, as_slice
 from calib.instruments.kind import Readings
 from calib.robots.acceleration import MANY, compiled_for
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
-from calib.rows.observed import Observed, as_slice, observe, some_readings
+from calib.rows.observed import Observed, observe, some_readings
 from calib.rows.rows import Layout
 
 ROWS_AT_ONCE = 1 << 14

@@ -120,7 +120,7 @@ def sweeps(
     size = kinematics.at_once(shared.reduced) if functions is None else _CHUNK_COMPILED
     for part in kinematics.chunks(len(joints), size):
         if functions is None:
-            yield part, kinematics.sweep(mechanism, joints[part], needed, shared)
+            yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=not mechanism.loops)
         else:
             yield part, kinematics.compiled_sweep(shared, joints[part])
 

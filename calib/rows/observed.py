@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray, as_slice
 from calib.base.threads import one_blas_thread
 from calib.data.measurements import Measurements, Poses, in_setups, of_visits
 from calib.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
@@ -216,13 +216,6 @@ def some_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) 
         None if readings.covariance is None else readings.covariance[chosen],
         readings.details[chosen],
     )
-
-
-def as_slice(chosen: IntArray) -> IntArray | slice:
-    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
-    first = int(chosen[0]) if len(chosen) else 0
-    span = slice(first, first + len(chosen))
-    return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
 
 
 def _is_identity(matrices: FloatArray) -> bool:

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray, as_slice
 from calib.instruments.kind import Readings
 from calib.instruments.position import Position
 from calib.numerics.tall import in_parts
@@ -41,7 +41,6 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 from calib.rows.jacobian import joint_twists, parameter_twists, sweeps
-from calib.rows.observed import as_slice
 from calib.rows.rows import Rows
 from calib.rows.whitening import Whitening
 
@@ -182,7 +181,8 @@ class _Way:
             swept: Of some visits.
             phi: Of each joint term there.
         """
-        world = kinematics.world_twists(swept, np.searchsorted(swept.reduced.joints, self._joints), self._twists)
+        joints = np.searchsorted(swept.reduced.joints, self._joints)
+        world = kinematics.WorldTwists(swept.reduced, joints, self._twists).seen(swept)
         for e, (term, moved, coefficient) in self._coefficients:
             world[:, :, e] *= phi[term][:, moved, coefficient, None]
         return np.matmul(kinematics.motion_map(swept, (self._pair,), angular=True), world)

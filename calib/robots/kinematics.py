@@ -33,7 +33,9 @@ from calib.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
 
 CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
-_JOINTS_AT_ONCE = 24 * CHUNK
+_JOINTS_AT_ONCE = 40 * CHUNK
+_JOINTS_IN_MODEL = 36  # Pinocchio's data grow with the third power
+_AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
 def at_once(reduced: Reduced) -> int:
@@ -243,6 +245,12 @@ class Sweep:
         """World position of each of the frames [m], (n, n_reduced + 1, 3)."""
         return self.poses[:, :, 9:]
 
+    @cached_property
+    def loop_frames(self) -> tuple[FloatArray, FloatArray]:
+        """Of each row of the loops, its axis and where its frame b is, in the world, (n, n_loop_rows, 3)."""
+        a, b, axis = self.shared.loop_rows
+        return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
+
 
 def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
     """Return the sweep of `sweep` without the Jacobian, by compiled code.
@@ -282,21 +290,27 @@ def sweep(
         space = _Workspace.of(mechanism, reduced)
     model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
     space.origins[:] = mechanism.placements[reduced.joints]
-    n, count = len(joints), len(reduced.joints)
-    every_pose = np.empty((n, count + 1, 12))
+    n, (copies, count) = len(joints), poses.shape[:2]
+    calls = -(-n // copies)
+    q = np.zeros((calls * copies, count))
+    q[:n] = joints[:, reduced.joints]
+    every_pose = np.empty((calls, copies, count + 1, 12))
+    every_pose[:, :, 0] = _AT_HOME
+    to_poses = every_pose[:, :, 1:]
     if poses_only:
-        for q, to_poses in zip(joints[:, reduced.joints], every_pose, strict=True):
-            pin.forwardKinematics(model, data, q)
-            to_poses[:] = poses
+        for at, to in zip(q.reshape(calls, -1), to_poses, strict=True):
+            pin.forwardKinematics(model, data, at)
+            to[:] = poses
         spare.append(space)
-        return Sweep(shared, every_pose, None)
-    every_jacobian, compute = np.empty((n, count, 6)), pin.computeJointJacobians
-    for q, to_poses, to_jacobian in zip(joints[:, reduced.joints], every_pose, every_jacobian, strict=True):
-        compute(model, data, q)
-        to_poses[:] = poses
+        return Sweep(shared, every_pose.reshape(-1, count + 1, 12)[:n], None)
+    every_jacobian, compute = np.empty((calls, copies, count, 6)), pin.computeJointJacobians
+    for at, to, to_jacobian in zip(q.reshape(calls, -1), to_poses, every_jacobian, strict=True):
+        compute(model, data, at)
+        to[:] = poses
         to_jacobian[:] = jacobian
     spare.append(space)
-    return Sweep(shared, every_pose, every_jacobian.transpose(0, 2, 1))
+    by_joints = every_jacobian.reshape(-1, count, 6)[:n].transpose(0, 2, 1)
+    return Sweep(shared, every_pose.reshape(-1, count + 1, 12)[:n], by_joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,10 +318,10 @@ class _Workspace:
     """A model, Pinocchio's data and views of both, which follow every change; dearer to make than one pose to compute.
 
     Attributes:
-        model: Joints that count.
+        model: Joints that count; those of a small robot several times, so that one call computes several poses.
         data: Of the model.
-        origins, poses: `flat_poses` of origins (n_reduced, 12), and of the world and all joints (n_reduced + 1, 12).
-        jacobian: World Jacobian, transposed, (n_reduced, 6).
+        origins, poses: `flat_poses` of origins and of all joints, (n_copies, n_reduced, 12).
+        jacobian: World Jacobian, transposed, (n_copies, n_reduced, 6).
     """
 
     model: pin.Model
@@ -318,13 +332,16 @@ class _Workspace:
 
     @classmethod
     def of(cls, mechanism: Mechanism, reduced: Reduced) -> _Workspace:
-        model = pin.Model()
-        for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
-            name = mechanism.origin_names[joint]
-            model.addJoint(parent, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
+        model, count = pin.Model(), len(reduced.joints)
+        copies = max(1, _JOINTS_IN_MODEL // max(count, 1))
+        for first in range(0, copies * count, max(count, 1)):
+            for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
+                name, before = f"{mechanism.origin_names[joint]} {first}", parent + first if parent else 0
+                model.addJoint(before, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
-        return cls(model, data, flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi), data.J.T)
+        views = flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi)[1:], data.J.T
+        return cls(model, data, *(view.reshape(copies, count, view.shape[1]) for view in views))
 
 
 def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
@@ -343,9 +360,8 @@ def gaps(swept: Sweep) -> FloatArray:
     loops = swept.shared.mechanism.loops
     if any(loop.full_pose for loop in loops):
         return np.concatenate([value(swept, loop) for loop in loops], axis=1)
-    a, b, axis = swept.shared.loop_rows
-    offset = swept.translation[:, b] - swept.translation[:, a]
-    components: FloatArray = np.einsum("nij,nij->ni", swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], offset)
+    axes, points = swept.loop_frames
+    components: FloatArray = np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
     return components
 
 
@@ -354,8 +370,8 @@ def gap_maps(swept: Sweep) -> FloatArray:
     loops = swept.shared.mechanism.loops
     if any(loop.full_pose for loop in loops):
         return np.concatenate([twist_map(swept, loop) for loop in loops], axis=1)
-    a, b, axis = swept.shared.loop_rows
-    return _with_moments(swept.translation[:, b], swept.rotation.transpose(0, 1, 3, 2)[:, a, axis])
+    axes, points = swept.loop_frames
+    return _with_moments(points, axes)
 
 
 def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.base.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
 from calib.robots import loops
-from calib.robots.closure import singular_values
+from calib.robots.closure import residual, singular_values
 from calib.robots.joint_errors import actual_joints, term_columns
 from calib.robots.robot_data import RobotData
 
@@ -27,19 +27,20 @@ class Configurations(ReadOnlyArrays):
         actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
             how links are tilted (`calib.robots.mechanism`).
         passive: (n, n_passive) [m or rad].
-        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive); see `loops.Closed`.
+        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive), where it is known.
         term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
     """
 
     actuated: FloatArray
     passive: FloatArray
-    slope: FloatArray
+    slope: FloatArray | None
     term_columns: tuple[FloatArray, ...] = ()
 
     def at(self, part: slice | IntArray) -> Configurations:
         """Return some of them, (n_some,)."""
         phi = tuple(columns[part] for columns in self.term_columns)
-        return Configurations(self.actuated[part], self.passive[part], self.slope[part], phi)
+        slope = None if self.slope is None else self.slope[part]
+        return Configurations(self.actuated[part], self.passive[part], slope, phi)
 
 
 def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
@@ -110,6 +111,14 @@ def assemble(
     return configured(robot, values, closed, columns)
 
 
+def distances(robot: RobotData, configurations: Configurations) -> FloatArray:
+    """Return each pose's distance to a singularity of the loops, (n,); see `Robot.singular_values`."""
+    slope = configurations.slope
+    if slope is None:
+        slope = residual(robot.mechanism, configurations.actuated, configurations.passive)[1]
+    return singular_values(robot.mechanism, slope)
+
+
 def near_singularities(robot: RobotData, configurations: Configurations, labels: Sequence[str]) -> list[str]:
     """Return a remark on every configuration that is near a singularity of the loops.
 
@@ -119,7 +128,7 @@ def near_singularities(robot: RobotData, configurations: Configurations, labels:
         configurations: Of `assemble`.
         labels: What to call each, n of them.
     """
-    limit, values = robot.description.singularity_limit, singular_values(robot.mechanism, configurations.slope)
+    limit, values = robot.description.singularity_limit, distances(robot, configurations)
     return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]
 
 

@@ -62,7 +62,7 @@ def closing_tolerance(mechanism: Mechanism) -> float:
 
 
 def newton(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, exact: bool = True
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, slopes: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
 
@@ -71,43 +71,47 @@ def newton(
         mode: Its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         passive: Where to start, (n, n_passive) [m or rad].
-        exact: Whether C_p and C_a are wanted at the solution; else they may be those before the last correction.
+        slopes: Whether C_p and C_a are wanted at the solution.
 
     Returns:
-        Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, and which
-        poses were accepted (n,).
+        Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, or empty
+        arrays where they are not wanted, and which poses were accepted (n,).
     """
-    passive, enough = passive.copy(), closing_tolerance(mechanism) / 10
-    fast = kernels(mechanism, len(passive))
+    (n, n_passive), passive, enough = passive.shape, passive.copy(), closing_tolerance(mechanism) / 10
+    sure, accepted, fast = 0.0 if slopes else _SURE * enough, np.zeros(n, dtype=bool), kernels(mechanism, n)
+    slope = np.full((n if slopes else 0, n_passive, n_passive), np.nan)
+    slope_actuated = np.full((n if slopes else 0, n_passive, actuated.shape[1]), np.nan)
+    found = slope, slope_actuated, accepted
     if fast is None:
-        slope, slope_actuated, accepted = _corrected(
-            mechanism, actuated, passive, enough, 0.0 if exact else _SURE * enough
-        )
-        accepted[accepted] = mode.holds(slope if np.all(accepted) else slope[accepted])
+        _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
     else:
         reduced, _ = mechanism.around(mechanism.loops)
         rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        loops, (n, n_passive) = fast.loops(mechanism, reduced), passive.shape
+        loops, limits = fast.loops(mechanism, reduced), (enough, sure, LARGEST_STEP, _MAX_NEWTON)
         model = fast.tree(mechanism, reduced), loops, fast.blocks(mode, reduced, loops), mode.signs
-        slope, slope_actuated = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, actuated.shape[1]))
-        accepted = np.empty(n, dtype=bool)
-        limits = enough, 0.0 if exact else _SURE * enough, LARGEST_STEP, _MAX_NEWTON
-        fast.close(*model, rest, passive, scale, *limits, slope, slope_actuated, accepted)
-    return passive, slope, slope_actuated, accepted
+        fast.close(*model, rest, passive, scale, *limits, *found)
+    return passive, *found
 
 
-def _corrected(
-    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray, enough: float, sure: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Correct passive joints in place until no residual is above `enough`; C_p, C_a, and which poses came there.
+def _correct(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    actuated: FloatArray,
+    passive: FloatArray,
+    limits: tuple[float, float],
+    slope: FloatArray,
+    slope_actuated: FloatArray,
+    accepted: BoolArray,
+) -> None:
+    """Fill in what `newton` says, passive joints in place.
 
-    Or until the next one is below `sure`, as far as is known from two; C_p and C_a are then those of the second.
+    Args:
+        mechanism, mode, actuated, passive: As there.
+        limits: Largest residual of a closed pose, and largest one that is not computed but known from two before it.
+        slope, slope_actuated, accepted: Where to put the results.
     """
-    n, n_passive = passive.shape
-    slope = np.full((n, n_passive, n_passive), np.nan)
-    slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
-    accepted, loops = np.zeros(n, dtype=bool), LoopRows(mechanism)
+    (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
     scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     for part in loops.chunks(n):
         index = np.arange(part.start, part.stop)
@@ -116,27 +120,25 @@ def _corrected(
             swept = loops.at(actuated[index], passive[index])
             values, slopes = kinematics.gaps(swept), loops.slopes(swept)
             worst = np.max(np.abs(values), axis=1)
-            small, known = worst <= enough, worst**3 <= sure * before**2
-            if np.all(small):
-                contracts = ~small
-            else:
+            done = worst <= enough
+            on = ~done
+            if np.any(on):
                 correction = solved_for(slopes[:, :, :n_passive], values)
                 last, longest = np.max(np.abs(correction / scale), axis=1), np.minimum(last, 2 * LARGEST_STEP)
                 # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
                 contracts = (worst > enough) & (last <= np.maximum(0.5 * longest, 1e-9))
-            done, on = small | (contracts & known), contracts & ~known
-            if np.all(done):
-                slope[index], slope_actuated[index] = slopes[:, :, :n_passive], slopes[:, :, n_passive:]
-            else:
-                slope[index[done]] = slopes[done, :, :n_passive]
-                slope_actuated[index[done]] = slopes[done, :, n_passive:]
-            accepted[index] = done
-            if np.any(contracts):
                 passive[index] -= np.where(contracts[:, None], correction, 0.0)
+                known = worst**3 <= sure * before**2
+                done, on = done | (contracts & known), contracts & ~known
+            if np.any(done):
+                there = slopes if np.all(done) else slopes[done]
+                at, by_passive = index[done], there[:, :, :n_passive]
+                accepted[at] = mode.holds(by_passive)
+                if len(slope):
+                    slope[at], slope_actuated[at] = by_passive, there[:, :, n_passive:]
             if not np.any(on):
                 break
             index, last, before = index[on], last[on], worst[on]
-    return slope, slope_actuated, accepted
 
 
 def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:

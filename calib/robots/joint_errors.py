@@ -135,6 +135,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     driven = robot.nominal.untilted(q)
     closed = loops.close(robot.nominal, robot.mode, driven)
     passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+    assert closed.slope is not None  # no seed was given
     slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
     joints, description, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
     turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)

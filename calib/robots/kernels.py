@@ -492,7 +492,7 @@ def close(
         sure: Largest residual that is not computed but known from two before it; 0: none.
         largest: Correction up to which a start is near.
         rounds: How many corrections.
-        slope: Where to put C_p of the last correction, NaN where not closed, (n, n_passive, n_passive).
+        slope: Where to put C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
         by_motor: The same for C_a, (n, n_passive, n_actuated).
         closed: The same for which poses closed in the assembly mode, (n,).
     """
@@ -501,6 +501,7 @@ def close(
     T, D, twist = np.empty((12 * n_joints + 12, _LANES)), np.empty((5, _LANES)), np.empty((6, _LANES))
     q, s, c = np.zeros((n_joints, _LANES)), np.empty((n_joints, _LANES)), np.empty((n_joints, _LANES))
     rows, C = np.empty((6 * n_passive, _LANES)), np.empty((n_passive * width, _LANES))
+    found = np.zeros((n_passive * width, _LANES))
     larger, sign = np.empty((n_passive * n_passive, _LANES)), np.empty((n_passive, _LANES))
     gap, step = np.zeros((n_passive, _LANES)), np.zeros((n_passive, _LANES))
     worst, last, before = np.empty((1, _LANES)), np.empty((1, _LANES)), np.empty((1, _LANES))
@@ -538,15 +539,12 @@ def close(
             _slopes(tree, loops, T, _NONE, width, width, rows, twist, C)
             for lane in range(lanes):
                 small = worst[0, lane] <= enough
-                known[lane] = small or worst[0, lane] ** 3 <= sure * before[0, lane] ** 2
-                if left[lane] and known[lane]:
-                    for r in range(n_passive):
-                        for k in range(n_passive):
-                            slope[at + lane, r, k] = C[r * width + k, lane]
-                        for k in range(n_actuated):
-                            by_motor[at + lane, r, k] = C[r * width + n_passive + k, lane]
+                known[lane] = left[lane] and (small or worst[0, lane] ** 3 <= sure * before[0, lane] ** 2)
                 closed[at + lane], left[lane] = closed[at + lane] or (left[lane] and small), left[lane] and not small
                 before[0, lane] = worst[0, lane]
+            for r in range(len(C)):
+                for lane in range(_ALL):
+                    found[r, lane] = C[r, lane] if known[lane] else found[r, lane]
             _factor(loops.plan, C, width, larger, sign)
             _solve(loops.plan, C, width, larger, gap, step)
             ends = True
@@ -563,17 +561,14 @@ def close(
                 last[0, lane], ends = size, ends and not left[lane]
             if ends:
                 break
-        for r in range(n_passive):
-            for k in range(n_passive):
-                for lane in range(lanes):
-                    C[r * width + k, lane] = slope[at + lane, r, k]
-        _factor(blocks, C, width, larger, sign)
-        for lane in range(lanes):
-            for r in range(0 if closed[at + lane] else n_passive):
+        for lane in range(lanes if len(slope) else np.uintp(0)):
+            for r in range(n_passive if closed[at + lane] else 0):
                 for k in range(n_passive):
-                    slope[at + lane, r, k] = np.nan
+                    slope[at + lane, r, k] = found[r * width + k, lane]
                 for k in range(n_actuated):
-                    by_motor[at + lane, r, k] = np.nan
+                    by_motor[at + lane, r, k] = found[r * width + n_passive + k, lane]
+        _factor(blocks, found, width, larger, sign)
+        for lane in range(lanes):
             for b in range(len(signs)):
                 closed[at + lane] = closed[at + lane] and blocks.signs[b] * sign[b, lane] == signs[b]
 

@@ -298,19 +298,19 @@ def sweep(
     every_pose[:, :, 0] = _AT_HOME
     to_poses = every_pose[:, :, 1:]
     if poses_only:
-        for at, to in zip(q.reshape(calls, -1), to_poses, strict=True):
+        for at, to in zip(q.reshape(calls, copies * count), to_poses, strict=True):
             pin.forwardKinematics(model, data, at)
             to[:] = poses
         spare.append(space)
-        return Sweep(shared, every_pose.reshape(-1, count + 1, 12)[:n], None)
+        return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], None)
     every_jacobian, compute = np.empty((calls, copies, count, 6)), pin.computeJointJacobians
-    for at, to, to_jacobian in zip(q.reshape(calls, -1), to_poses, every_jacobian, strict=True):
+    for at, to, to_jacobian in zip(q.reshape(calls, copies * count), to_poses, every_jacobian, strict=True):
         compute(model, data, at)
         to[:] = poses
         to_jacobian[:] = jacobian
     spare.append(space)
-    by_joints = every_jacobian.reshape(-1, count, 6)[:n].transpose(0, 2, 1)
-    return Sweep(shared, every_pose.reshape(-1, count + 1, 12)[:n], by_joints)
+    by_joints = every_jacobian.reshape(len(q), count, 6)[:n].transpose(0, 2, 1)
+    return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], by_joints)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,16 +43,16 @@ class Closed:
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
         ok: Which poses closed, (n,).
-        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); from a seed, before the last correction.
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
     """
 
     passive: FloatArray
     ok: BoolArray
-    slope: FloatArray
+    slope: FloatArray | None
 
     def at(self, index: IntArray) -> Closed:
         """Return the poses with these indices, (n,)."""
-        return Closed(self.passive[index], self.ok[index], self.slope[index])
+        return Closed(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
 @one_blas_thread
@@ -77,25 +77,26 @@ def close(
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
         return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
-    seeded = np.zeros(n, dtype=bool) if seed is None else np.all(np.isfinite(seed), axis=1)
-    if seed is not None and np.all(seeded):
-        passive, slope, _, ok = newton(mechanism, mode, actuated, seed, exact=False)
+    if seed is None:
+        passive, slope, ok = follow(mechanism, mode, actuated, thorough=thorough)
+        passive = wrapped(mechanism, mode, passive)
     else:
-        passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
-        ok = np.zeros(n, dtype=bool)
-        if seed is not None and np.any(seeded):
-            there = newton(mechanism, mode, actuated[seeded], seed[seeded], exact=False)
-            passive[seeded], slope[seeded], _, ok[seeded] = there
-    if seed is not None:
+        slope, seeded = None, np.all(np.isfinite(seed), axis=1)
+        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
+        part = slice(None) if np.all(seeded) else seeded
+        passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
         passive = wrapped(mechanism, mode, passive)
         ok &= within_limits(mechanism, passive) | (not limits)
-    if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        followed, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-        passive[todo] = wrapped(mechanism, mode, followed)
-        ok &= within_limits(mechanism, passive) | (not limits)
-        passive[~ok], slope[~ok] = np.nan, np.nan
-    hold(passive, slope)
+        if len(todo):
+            followed, _, ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
+            passive[todo] = wrapped(mechanism, mode, followed)
+    ok &= within_limits(mechanism, passive) | (not limits)
+    if not np.all(ok):
+        passive[~ok] = np.nan
+        if slope is not None:
+            slope[~ok] = np.nan
+    hold(passive, *(() if slope is None else (slope,)))
     return Closed(passive, ok, slope)
 
 

@@ -18,8 +18,8 @@ from calib.base.words import titled_html
 from calib.joint_terms.term import Context, TermSection
 from calib.robots import kinematics, loops
 from calib.robots.acceleration import compiled_for
-from calib.robots.closure import actuated_jacobian, singular_values
-from calib.robots.configurations import Configurations, assemble, close, configured, joint_vector
+from calib.robots.closure import actuated_jacobian
+from calib.robots.configurations import Configurations, assemble, close, configured, distances, joint_vector
 from calib.robots.held import Holds
 from calib.robots.joint_errors import with_terms
 from calib.robots.joint_sampling import TRIES, Ranges, checked_ranges, joint_box, spread
@@ -184,7 +184,7 @@ class Robot(RobotData):
 
     def singular_values(self, configurations: Configurations) -> FloatArray:
         """Return each pose's distance to a singularity of the loops, (n,): see `calib.robots.closure`."""
-        return singular_values(self.mechanism, configurations.slope)
+        return distances(self, configurations)
 
     @worded
     def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:

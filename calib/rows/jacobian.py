@@ -29,7 +29,7 @@ from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.robots.robot import Robot
 
-_CHUNK_COMPILED = 512  # compiled code needs less of the cache for each
+_CHUNK_COMPILED = 256  # several times as many as compiled code computes at once; larger arrays need new pages of memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +117,12 @@ def sweeps(
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
     shared = kinematics.Shared(mechanism, needed, functions)
-    size = kinematics.at_once(shared.reduced) if functions is None else _CHUNK_COMPILED
-    for part in kinematics.chunks(len(joints), size):
-        if functions is None:
+    if functions is None:
+        for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
             yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=not mechanism.loops)
-        else:
+    else:
+        for start in range(0, len(joints), _CHUNK_COMPILED):
+            part = slice(start, min(start + _CHUNK_COMPILED, len(joints)))
             yield part, kinematics.compiled_sweep(shared, joints[part])
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.robots import continuation, kinematics
+from calib.robots import acceleration, continuation, kinematics
+from calib.robots.closure import residual
 from calib.using.goals import Goals
 from calib.using.inverse import solve
 from medrue import robot_file
@@ -86,6 +87,27 @@ def test_loops_are_open_alike_one_by_one_and_together(medrue):
     values, maps = kinematics.gaps(swept), kinematics.gap_maps(swept)
     assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
     assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
+
+
+@pytest.mark.parametrize("part", [1e-3, 1e-2, 0.1, 0.5])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, compiled):
+    if compiled:
+        pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
+    q = np.array(target_workspace().q)[::4]
+    moved = medrue.with_parameters(medrue.values + part * (table1().actual - medrue.values))
+    passive = medrue.assemble(q).passive
+    with acceleration.compiled(compiled):
+        confirmed, _, _, ok = continuation.newton(moved.mechanism, medrue.mode, q, passive)
+        solved, slopes, _, known = continuation.newton(moved.mechanism, medrue.mode, q, passive, slopes=False)
+        from_seed = moved.assemble(q, seed=passive)
+    assert ok.all()
+    assert known.all()
+    assert slopes.size == 0
+    assert np.max(np.abs(residual(moved.mechanism, q, solved)[0])) < 1e-13  # a tenth of the tolerance
+    assert np.allclose(solved, confirmed, rtol=0, atol=1e-12)
+    assert from_seed.slope is None
+    assert np.allclose(moved.singular_values(from_seed), moved.singular_values(moved.assemble(q)), rtol=1e-9)
 
 
 def test_robots_in_use_are_pickled_and_shared_by_threads(medrue):

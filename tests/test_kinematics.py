@@ -1,5 +1,7 @@
 """Sweeps over many configurations against Pinocchio's own kinematics of the whole tree, one pose at a time."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +14,7 @@ from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROUNDING = 1e-13
 """Of coordinates of order one, over some ten frames."""
 
@@ -48,6 +51,20 @@ def test_frames_seen_from_each_other_are_those_of_the_whole_tree(case):
         for pair in pairs:
             expected = data.oMi[pair.a].actInv(data.oMi[pair.b]).homogeneous
             assert np.allclose(kinematics.relative_pose(swept, pair)[k], expected, rtol=0, atol=ROUNDING)
+
+
+def test_several_poses_in_one_call_are_those_of_calls_one_by_one(monkeypatch):
+    robot = calib.load(EXAMPLES / "five_bar.yaml")  # six joints of it move the loop, so that six poses fit into a call
+    mechanism, q = robot.mechanism, robot.home + np.linspace(-0.1, 0.1, 7)[:, None]
+    joints = mechanism.all_joints(q, robot.assemble(q).passive)
+    together = kinematics.sweep(mechanism, joints, mechanism.loops)
+    poses = kinematics.sweep(mechanism, joints, mechanism.loops, poses_only=True).poses
+    monkeypatch.setattr(kinematics, "_JOINTS_IN_MODEL", 1)
+    mechanism.workspaces.clear()
+    alone = kinematics.sweep(mechanism, joints, mechanism.loops)
+    for at_once in (together.poses, poses):
+        assert np.allclose(at_once, alone.poses, rtol=0, atol=1e-15)
+    assert np.allclose(together.jacobian, alone.jacobian, rtol=0, atol=1e-15)
 
 
 def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(case):

@@ -32,16 +32,24 @@ def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
         joints: Joint values, (n, n_actuated) [m or rad].
         by_name: A number for each row, the same for those of one pose name, (n,).
     """
+    order, starts = _by_pose(joints, by_name)
+    return np.split(order, starts[1:])
+
+
+def _by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntArray]:
+    """The rows of each group of `repeated_poses`, one group after the other, (n,), and where each begins, (n_groups,).
+
+    Without repeats a pose is a pose.
+    """
     by_joints = pose_labels(joints)
     n = int(by_joints.max(initial=-1)) + 1
     size = n + int(by_name.max(initial=-1)) + 1
     graph = scipy.sparse.coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
     label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][by_joints]
-    label = np.unique(label, return_inverse=True)[1].reshape(-1)
-    by_label = np.argsort(label, kind="stable")
-    groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
-    groups.sort(key=lambda group: int(group[0]))  # so that without repeats a pose is a pose
-    return groups
+    _, first, number = np.unique(label, return_index=True, return_inverse=True)
+    order = np.argsort(first[number.reshape(-1)], kind="stable")
+    sizes = np.bincount(number.reshape(-1))[np.argsort(first)]
+    return order, np.cumsum(sizes) - sizes
 
 
 def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
@@ -86,9 +94,9 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
     Returns:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
-    groups = repeated_poses(joints, by_name)
-    sizes = np.array([len(group) for group in groups])
-    centres = np.add.reduceat(joints[np.concatenate(groups)], np.cumsum(sizes) - sizes) / sizes[:, None]
+    order, starts = _by_pose(joints, by_name)
+    sizes = np.diff(starts, append=len(order))
+    centres = np.add.reduceat(joints[order], starts) / sizes[:, None]
     spread = np.ptp(centres, axis=0)
     centres = centres / np.where(spread > 0, spread, 1.0)
 
@@ -97,10 +105,15 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
             return [part]
         # rounded, so that of joints that spread alike the first is cut on every processor
         joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
-        order = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        arranged = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
         left = into // 2
-        middle = len(order) * left // into
-        return cut(order[:middle], left) + cut(order[middle:], into - left)
+        middle = len(arranged) * left // into
+        return cut(arranged[:middle], left) + cut(arranged[middle:], into - left)
 
-    parts = cut(np.arange(len(groups)), min(count, len(groups)))
-    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts]
+    box = np.empty(len(starts), dtype=np.intp)
+    parts = cut(np.arange(len(starts)), min(count, len(starts)))
+    for number, part in enumerate(parts):
+        box[part] = number
+    of_row = np.empty(len(order), dtype=np.intp)
+    of_row[order] = np.repeat(box, sizes)
+    return [np.flatnonzero(of_row == number) for number in range(len(parts))]

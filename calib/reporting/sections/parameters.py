@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from rich.table import Table
-
-from calib.base.words import text_table
+from calib.base.words import TextTable
 from calib.fitting.estimates import Estimate
 from calib.fitting.fitted import Fit
 from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
@@ -49,7 +47,7 @@ def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
     )
 
 
-def changed_most(fit: Fit) -> list[str | Table]:
+def changed_most(fit: Fit) -> list[str | TextTable]:
     """Return the parameters that changed most against their standard deviation; places are no errors of the robot."""
     places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
     changed = [
@@ -61,7 +59,7 @@ def changed_most(fit: Fit) -> list[str | Table]:
     most = sorted(changed, key=_significance, reverse=True)[:_MOST_CHANGES]
     if not most:
         return []
-    table = text_table(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
+    table = TextTable(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
                        ("changed most", "unit"), plain=True)  # fmt: skip
     for estimate in most:
         numbers = (estimate.nominal, estimate.value, estimate.value - estimate.nominal, estimate.std)

@@ -58,7 +58,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
     for j in np.flatnonzero((part < CORNER) & ~still):
         elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
         at_used = _uncertain_at_used(fit)
-        away = _uncertain(_relative(fit, elsewhere), fit.covariance.values) if len(elsewhere.actuated) else 0.0
+        away = _uncertain(_relative(fit, elsewhere), fit.covariance.values)[0] if len(elsewhere.actuated) else 0.0
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
@@ -108,7 +108,7 @@ def _uncertain_at_used(fit: Fit) -> float:
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
     near = None if passive is None else passive[used]
     configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
-    return _uncertain(_relative(fit, configurations), fit.covariance.values)
+    return _uncertain(_relative(fit, configurations), fit.covariance.values)[0]
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
@@ -219,7 +219,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
         return ""
     covariance, flat = fit.covariance.values, _relative(fit, configurations)
     at_used = _uncertain_at_used(fit)
-    away, alone = _uncertain(flat, covariance), _uncertain(flat, _given(covariance, terms))
+    away, alone = _uncertain(flat, covariance, _given(covariance, terms))
     if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""
     return f"{millimetres(away):.2g} mm RMS there, and to {millimetres(at_used):.2g} mm at the poses used"
@@ -232,9 +232,10 @@ def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
     return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]
 
 
-def _uncertain(flat: FloatArray, covariance: FloatArray) -> float:
-    """Root mean square uncertainty of positions that move so with the unknowns, as by `_relative` [m]."""
-    return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
+def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
+    """Root mean square uncertainties of positions that move so with the unknowns, as by `_relative`, by each [m]."""
+    products = flat.T @ flat / len(flat)
+    return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
 
 
 def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:

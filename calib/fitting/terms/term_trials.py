@@ -233,6 +233,7 @@ class Trials:
             [self._part(np.flatnonzero(np.isin(visit, held))) for held in blocks] for blocks in partitions
         ]
         self._known: dict[tuple[str, ...], Trial] = {}
+        self._sizes: dict[tuple[str, ...], tuple[FloatArray, FloatArray]] = {}
         self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.values)
 
     def _part(self, which: IntArray) -> _Part:
@@ -276,7 +277,7 @@ class Trials:
             of some independent directions, (n,) [SI]. Nothing where no noise is left.
         """
         design, (use, model) = self._design, self._model(terms)
-        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
+        scales, sizes = self._found(terms, model)
         if np.any(scales <= EXACT):
             return {}
         solved, n = model.solved(scales, sizes), len(use)
@@ -321,9 +322,16 @@ class Trials:
         )
         return use, model
 
+    def _found(self, terms: tuple[str, ...], model: FamilyModel) -> tuple[FloatArray, FloatArray]:
+        """Scales of groups and sizes of families with some terms, and their model; each is found once."""
+        key = tuple(sorted(terms))
+        if key not in self._sizes:
+            self._sizes[key] = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
+        return self._sizes[key]
+
     def _computed(self, terms: tuple[str, ...]) -> Trial:
         use, model = self._model(terms)
-        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
+        scales, sizes = self._found(terms, model)
         solved = model.solved(scales, sizes)
         if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
             nothing = self._nothing_foretold, lambda: np.inf

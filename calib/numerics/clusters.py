@@ -145,14 +145,19 @@ def of_equal_length(block: IntArray) -> Iterator[IntArray]:
     Args:
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
     """
-    order = np.argsort(block, kind="stable")
-    order = order[block[order] >= 0]
-    _, first, counts = np.unique(block[order], return_index=True, return_counts=True)
+    order: IntArray | None = None
+    if np.any(block[1:] < block[:-1]) or np.any(block[:1] < 0):
+        order = np.argsort(block, kind="stable")
+        order = order[np.count_nonzero(block < 0) :]
+        block = block[order]
+    first = np.flatnonzero(np.append(np.ones(min(len(block), 1), dtype=bool), block[1:] != block[:-1]))
+    counts = np.diff(first, append=len(block))
     for count in map(int, np.unique(counts)):
         starts = first[counts == count]
         at_once = max(_ROWS_AT_ONCE // count, 1)
         for k in range(0, len(starts), at_once):
-            yield order[starts[k : k + at_once, None] + np.arange(count)]
+            places = starts[k : k + at_once, None] + np.arange(count)
+            yield places if order is None else order[places]
 
 
 def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
 from calib.instruments.kind import Readings
@@ -88,6 +88,7 @@ class Evaluation:
         for batch, observed in looked:
             for name, places in batch.readings.items():
                 residuals[name][places] = observed[name].residuals
+        hold(*residuals.values())
         return residuals
 
 

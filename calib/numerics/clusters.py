@@ -85,18 +85,22 @@ def scatter(
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom that f was found with.
     """
-    parts = ((span[rows][None], residuals[rows][None], noise[rows][None]) for rows in of_equal_length(block))
+    parts = (
+        (*directions(span[rows][None], residuals[rows][None]), noise[rows][None]) for rows in of_equal_length(block)
+    )
     core, *numbers = scatters(parts, (1, span.shape[1]), np.array([freedom]))
     return Scatter(core[0], *(float(number[0]) for number in numbers))
 
 
 def scatters(
-    parts: Iterable[tuple[FloatArray, FloatArray, FloatArray]], shape: tuple[int, int], freedom: FloatArray
+    parts: Iterable[tuple[FloatArray, FloatArray, FloatArray, FloatArray]],
+    shape: tuple[int, int],
+    freedom: FloatArray,
 ) -> tuple[FloatArray, ...]:
     """Return the attributes of `Scatter` for many sets of rows, in its order, each with one more axis.
 
     Args:
-        parts: Span (n_sets, n_blocks, m, k), residuals (n_sets, n_blocks, m) and noise of blocks of equally many rows.
+        parts: Blocks of equally many rows: what `directions` says of them, and their noise, (n_sets, n_blocks, m).
         shape: Numbers of sets, and of columns k.
         freedom: Degrees of freedom that the noise was found with, (n_sets,).
     """
@@ -104,24 +108,20 @@ def scatters(
     core, leverage = np.zeros((n, k, k)), np.zeros((n, k, k))
     moved, mean, squares, decided_parts, fourth = np.zeros((5, n))
     noisy = np.zeros(n, dtype=bool)
-    for span, residuals, noise in parts:
-        n_blocks, m = residuals.shape[1:]
-        values, errors, directions = _directions(span.reshape(-1, m, k), residuals.reshape(-1, m))
-        directions = directions.reshape(n, -1, k)  # of all blocks, one after another
-        values, errors = values.reshape(n, n_blocks, -1), errors.reshape(n, n_blocks, -1)
+    for values, errors, turned, noise in parts:
+        along = turned.reshape(n, -1, k)  # of all blocks, one after another
         level = np.sqrt(np.mean(noise**2, axis=2, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)
         drawn = np.where(alone, 0.0, errors / np.sqrt(left))
-        pulls = np.matmul(drawn.reshape(-1, 1, drawn.shape[2]), directions.reshape(-1, drawn.shape[2], k))
-        core += _products(pulls.reshape(n, n_blocks, k))
+        core += _products(np.matmul(drawn[:, :, None], turned)[:, :, 0])
         if np.any(alone):
-            core += _products(directions * np.where(alone, level, 0.0).reshape(n, -1, 1))
+            core += _products(along * np.where(alone, level, 0.0).reshape(n, -1, 1))
         w = np.where(alone, 0.0, values)
         moved += np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2, axis=(1, 2))
         mean += np.sum(w, axis=(1, 2))
         squares += np.sum(w**2, axis=(1, 2)) - np.sum((w**2 / left) ** 2, axis=(1, 2))
-        leverage += _products(np.sqrt(w / left).reshape(n, -1, 1) * directions)
+        leverage += _products(np.sqrt(w / left).reshape(n, -1, 1) * along)
         decided_parts += np.sum(values, axis=(1, 2))
         fourth += 2.0 * np.sum(values**2, axis=(1, 2)) + np.sum(np.sum(values, axis=2) ** 2, axis=1)
         noisy |= np.any(noise > _NONE, axis=(1, 2))
@@ -160,24 +160,25 @@ def of_equal_length(block: IntArray) -> Iterator[IntArray]:
             yield places if order is None else order[places]
 
 
-def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (n, d), (n, d), (n, d, k).
+def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (..., d), (..., d), (..., d, k).
 
     Args:
-        span: U of the rows of n blocks, (n, m, k).
-        residuals: (n, m).
+        span: U of the rows of each block, (..., m, k).
+        residuals: (..., m).
     """
-    n_rows, k = span.shape[1:]
+    n_rows, k = span.shape[-2:]
+    across, errors = np.swapaxes(span, -1, -2), residuals[..., None]
     if n_rows <= k:
-        values, vectors = np.linalg.eigh(np.matmul(span, span.transpose(0, 2, 1)))
-        turned = vectors.transpose(0, 2, 1)
-        return np.clip(values, 0.0, 1.0), np.matmul(turned, residuals[:, :, None])[:, :, 0], np.matmul(turned, span)
-    values, vectors = np.linalg.eigh(np.matmul(span.transpose(0, 2, 1), span))
-    values, turned = np.clip(values, 0.0, 1.0), vectors.transpose(0, 2, 1)
+        values, vectors = np.linalg.eigh(np.matmul(span, across))
+        turned = np.swapaxes(vectors, -1, -2)
+        return np.clip(values, 0.0, 1.0), np.matmul(turned, errors)[..., 0], np.matmul(turned, span)
+    values, vectors = np.linalg.eigh(np.matmul(across, span))
+    values, turned = np.clip(values, 0.0, 1.0), np.swapaxes(vectors, -1, -2)
     size = np.sqrt(values)
-    felt = np.matmul(turned, np.matmul(span.transpose(0, 2, 1), residuals[:, :, None]))[:, :, 0]
+    felt = np.matmul(turned, np.matmul(across, errors))[..., 0]
     errors = np.where(size > 0, felt / np.where(size > 0, size, 1.0), 0.0)
-    return values, errors, size[:, :, None] * turned
+    return values, errors, size[..., None] * turned
 
 
 def moved_without(
@@ -198,10 +199,10 @@ def moved_without(
     moved, largest = np.zeros(len(residuals)), np.zeros(n_blocks)
     for rows in of_equal_length(block):
         own = span[rows]
-        values, errors, directions = _directions(own, residuals[rows])
+        values, errors, turned = directions(own, residuals[rows])
         numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
-        pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), directions)
+        pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), turned)
         moved[rows] = np.matmul(own if seen is span else seen[rows], pulls[:, :, None])[:, :, 0]
     return moved, largest
 

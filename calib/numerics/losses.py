@@ -288,8 +288,13 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     """
     sizes, leverages, largest = [], [], []
     for block in blocks:
-        size, leverage = _sizes(block, root)
-        sizes.append(size)
+        leverage = _leverage(block.columns, root)
+        values, vectors = np.linalg.eigh(
+            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
+        )
+        turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
+        squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+        sizes.append(np.sqrt(np.sum(squares, axis=1)))
         leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
         largest.append(np.linalg.eigvalsh(leverage)[:, -1])
     size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
@@ -300,29 +305,32 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)
 
 
-def any_outlier(blocks: list[Blocks], root: FloatArray, freedom: FloatArray) -> BoolArray:
-    """Return which of many sets of equally many readings name an outlier, (n_sets,).
+def any_outlier(squares: FloatArray, widths: IntArray, freedom: FloatArray) -> BoolArray:
+    """Return which of many sets of readings, all used in their fit, name an outlier, (n_sets,).
 
     Args:
-        blocks: Readings; in each block, those of one set behind those of another.
-        root: As of `studentised`, the same for all.
+        squares: T^2, (n_sets, n_readings), from `studentised_squares`.
+        widths: Rows that were read of each, (n_readings,).
         freedom: Degrees of freedom of each fit, (n_sets,).
     """
-    n = len(freedom)
-    sizes = np.concatenate([_sizes(block, root)[0].reshape(n, -1) for block in blocks], axis=1)
-    widths = np.concatenate([block.widths[: len(block.widths) // n] for block in blocks])
+    sizes = np.sqrt(squares)
     scale = np.maximum(np.median(sizes / median_length(widths), axis=1), _NO_NOISE)
     chance = _chance(sizes / scale[:, None], widths, freedom[:, None])
-    return np.asarray(np.any(sizes.shape[1] * chance < FALSE_ALARM, axis=1))
+    return np.asarray(np.any(len(widths) * chance < FALSE_ALARM, axis=1))
 
 
-def _sizes(block: Blocks, root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """T of each reading, (n,), and h, (n, k, k)."""
-    leverage = _leverage(block.columns, root)
-    values, vectors = np.linalg.eigh(np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage)
-    turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
-    squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
-    return np.sqrt(np.sum(squares, axis=1)), leverage
+def studentised_squares(residuals: FloatArray, values: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return T^2 of readings that were used, (...,).
+
+    Args:
+        residuals: Whitened, (..., k).
+        values: Eigenvalues of h that are not 0, (..., d).
+        errors: Residuals along their eigenvectors, (..., d).
+    """
+    left = 1.0 - values
+    gain = np.where(left > _SMALLEST, values / np.maximum(left, _SMALLEST), -1.0)
+    squares = np.sum(residuals**2, axis=-1) + np.sum(gain * errors**2, axis=-1)
+    return np.asarray(np.maximum(squares, 0.0))
 
 
 def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:

@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.fitting.fitted import Fit
 from calib.fitting.solving import ROUNDING, STEP_LEFT
 from calib.numerics.chances import UNLIKELY
-from calib.numerics.clusters import of_equal_length, scatters
-from calib.numerics.losses import Blocks, any_outlier
+from calib.numerics.clusters import directions, of_equal_length, scatters
+from calib.numerics.losses import any_outlier, studentised_squares
 from calib.numerics.nearby import Minima, Nearby
 from calib.numerics.statistics import noise_factors
+from calib.rows.rows import Layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,6 @@ def estimates_at(minima: Minima, nearby: Nearby, first: Fit) -> dict[int, Estima
         nearby: In which coordinates.
         first: The calibration at the known minimum, with the same rows.
     """
-    n_draws, _, n = minima.jacobian.shape
     layout, unknowns = first.rows.layout, first.unknowns
     inverse = np.linalg.inv(minima.root).transpose(0, 2, 1)
     span, root = minima.jacobian @ inverse, first.rows.known.root @ inverse
@@ -69,10 +69,7 @@ def estimates_at(minima: Minima, nearby: Nearby, first: Fit) -> dict[int, Estima
     )
     total = np.sum(freedom, axis=1)
     noise = np.where(layout.group >= 0, factors[:, layout.group], 1.0)
-    poses = of_equal_length(layout.pose_of_row)
-    parts = ((span[:, rows], minima.residuals[:, rows], noise[:, rows]) for rows in poses)
-    scatter, ratio, chance, behind, _ = scatters(parts, (n_draws, n), total)
-    shared = (ratio > 1.0) & (chance < UNLIKELY)
+    (scatter, shared, behind), outlier = _judged(span, minima.residuals, noise, total, layout)
     weighed = span * np.where(layout.group >= 0, noise, 0.0)[:, :, None]
     core = held.transpose(0, 2, 1) @ held
     core += np.where(shared[:, None, None], scatter, weighed.transpose(0, 2, 1) @ weighed)
@@ -84,20 +81,23 @@ def estimates_at(minima: Minima, nearby: Nearby, first: Fit) -> dict[int, Estima
     values = unknowns.values_at(first.rows.deviations + minima.z @ first.rows.known.root.T)
     away = unknowns.scales * np.abs(np.matmul(root, minima.step[:, :, None])[:, :, 0]) / (std + ROUNDING)
     ok = (total >= 1.0) & np.all(away < STEP_LEFT, axis=1)
-    outlier = any_outlier(_blocks(span, minima.residuals, first), np.eye(n), total)
     sigma = factors * np.array([group.typical for group in layout.groups])
     chi_square = np.sum(freedom * factors**2, axis=1)
     told = zip(values, covariance, std, half_width, coverage, sigma, chi_square, total, outlier, strict=True)
     return {k: Estimate(*each) for k, use, each in zip(minima.draws.tolist(), ok, told, strict=True) if use}
 
 
-def _blocks(span: FloatArray, residuals: FloatArray, first: Fit) -> list[Blocks]:
-    """The readings of each instrument in all draws, one draw's behind the other's."""
-    layout, n_draws, result = first.rows.layout, len(span), []
-    for name in layout.instruments:
-        part, readings = layout.rows_of(name), layout.readings_of(name)
-        n = n_draws * (readings.stop - readings.start)
-        widths = np.tile(layout.width[readings], n_draws)
-        columns = span[:, part].reshape(n, -1, span.shape[2])
-        result.append(Blocks(residuals[:, part].reshape(n, -1), columns, widths, np.ones(n)))
-    return result
+def _judged(
+    span: FloatArray, residuals: FloatArray, noise: FloatArray, freedom: FloatArray, layout: Layout
+) -> tuple[tuple[FloatArray, BoolArray, FloatArray], BoolArray]:
+    """How poses scatter: core, whether that is beyond chance, and its freedom; and which draws name outliers."""
+    poses = [(rows, directions(span[:, rows], residuals[:, rows])) for rows in of_equal_length(layout.pose_of_row)]
+    readings = poses
+    if len(np.unique(layout.pose)) < layout.n_readings:
+        readings = [(rows, directions(span[:, rows], residuals[:, rows])) for rows in of_equal_length(layout.reading)]
+    squares = np.empty((len(span), layout.n_readings))
+    for rows, (values, errors, _) in readings:
+        squares[:, layout.reading[rows[:, 0]]] = studentised_squares(residuals[:, rows], values, errors)
+    parts = ((*seen, noise[:, rows]) for rows, seen in poses)
+    core, ratio, chance, behind, _ = scatters(parts, (len(span), span.shape[2]), freedom)
+    return (core, (ratio > 1.0) & (chance < UNLIKELY), behind), any_outlier(squares, layout.width, freedom)

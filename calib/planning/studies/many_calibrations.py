@@ -44,7 +44,7 @@ from calib.rows.observed import seen_by
 
 _STEP = 0.1  # of a difference of Jacobians, in standard deviations
 _LARGEST = 4_000_000  # numbers in a second derivative that is computed, 32 MB
-_TOGETHER = 1_000_000  # numbers in the Jacobians of draws that are computed together
+_TOGETHER = 100_000  # numbers in the Jacobians of draws that are computed together: more need new pages of memory
 
 
 @dataclass(frozen=True, eq=False)

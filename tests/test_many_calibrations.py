@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, six_axis_arm, write_six_axis
 from test_workers import Shared
 
 import calib
@@ -94,6 +94,71 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     assert result.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
     assert not result.open
     assert result.names_outliers == bool(alone.outliers)
+
+
+TWO_INSTRUMENTS = """\
+instruments:
+  camera: {kind: pose, target: plate, sigma: 0.03 mm, sigma_angle: 0.02 deg}
+  tracker: {kind: position, target: ball, sigma: 0.02 mm}
+parametrisation:
+"""
+
+
+def with_errors(data, name, errors):
+    """Readings that are off, (n, 3) [m]."""
+    values = data.readings[name].values.copy()
+    values[:, :3] += errors
+    return replace(data, readings=data.readings | {name: replace(data.readings[name], values=values)})
+
+
+@pytest.mark.parametrize("instruments", [TWO_INSTRUMENTS, "parametrisation:\n"])
+def test_draws_together_give_the_numbers_of_separate_fits(instruments, tmp_path, monkeypatch):
+    """Several groups of rows, an outlier; poses that are visited again and are off by the same each time."""
+    several = instruments is TWO_INSTRUMENTS
+    yaml = NO_PRIORS + YAML.replace("targets:\n", "targets:\n  plate: {frame: l6}\n" if several else "targets:\n")
+    robot = calib.load(write_six_axis(tmp_path, yaml.replace("parametrisation:\n", instruments) + FREE))
+    sigma, name = (None, "tracker") if several else (SIGMA, "ball")
+    truth, poses = bent(robot, 0.1), joints(50) if several else joints(27)[np.r_[:27, :4, :4]]
+    exact = calib.simulate(truth, poses, 0.0)
+    named = exact if several else replace(exact, names=tuple(str(k if k < 27 else (k - 27) % 4) for k in range(35)))
+    data = [calib.simulate(truth, named, sigma, seed) for seed in range(4)]
+    repeated = Repeated.of(calib.fit(robot, data[0], sigma=sigma), Settings(sigma=sigma))
+    off = np.zeros((len(poses), 3))
+    if several:
+        off[3, 0] = 1.2e-4
+    else:
+        off[:4] = off[27:31] = off[31:] = 3e-4 * np.random.default_rng(0).standard_normal((4, 3))
+    data.append(with_errors(data[0], name, off))
+    monkeypatch.setattr(Repeated, "_alone", None)
+    for made, each in zip(repeated.estimates([Drawn(robot, each) for each in data]), data, strict=True):
+        alone = calib.fit(robot, each, sigma=sigma)
+        statistics = alone.statistics
+        assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / statistics.std) < 1e-4
+        assert made.std == pytest.approx(statistics.std, rel=1e-5)
+        assert made.covariance == pytest.approx(statistics.covariance, rel=1e-4, abs=1e-5 * np.max(made.std) ** 2)
+        assert made.half_width == pytest.approx(statistics.half_width, rel=1e-4)
+        assert made.freedom == pytest.approx(statistics.freedom, rel=1e-9)
+        assert made.sigma == pytest.approx([estimate.sigma for estimate in alone.noise], rel=1e-7)
+        assert made.chi_square == pytest.approx(alone.chi_square.value, rel=1e-7)
+        assert made.names_outliers == bool(alone.outliers)
+    assert made.names_outliers == several
+    assert (statistics.shared is None) == several
+
+
+def test_draws_of_which_more_is_to_be_found_go_the_way_of_fits(five_bar):
+    """Noise that contradicts what is stated, with priors; readings that are missing."""
+    robot, data = five_bar
+    robot = robot.with_prior("left_elbow.x", "0.1 mm")
+    quiet, loud = (calib.simulate(robot, data, sigma, 1) for sigma in (SIGMA, 4 * SIGMA))
+    pen = quiet.readings["pen"]
+    fewer = {key: np.delete(getattr(pen, key), 7, axis=0) for key in ("visits", "pairs", "values", "details")}
+    missing = replace(quiet, readings={"pen": replace(pen, **fewer)})
+    repeated = Repeated.of(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
+    alike, *others = repeated.estimates([Drawn(robot, each) for each in (quiet, loud, missing)])
+    for made, each in zip((alike, *others), (quiet, loud, missing), strict=True):
+        alone = calib.fit(robot, each, sigma=SIGMA)
+        assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
+        assert made.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
 
 
 def test_numbers_do_not_depend_on_who_works(five_bar):

@@ -31,7 +31,10 @@ class LoopRows:
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.shared = mechanism, kinematics.Shared(mechanism, mechanism.loops)
         signs = mechanism.loop_signs[:, self.shared.reduced.joints]
-        self._moving = kinematics.Coordinates.of(self.shared.reduced, signs, mechanism.select_moving)
+        self.passive, self.moving = (
+            kinematics.Coordinates.of(self.shared.reduced, signs, select)
+            for select in (mechanism.select_passive, mechanism.select_moving)
+        )
 
     def chunks(self, n: int) -> Iterator[slice]:
         """Yield n poses in parts that are good at once."""
@@ -42,9 +45,9 @@ class LoopRows:
         joints = self.mechanism.all_joints(actuated, passive)
         return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
 
-    def slopes(self, swept: kinematics.Sweep) -> FloatArray:
-        """Return [C_p C_a], (n, n_rows, n_passive + n_actuated)."""
-        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), self._moving)
+    def by(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
+        """Return C_p for `passive`, (n, n_rows, n_passive), [C_p C_a] for `moving`."""
+        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
 
 
 def residual(
@@ -56,7 +59,7 @@ def residual(
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
     for part in rows.chunks(len(actuated)):
         swept = rows.at(actuated[part], passive[part])
-        values[part], slope[part] = kinematics.gaps(swept), rows.slopes(swept)
+        values[part], slope[part] = kinematics.gaps(swept), rows.by(rows.moving, swept)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

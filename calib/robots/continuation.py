@@ -113,12 +113,13 @@ def _correct(
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
     scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    coordinates = loops.moving if len(slope) else loops.passive
     for part in loops.chunks(n):
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):
             swept = loops.at(actuated[index], passive[index])
-            values, slopes = kinematics.gaps(swept), loops.slopes(swept)
+            values, slopes = kinematics.gaps(swept), loops.by(coordinates, swept)
             worst = np.max(np.abs(values), axis=1)
             done = worst <= enough
             on = ~done

@@ -69,13 +69,14 @@ class WorldTwists:
         self._frames, at = np.unique(parents, return_inverse=True)
         spread = np.zeros((len(self._frames), 6, len(joints)))  # R xi of all frames and twists is one product
         spread[at, :, np.arange(len(joints))] = twists
-        self._turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
-        self._linear, self._angular = spread[:, :3].reshape(-1, len(joints)), spread[:, 3:, self._turning]
-        self._angular, self._points = self._angular.reshape(len(self._linear), -1), parents[self._turning]
+        turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
+        self._turning, self._points = as_slice(turning), parents[turning]
+        self._linear = spread[:, :3].reshape(-1, len(joints))
+        self._angular = spread[:, 3:, turning].reshape(len(self._linear), -1)
 
     def seen(self, swept: Sweep) -> FloatArray:
         """Return Ad(T_before) xi, (n, 6, n_twists)."""
-        n, turning = len(swept.poses), as_slice(self._turning)
+        n, turning = len(swept.poses), self._turning
         axes = swept.poses[:, self._frames, :9].reshape(n, -1, 3).transpose(0, 2, 1).reshape(3 * n, -1)
         x, y, z = swept.poses[:, self._points, 9:].transpose(2, 0, 1)
         turns = (axes @ self._angular).reshape(n, 3, -1)
@@ -97,6 +98,7 @@ class Along:
         n_rows: Number of rows without those of the loops.
         before: The twists in the frames before the origins that count, (n_reduced, 6, k).
         reduced: The joints that count.
+        select: E of the passive joints, (n_joints, n_passive).
     """
 
     twists: FloatArray | None
@@ -104,6 +106,13 @@ class Along:
     n_rows: int
     before: FloatArray
     reduced: Reduced
+    select: FloatArray
+
+    @cached_property
+    def passive(self) -> tuple[Coordinates, Coordinates]:
+        """The passive joints, as they move the rows, and those of the loops."""
+        of_rows, of_loops = self.signs[: self.n_rows], self.signs[self.n_rows :]
+        return Coordinates.of(self.reduced, of_rows, self.select), Coordinates.of(self.reduced, of_loops, self.select)
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -201,9 +210,8 @@ class Shared:
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
         if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
-            self._along = last = Along(
-                twists, signs, n_rows, self.mechanism.twists_before(twists)[counts], self.reduced
-            )
+            before = self.mechanism.twists_before(twists)[counts]
+            last = self._along = Along(twists, signs, n_rows, before, self.reduced, self.mechanism.select_passive)
         return last
 
 

@@ -241,12 +241,9 @@ def _motion(
     """
     if not mechanism.loops:
         return kinematics.origin_derivative(swept, mapping, None, along)
-    signs = along.signs[: along.n_rows]
-    passive = kinematics.Coordinates.of(swept.reduced, signs, mechanism.select_passive)
-    by_passive = direct + kinematics.joint_derivative(swept, mapping, passive)
-    maps, in_loops = kinematics.gap_maps(swept), along.signs[along.n_rows :]
-    loops = kinematics.Coordinates.of(swept.reduced, in_loops, mechanism.select_passive)
-    slope = kinematics.joint_derivative(swept, maps, loops)
+    maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
+    by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
+    slope = kinematics.joint_derivative(swept, maps, of_loops)
     through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
     return kinematics.origin_derivative(swept, mapping, (through, maps), along)
 

@@ -293,11 +293,12 @@ def _add_moment(T: FloatArray, i: int, at: int, a: FloatArray, j: int, o: int) -
 
 
 @_part
-def _twist(T: FloatArray, i: int, at: int, xi: FloatArray, e: int, out: FloatArray) -> None:
-    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out (6, _LANES)."""
-    for k in range(0, 6, 3):
+def _twist(T: FloatArray, i: int, at: int, xi: FloatArray, e: int, count: int, out: FloatArray) -> None:
+    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out; of 3 numbers if w is 0, else of 6."""
+    for k in range(0, count, 3):
         _seen(T, i, at, xi, e, k, out)
-    _add_moment(T, i, at, out, np.intp(3), np.intp(0))  # of one type, so that it is compiled once
+    if count > 3:
+        _add_moment(T, i, at, out, np.intp(3), np.intp(0))  # of one type, so that it is compiled once
 
 
 @_part
@@ -455,7 +456,7 @@ def _slopes(
     for j in range(len(loops.leader)):
         if loops.leader[j] < 0 or loops.leader[j] >= first:
             continue
-        _twist(T, j + 1, at, tree.axes, j, twist)
+        _twist(T, j + 1, at, tree.axes, j, len(twist), twist)
         for r in range(len(loops.a)):
             if loops.signs[r, j] != 0.0:
                 g, o = loops.signs[r, j] * loops.factor[j], r * width + loops.leader[j]
@@ -658,7 +659,7 @@ def motion(
             c = loops.leader[j]
             if c < 0 or c >= n_passive:
                 continue
-            _twist(T, j + 1, at, tree.axes, j, twist)
+            _twist(T, j + 1, at, tree.axes, j, len(twist), twist)
             for r in range(n_rows):
                 if signs[r, j] != 0.0:
                     _add_dot(signs[r, j] * loops.factor[j], maps, 6 * r, twist, len(twist), B, c * n_rows + r)
@@ -692,7 +693,7 @@ def motion(
                             )
             for e in range(len(joints)):
                 if alike[joints[e]] == a:
-                    _twist(T, tree.parents[joints[e]], at, twists, e, twist)
+                    _twist(T, tree.parents[joints[e]], at, twists, e, parts, twist)
                     for r in range(n_rows):
                         if active[r]:
                             _add_dot(1.0, total, 6 * r, twist, parts, out, r * width + columns[e])

@@ -33,7 +33,7 @@ from calib.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
 
 CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
-_JOINTS_AT_ONCE = 40 * CHUNK
+_JOINTS_AT_ONCE = 48 * CHUNK
 _JOINTS_IN_MODEL = 36  # Pinocchio's data grow with the third power
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 

@@ -465,15 +465,16 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 
 
 def origin_derivative(
-    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: Along
-) -> FloatArray:
-    """Return map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
+    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: Along, result: FloatArray
+) -> None:
+    """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
 
     Args:
         swept: Of the poses.
         mapping: From V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
         along: The twists, and what they move.
+        result: Where to put it, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
     world, (own, in_loops) = along.world.seen(swept), along.signs_of_entries
@@ -484,9 +485,8 @@ def origin_derivative(
         opened = np.matmul(maps, world)
         opened *= in_loops
         moved -= np.matmul(through, opened)
-    width = along.before.shape[2]
-    if along.sums is not None:
-        return (moved.reshape(n * n_rows, -1) @ along.sums).reshape(n, n_rows, width)
-    result = np.zeros((n, n_rows, width))
-    result[:, :, along.entries[1]] = moved
-    return result
+    if along.sums is None:
+        result.fill(0.0)
+        result[:, :, along.entries[1]] = moved
+    else:
+        np.matmul(moved.reshape(n * n_rows, -1), along.sums, out=result.reshape(n * n_rows, -1))

@@ -177,7 +177,7 @@ def relative_motion(
         _compiled_motion(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
     else:
         mapping = kinematics.motion_map(swept, pairs, angular=angular)
-        result[:] = _motion(mechanism, swept, mapping, along, direct).reshape(result.shape)
+        _fill_motion(mechanism, swept, mapping, along, direct, result.reshape(n, n_rows, -1))
     return result
 
 
@@ -196,11 +196,12 @@ def passive_motion(
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
     along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
+    result = np.empty((n, 1, along.before.shape[2]))
     if swept.compiled is not None:
-        result = np.empty((n, 1, along.before.shape[2]))
         _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
-        return result
-    return _motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None])
+    else:
+        _fill_motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], result)
+    return result
 
 
 def _compiled_motion(
@@ -210,7 +211,7 @@ def _compiled_motion(
     direct: FloatArray,
     result: FloatArray,
 ) -> None:
-    """Fill in what `_motion` returns, by compiled code.
+    """Do the same as `_fill_motion`, by compiled code.
 
     Args:
         swept: Of the poses.
@@ -223,14 +224,15 @@ def _compiled_motion(
     shared.functions.motion(*model, rows, signs, direct, along.entries, result)
 
 
-def _motion(
+def _fill_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     mapping: FloatArray,
     along: kinematics.Along,
     direct: FloatArray,
-) -> FloatArray:
-    """Return dx/dxi of the module docstring along origin twists, (n, n_rows, k).
+    result: FloatArray,
+) -> None:
+    """Fill in dx/dxi of the module docstring along origin twists.
 
     Args:
         mechanism: The mechanism.
@@ -238,14 +240,16 @@ def _motion(
         mapping: From V_b - V_a to x, (n, n_rows, 6).
         along: The twists, and what they move.
         direct: What passive joints do to x beside that, (n_rows, n_passive).
+        result: Where to put it, (n, n_rows, k).
     """
     if not mechanism.loops:
-        return kinematics.origin_derivative(swept, mapping, None, along)
+        kinematics.origin_derivative(swept, mapping, None, along, result)
+        return
     maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
     by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
     slope = kinematics.joint_derivative(swept, maps, of_loops)
     through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
-    return kinematics.origin_derivative(swept, mapping, (through, maps), along)
+    kinematics.origin_derivative(swept, mapping, (through, maps), along, result)
 
 
 def parameter_twists(robot: Robot, values: FloatArray | None = None) -> FloatArray:

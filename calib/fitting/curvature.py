@@ -56,7 +56,8 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     """
     root, own = rows.known.root, problem.unknowns.family < 0
     shares, turned = prior_directions(rows.known, rows.prior)
-    directions = np.where(own[:, None], root @ turned, 0.0)
+    directions = np.zeros((len(root), turned.shape[1]))
+    directions[own] = root[own] @ turned
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, seen]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j

@@ -6,18 +6,18 @@ import html
 import io
 import math
 import textwrap
-import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from calib.base.errors import InputError
 
 _LISTED = 5
-_CONTROL = dict.fromkeys((7, 8, 11, 12, 13))  # characters that move what is printed
 
 
 def counted(number: int, singular: str, plural: str | None = None) -> str:
@@ -77,98 +77,22 @@ def sentence(clause: str) -> str:
     return f"{clause[0].upper()}{clause[1:]}."
 
 
-class TextTable:
-    """A table for `plain_text`.
-
-    Args:
-        headers: Of its columns.
-        left: Those of them whose cells stand on the left; numbers stand on the right.
-        title: What stands above it.
-        plain: Whether it has no lines.
-        fold: Whether cells that are too wide are broken at any letter, and not cut.
-    """
-
-    def __init__(
-        self,
-        headers: Sequence[str],
-        left: Collection[str] = ("",),
-        title: str | None = None,
-        *,
-        plain: bool = False,
-        fold: bool = False,
-    ) -> None:
-        self._rows = [tuple(headers)]
-        self._is_left = [header in left for header in headers]
-        self._title, self._plain, self._fold = title, plain, fold
-
-    def add_row(self, *cells: str) -> None:
-        """Add a row below the others."""
-        self._rows.append(cells)
-
-    def as_text(self, width: int) -> str:
-        """Return its lines; cells are broken where it would be wider than so many characters."""
-        wide = [max(map(len, column)) for column in zip(*self._rows, strict=True)]
-        across = sum(wide) + (2 * (len(wide) - 1) if self._plain else 3 * len(wide) + 1)
-        texts = [self._title or "", *(cell for row in self._rows for cell in row)]
-        if across > width or len(texts[0]) > across or not all(map(_is_one_line, texts)):
-            return self._broken(width)
-        lines = [
-            [
-                cell.ljust(n) if left else cell.rstrip().rjust(n)
-                for cell, n, left in zip(row, wide, self._is_left, strict=True)
-            ]
-            for row in self._rows
-        ]
-        above = [] if self._title is None else [self._title.ljust(across)]
-        if self._plain:
-            return "\n".join([*above, *map("  ".join, lines), ""])
-        head, *rest = (f" {side} ".join(line) for side, line in zip("┃" + "│" * len(lines), lines, strict=False))
-        top, under, bottom = (
-            start + between.join(dash * (n + 2) for n in wide) + stop
-            for start, dash, between, stop in ("┏━┳┓", "┡━╇┩", "└─┴┘")
-        )
-        return "\n".join([*above, top, f"┃ {head} ┃", under, *(f"│ {line} │" for line in rest), bottom, ""])
-
-    def _broken(self, width: int) -> str:
-        # here: it takes as long to import as all of this module
-        from rich.console import Console
-        from rich.table import Table
-
-        style: dict[str, Any] = {"box": None, "pad_edge": False} if self._plain else {}
-        table = Table(title=self._title, title_justify="left", **style)
-        for header, left in zip(self._rows[0], self._is_left, strict=True):
-            overflow: Literal["fold", "ellipsis"] = "fold" if self._fold else "ellipsis"
-            table.add_column(header, justify="left" if left else "right", overflow=overflow)
-        for row in self._rows[1:]:
-            table.add_row(*row)
-        stream = io.StringIO()
-        Console(file=stream, width=width, color_system=None, markup=False, emoji=False, highlight=False).print(table)
-        return stream.getvalue()
-
-
-def _is_one_line(text: str) -> bool:
-    """Whether a text is as wide as it has letters."""
-    return (text.isascii() and text.isprintable()) or all(
-        letter.isprintable() and unicodedata.east_asian_width(letter) not in "WF" and not unicodedata.combining(letter)
-        for letter in text
-    )
-
-
-def plain_text(parts: Iterable[str | TextTable], width: int, *, wrap: bool = False) -> str:
+def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) -> str:
     """Return lines and tables as plain text.
+
+    `[mm]`, or a name in brackets, is no markup here, and `:name:` no picture.
 
     Args:
         parts: In the order of printing.
         width: Of the tables, in characters.
         wrap: Whether lines of text are broken at this width too.
     """
-    text = []
+    stream = io.StringIO()
+    console = Console(file=stream, width=width, color_system=None, markup=False, emoji=False, highlight=False)
     for part in parts:
-        if isinstance(part, TextTable):
-            text.append(part.as_text(width))
-        else:
-            text.append(f"{_wrapped(part, width) if wrap else part}\n".translate(_CONTROL).expandtabs(8))
-    return "".join(text)
+        broken = wrap and isinstance(part, str)
+        console.print(_wrapped(str(part), width) if broken else part, soft_wrap=isinstance(part, str))
+    return stream.getvalue()
 
 
 def _wrapped(text: str, width: int) -> str:
@@ -179,6 +103,25 @@ def _wrapped(text: str, width: int) -> str:
         lines.append(textwrap.fill(line, width, subsequent_indent=further, break_long_words=False,
                                    break_on_hyphens=False))  # fmt: skip
     return "\n".join(lines)
+
+
+def text_table(
+    headers: Sequence[str], left: Collection[str] = ("",), title: str | None = None, *, plain: bool = False
+) -> Table:
+    """Return an empty table for `plain_text`.
+
+    Args:
+        headers: Of its columns.
+        left: Those of them whose cells stand on the left; numbers stand on the right.
+        title: What stands above it.
+        plain: Whether it has no lines.
+    """
+    style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}
+    table = Table(title=title, title_justify="left", **style)
+    for header in headers:
+        justify: Literal["left", "right"] = "left" if header in left else "right"
+        table.add_column(header, justify=justify)
+    return table
 
 
 def as_data(value: Any) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import logging
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from typing import Any
 
 import click
 import numpy as np
+from rich.console import Console
 
 from calib.base.arrays import BoolArray, IntArray
 from calib.base.errors import CalibrationError, InputError
@@ -115,15 +115,13 @@ class Output:
 
         Where standard error is a file, it gets a line a minute.
         """
+        console = Console(stderr=True)
         if self.quiet:
             yield lambda done, total: None
             return
-        if not sys.stderr.isatty():
+        if not console.is_terminal:
             yield _line_now_and_then(what)
             return
-        from rich.console import Console  # here: only a terminal needs it
-
-        console = Console(stderr=True)
         with console.status(what) as status:
             yield lambda done, total: status.update(f"{what}: {done} of {total}")
 

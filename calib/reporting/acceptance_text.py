@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from rich.table import Table
 
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.base.words import TextTable, as_data, counted, listed, plain_text
+from calib.base.words import as_data, counted, listed, plain_text, text_table
 from calib.fitting.error_sets import error_table
 from calib.judging.acceptance import Acceptance
 from calib.judging.promise import POWER, Change
@@ -33,7 +34,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
         missing: What they lack.
     """
     data = acceptance.errors.data
-    parts: list[str | TextTable] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
     parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
@@ -177,9 +178,9 @@ def _heading(changes: Sequence[Change]) -> str:
     return f"Changes that were looked for, by size over standard deviation; {which}"
 
 
-def _changes(changes: Sequence[Change], *, with_values: bool = True) -> TextTable:
+def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
     left, heads = ("change of", "unit"), ("std", "detectable")
-    table = TextTable((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
+    table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
     seen = [change for change in changes if change.significant or change.visible < _LARGEST]
     for change in seen[:_SHOWN]:
         unit, scale = _unit(change)
@@ -188,9 +189,9 @@ def _changes(changes: Sequence[Change], *, with_values: bool = True) -> TextTabl
     return table
 
 
-def _iso_table(figures: Sequence[IsoFigure]) -> TextTable:
+def _iso_table(figures: Sequence[IsoFigure]) -> Table:
     left = ("figure", "pose", "unit")
-    table = TextTable((*left, "cycles", "value", "low 95 %", "high 95 %"), left, plain=True)
+    table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left, plain=True)
     for iso in figures:
         unit, scale = _iso_unit(iso)
         numbers = (iso.figure.value, iso.figure.low95, iso.figure.high95)

@@ -6,9 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from rich.table import Table
+
 from calib.base.parameter import Parameter
 from calib.base.units import millimetres
-from calib.base.words import TextTable, as_data, counted, listed, plain_text, sentence
+from calib.base.words import as_data, counted, listed, plain_text, sentence, text_table
 from calib.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
@@ -31,7 +33,7 @@ def text_report(assessment: Assessment, source: str, width: int = 120, *, verbos
         verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
     """
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
-    parts: list[str | TextTable] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
+    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
     parts += [*_accuracy(assessment), "", _counts(assessment), *assessment.determination.lines(), ""]
     parts += [*_groups(assessment, lines, width), ""]
     parts += [_observability(assessment), _parameters(assessment)] if verbose else []
@@ -132,8 +134,8 @@ def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
     return lines
 
 
-def _observability(a: Assessment) -> TextTable:
-    table = TextTable(("columns", *INDICES), ("columns",), "Observability of the free parameters, poses alone")
+def _observability(a: Assessment) -> Table:
+    table = text_table(("columns", *INDICES), ("columns",), "Observability of the free parameters, poses alone")
     units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
     per_sigma, per_unit = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
     table.add_row(f"scaled by sigma, {per_sigma}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
@@ -141,9 +143,9 @@ def _observability(a: Assessment) -> TextTable:
     return table
 
 
-def _parameters(a: Assessment) -> TextTable:
+def _parameters(a: Assessment) -> Table:
     headers = ("name", "unit", "expected error", "std after fit", "part left")
-    table = TextTable(headers, headers[:2], "Predicted uncertainty of the free parameters")
+    table = text_table(headers, headers[:2], "Predicted uncertainty of the free parameters")
     for row in _parameter_rows(a):
         std = f"{row['std']:.4f}" if math.isfinite(row["std"]) else "unbounded"
         expected = "-" if math.isnan(row["part"]) else f"{row['sigma']:.4f}"
@@ -163,9 +165,9 @@ def _doubts(a: Assessment, most: int) -> list[str]:
     ]
 
 
-def _counts(a: Assessment) -> TextTable:
+def _counts(a: Assessment) -> Table:
     headers = ("poses", "uniform: RMS", "max", "best of these: RMS", "max")
-    table = TextTable(headers, title="Predicted position error against number of poses, mm")
+    table = text_table(headers, title="Predicted position error against number of poses, mm")
     for row in a.by_count:
         uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
         times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.base.arrays import FloatArray
 from calib.base.other_words import Worded
-from calib.base.words import TextTable, as_data, counted, listed, plain_text
+from calib.base.words import as_data, counted, listed, plain_text, text_table
 from calib.numerics.chances import HARDLY
 
 _SHOWN = 20
@@ -131,7 +131,9 @@ class ResultComparison(Worded):
             )
         ]
         ranked = self.ranked()
-        table = TextTable(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True, fold=True)
+        table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
+        for column in table.columns:
+            column.overflow = "fold"
         real = sum(any(difference.real) for difference in ranked)
         shown = ranked[: min(real, _SHOWN) or _LIKELIEST]
         for difference in shown:

@@ -13,7 +13,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.files import write_files
 from calib.base.parameter import Parameter
-from calib.base.words import TextTable, as_data, counted, distinct_names, listed, plain_text
+from calib.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.hierarchy import Hierarchy, Likeness, learn_without_odd
 from calib.reporting.comparing_results import geometry, readings_of
@@ -112,7 +112,7 @@ class Fleet(ReadOnlyArrays):
             verbose: All of them; otherwise, of more than fit on a screen, the robots that are least like the others,
                 and the parameters whose mean is most surely off nominal.
         """
-        robots = TextTable(
+        robots = text_table(
             ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
         )
         some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
@@ -124,7 +124,7 @@ class Fleet(ReadOnlyArrays):
             robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
         others = _hidden(len(self.members) - len(some), "robot", "are more like the others")
         heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "robots showing it")
-        table, away = TextTable(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
+        table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
         shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
         for k in shown:
             parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])

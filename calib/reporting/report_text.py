@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from rich.table import Table
+
 from calib.base.threads import one_blas_thread
-from calib.base.words import TextTable, counted, plain_text
+from calib.base.words import counted, plain_text
 from calib.fitting.fitted import Fit
 from calib.judging.reasons import Verdict
 from calib.judging.verdict import judge
@@ -31,7 +33,7 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     """
     verdict = judge(fit)
     title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    parts: list[str | TextTable]
+    parts: list[str | Table]
     if verbose:
         grids = (files_grid(fit), budget_grid(fit), parameter_grid(fit))
         tables = [*accuracy_text(fit), *(grid.as_text() for grid in grids if grid is not None)]

@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from rich.table import Table as Printed
+
 from calib.base.units import millimetres
-from calib.base.words import TextTable, as_data, counted, plain_text
+from calib.base.words import as_data, counted, plain_text, text_table
 from calib.data.instrument_cells import columns_in
 from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
@@ -171,10 +173,10 @@ def _counted(s: Selection, poses: Poses) -> str:
     return f"{with_each}; at {different} of {len(poses)} poses ({poses.path})"
 
 
-def _indices(s: Selection) -> TextTable:
+def _indices(s: Selection) -> Printed:
     keys = [key for key in (*INDICES, TASK) if key in s.after]
     headers = ("", *(f"{key}, mm" if key == TASK else key for key in keys))
-    table = TextTable(headers, title="Indices (scaled columns; task: predicted position error)")
+    table = text_table(headers, title="Indices (scaled columns; task: predicted position error)")
     rows = [("uniform", s.before), ("chosen", s.on_grid)]
     if s.measured_only is not None:
         rows.insert(0, ("measured alone", s.measured_only))

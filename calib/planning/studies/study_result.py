@@ -19,7 +19,7 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.parameter import Parameter
 from calib.base.units import millimetres
-from calib.base.words import TextTable, as_data, counted, data_frame, listed, plain_text
+from calib.base.words import as_data, counted, data_frame, listed, plain_text, text_table
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
@@ -249,7 +249,7 @@ class Study(ReadOnlyArrays):
             verbose: All parameters; otherwise, of more than fit on a screen, those with the lowest coverage.
         """
         headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
-        table = TextTable(headers, headers[:2], plain=True)
+        table = text_table(headers, headers[:2], plain=True)
         parameters, more = self.parameters, 0
         if not verbose and len(parameters) > _SCREEN:
             more = len(parameters) - _SHOWN

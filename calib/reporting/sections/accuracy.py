@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
+from rich.table import Table
+
 from calib.base.units import ERROR_UNIT
-from calib.base.words import TextTable
+from calib.base.words import text_table
 from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
 from calib.fitting.fitted import Fit
 from calib.instruments.kind import Part
@@ -69,23 +71,23 @@ def accuracy(fit: Fit) -> list[AccuracyTable]:
     return tables
 
 
-def accuracy_text(fit: Fit) -> list[TextTable]:
+def accuracy_text(fit: Fit) -> list[Table]:
     """Return one table for each part that was read."""
     tables = []
     for part_accuracy in accuracy(fit):
         axes = [f"|{axis}|" for axis in part_accuracy.part.axes]
         title = f"{part_accuracy.part.name.capitalize()} error, {part_accuracy.unit} ({', '.join(axes)}: mean)"
-        table = TextTable(("", "poses", "mean", "max", "rms", "std", "95 %", *axes), title=title)
+        table = text_table(("", "poses", "mean", "max", "rms", "std", "95 %", *axes), title=title)
         for line in part_accuracy.lines:
             table.add_row(f"{line.group}, {line.state}", str(line.poses), *format_error(line.errors))
         tables.append(table)
     return tables
 
 
-def change_text(fit: Fit) -> TextTable:
+def change_text(fit: Fit) -> Table:
     """Return errors before and after, one line for each part of each set of poses."""
     heading = "error before -> after"
-    table = TextTable((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
+    table = text_table((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
     for part in parts:
         for label, error_set in error_sets(fit):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from rich.table import Table
 
-from calib.base.words import TextTable
+from calib.base.words import text_table
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,11 @@ class Grid:
     rows: tuple[tuple[str | GridNumber, ...], ...]
     last_counts: bool = False
 
-    def as_text(self) -> TextTable:
+    def as_text(self) -> Table:
         """Return the table for a terminal."""
         shown = [k for k, column in enumerate(self.columns) if not column.only_page]
         heads = [self.columns[k].head for k in shown]
-        table = TextTable(heads, [self.columns[k].head for k in shown if self.columns[k].words], self.title)
+        table = text_table(heads, [self.columns[k].head for k in shown if self.columns[k].words], self.title)
         for row in self.rows:
             table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in (row[k] for k in shown)))
         return table

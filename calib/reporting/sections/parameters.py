@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from calib.base.words import TextTable
+from rich.table import Table
+
+from calib.base.words import text_table
 from calib.fitting.estimates import Estimate
 from calib.fitting.fitted import Fit
 from calib.reporting.sections.grid import Grid, GridColumn, GridNumber
@@ -47,7 +49,7 @@ def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
     )
 
 
-def changed_most(fit: Fit) -> list[str | TextTable]:
+def changed_most(fit: Fit) -> list[str | Table]:
     """Return the parameters that changed most against their standard deviation; places are no errors of the robot."""
     places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
     changed = [
@@ -59,7 +61,7 @@ def changed_most(fit: Fit) -> list[str | TextTable]:
     most = sorted(changed, key=_significance, reverse=True)[:_MOST_CHANGES]
     if not most:
         return []
-    table = TextTable(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
+    table = text_table(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
                        ("changed most", "unit"), plain=True)  # fmt: skip
     for estimate in most:
         numbers = (estimate.nominal, estimate.value, estimate.value - estimate.nominal, estimate.std)

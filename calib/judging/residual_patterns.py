@@ -291,8 +291,8 @@ def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Mome
         sums = _sums_of_visits(column, [other[rows] for other in others], firsts)
         weights = np.add.reduceat(column**2, firsts)
         powers = _powers(np.exp(1j * waves.phase[visits]), n_orders)
-        twice, total = weights @ (powers * powers) / 2, float(np.sum(weights)) / 2  # cos^2 = (1 + cos of twice) / 2
-        squares += [total + twice.real, twice.imag, total - twice.real]
+        cosine, sine = powers.real, powers.imag
+        squares += [weights @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
         products += sums.T @ powers.view(float)
     products = np.vstack([span.root.T @ products[:n], products[n + 1 :], products[n : n + 1]])
     for order in waves.orders:

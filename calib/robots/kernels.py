@@ -537,18 +537,21 @@ def close(
                         gap[r, lane] += T[x + k, lane] * (T[b + k, lane] - T[a + k, lane])
                 for lane in range(_ALL):
                     worst[0, lane] = max(worst[0, lane], abs(gap[r, lane]))
-            _slopes(tree, loops, T, _NONE, width, width, rows, twist, C)
+            _slopes(tree, loops, T, _NONE, width, width if len(slope) else n_passive, rows, twist, C)
+            some, more = False, False
             for lane in range(lanes):
                 small = worst[0, lane] <= enough
                 known[lane] = left[lane] and (small or worst[0, lane] ** 3 <= sure * before[0, lane] ** 2)
                 closed[at + lane], left[lane] = closed[at + lane] or (left[lane] and small), left[lane] and not small
-                before[0, lane] = worst[0, lane]
-            for r in range(len(C)):
+                before[0, lane], some, more = worst[0, lane], some or known[lane], more or left[lane]
+            for r in range(len(C) if some else 0):
                 for lane in range(_ALL):
                     found[r, lane] = C[r, lane] if known[lane] else found[r, lane]
+            if not more:
+                break
             _factor(loops.plan, C, width, larger, sign)
             _solve(loops.plan, C, width, larger, gap, step)
-            ends = True
+            more = False
             for lane in range(lanes):
                 size, limit = 0.0, max(0.5 * min(last[0, lane], 2 * largest), 1e-9)
                 for k in range(n_passive if left[lane] else 0):
@@ -559,8 +562,8 @@ def close(
                     passive[at + lane, k] -= step[k, lane]
                 closed[at + lane] = closed[at + lane] or (left[lane] and known[lane])
                 left[lane] = left[lane] and not known[lane]
-                last[0, lane], ends = size, ends and not left[lane]
-            if ends:
+                last[0, lane], more = size, more or left[lane]
+            if not more:
                 break
         for lane in range(lanes if len(slope) else np.uintp(0)):
             for r in range(n_passive if closed[at + lane] else 0):

@@ -28,6 +28,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.least_squares import TOLERANCE
@@ -106,11 +107,12 @@ class Nearby(ReadOnlyArrays):
                     r[k], jacobian[k], possible[place] = *rows, True
             count += len(active)
             active = active[possible]
+            active = active[self._are_valleys(r[active], jacobian[active])]
             if len(active) == 0:
                 break
             try:
                 moved = self._stepped(z[active], r[active], jacobian[active])
-            except np.linalg.LinAlgError:  # one draw at least has no minimum nearby
+            except np.linalg.LinAlgError:  # rows and priors of one draw at least do not see every direction
                 break
             z[active], r[active], jacobian[active], root[active], left[active], found[active] = moved
             active = active[~found[active]]
@@ -123,9 +125,7 @@ class Nearby(ReadOnlyArrays):
         """Take the step of the module docstring; return what `Minima` says of where it ends."""
         gram, n_rows = self.held.T @ self.held, r.shape[1]
         third = np.linalg.norm(jacobian - self.jacobian - self._bent(z), axis=(1, 2))
-        hessian = jacobian.transpose(0, 2, 1) @ jacobian + gram + self._curvature(r)
-        np.linalg.cholesky(hessian)  # fails on the way to a saddle
-        step = -np.linalg.solve(hessian, self._pull(z, r, jacobian)[:, :, None])[:, :, 0]
+        step = -np.linalg.solve(self._hessian(r, jacobian), self._pull(z, r, jacobian)[:, :, None])[:, :, 0]
         further = jacobian + self._bent(step)
         at, left = z + step, r + 0.5 * _times(jacobian + further, step)
         root = np.linalg.cholesky(further.transpose(0, 2, 1) @ further + gram)
@@ -134,6 +134,16 @@ class Nearby(ReadOnlyArrays):
         off = 2.0 * third * np.linalg.norm(step, axis=1)
         known = off <= np.sqrt(TOLERANCE * n_rows) * np.linalg.norm(z, axis=1)
         return at, left, further, root, promised, known & (np.sum(promised**2, axis=1) <= TOLERANCE * cost)
+
+    def _are_valleys(self, r: FloatArray, jacobian: FloatArray) -> BoolArray:
+        """Whether a step leads to a minimum, not to a saddle, (n_draws,)."""
+        hessians = self._hessian(r, jacobian)
+        return np.array([not scipy.linalg.lapack.dpotrf(hessian)[1] for hessian in hessians], dtype=bool)
+
+    def _hessian(self, r: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """Half the second derivative of the cost, (n_draws, n, n)."""
+        gram = self.held.T @ self.held
+        return np.asarray(jacobian.transpose(0, 2, 1) @ jacobian + gram + self._curvature(r))
 
     def _priors(self, z: FloatArray) -> FloatArray:
         """Rows of the priors, (n_draws, n_priors)."""

@@ -134,23 +134,24 @@ class Repeated(ReadOnlyArrays):
     def _together(self, data: Sequence[Measurements]) -> dict[int, Estimate]:
         """Calibrate draws that differ in nothing but noise, by number; without those of which more has to be found."""
         root, ones = self.first.rows.known.root, np.ones(len(self.problem.whitening.groups))
-        checked = set[int]()
+        last = dict[int, Evaluation]()
 
         def evaluate(k: int, z: FloatArray) -> tuple[FloatArray, FloatArray] | None:
             problem = self._problem(data[k], z)
             evaluation = problem.evaluate_if_closed(self._robot(z))
             if evaluation is None:
                 return None
-            if problem.noise_weighs and k not in checked:
-                checked.add(k)
-                if np.any(contradicted(problem, evaluation, ones)[0].noise_found):
-                    return None
-            rows = problem.rows(evaluation, ones)
+            rows, last[k] = problem.rows(evaluation, ones), evaluation
             return rows.residuals, rows.jacobian @ root
 
         residuals = np.stack([self._residuals(self._problem(each)) for each in data])
         minima = self.nearby.minima(residuals, evaluate)
-        return estimates_at(minima, self.nearby, self.first) if len(minima.draws) else {}
+        found = estimates_at(minima, self.nearby, self.first) if len(minima.draws) else {}
+        if not self.problem.noise_weighs:
+            return found
+        return {
+            k: one for k, one in found.items() if not np.any(contradicted(self.problem, last[k], ones)[0].noise_found)
+        }
 
     def _alone(self, drawn: Drawn) -> Estimate:
         """Calibrate from the readings of one draw."""

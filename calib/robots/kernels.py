@@ -604,6 +604,7 @@ def motion(
     places: IntArray,
     signs: FloatArray,
     direct: FloatArray,
+    alike: IntArray,
     entries: tuple[IntArray, IntArray, FloatArray],
     result: FloatArray,
 ) -> None:
@@ -617,6 +618,7 @@ def motion(
         signs: What each joint moves: +1 only b, -1 only a, else 0; of each row, then of each row of the loops,
             (n_rows + n_passive, n_joints).
         direct: The derivative of the rows by the passive joints beside that, (n_rows, n_passive).
+        alike: The first joint that moves what each moves, (n_joints,).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
             the frame before the origin, (n_entries, 6).
         result: Where to put the derivative, (n, n_rows, width).
@@ -630,17 +632,7 @@ def motion(
     sign, active, feels = np.empty((1, _LANES)), np.empty(n_rows, dtype=np.bool_), np.empty(n_passive, dtype=np.intp)
     joints, columns, twists = entries
     rows = Loops(places[0], places[1], places[2], signs, loops.leader, loops.factor, loops.plan)
-    alike = np.empty(n_joints, dtype=np.intp)  # the first joint that moves what this one moves
     wanted, whole = np.zeros(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
-    for j in range(n_joints):
-        alike[j] = j
-        for i in range(j - 1, -1, -1):
-            same = True
-            for r in range(len(signs)):
-                same = same and signs[r, i] == signs[r, j]
-            if same:
-                alike[j] = alike[i]
-                break
     for e in range(len(joints)):
         a = alike[joints[e]]
         wanted[a] = True

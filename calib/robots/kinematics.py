@@ -123,6 +123,13 @@ class Along:
         return joints[order], columns[order], twists[order]
 
     @cached_property
+    def alike(self) -> IntArray:
+        """The first joint that moves the same rows as each, by the same signs, (n_reduced,)."""
+        first = dict[bytes, int]()
+        signs = [column.tobytes() for column in self.signs.T]
+        return np.array([first.setdefault(column, joint) for joint, column in enumerate(signs)], dtype=np.intp)
+
+    @cached_property
     def world(self) -> WorldTwists:
         """The entries' twists."""
         return WorldTwists(self.reduced, self.entries[0], self.entries[2])

@@ -106,24 +106,22 @@ class OriginComponents:
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the derivative of each origin; see `Parametrisation`."""
-        result: dict[str, FloatArray] = {}
-        for name, moved in self._deviations(values).items():
-            columns, components = self._of_origins[name]
-            pose = self._edited(name, moved)
-            whole = np.zeros((6, 6))
-            whole[:3, :3] = pose.rotation.T
-            whole[3:, 3:] = pin.Jexp3(moved[3:])
+        row, component, _ = self._moves
+        whole, own = np.zeros((len(self.nominal), 6, 6)), np.zeros((len(self.nominal), 6, len(self.parameters)))
+        whole[:, :3, :3], whole[:, 3:, 3:] = self._axes, np.eye(3)
+        for twist, (name, moved) in zip(whole, self._deviations(values).items(), strict=True):
+            if np.any(moved[3:]):
+                twist[:3, :3] = pin.exp3(moved[3:]).T @ twist[:3, :3]
+                twist[3:, 3:] = pin.Jexp3(moved[3:])
             if name in self.inverted:  # (T exp(xi))^-1 = T^-1 exp(-Ad(T) xi)
-                whole = -pose.toActionMatrix() @ whole
-            result[name] = np.zeros((6, len(self.parameters)))
-            result[name][:, columns] = whole[:, components]
-        return result
+                twist[:] = -self._edited(name, moved).toActionMatrix() @ twist
+        own[row, :, np.arange(len(row))] = whole[row, :, component]
+        return dict(zip(self.nominal, own, strict=True))
 
     @cached_property
-    def _of_origins(self) -> dict[str, tuple[list[int], list[int]]]:
-        """Columns of each origin, and the components that they are."""
-        columns = {name: [k for k, (origin, _) in enumerate(self.places) if origin == name] for name in self.nominal}
-        return {name: (own, [self.places[k][1] for k in own]) for name, own in columns.items()}
+    def _axes(self) -> FloatArray:
+        """Transposed nominal rotations of all origins, (n_origins, 3, 3)."""
+        return np.array([pose.rotation.T for pose in self.nominal.values()]).reshape(-1, 3, 3)
 
     def _edited(self, name: str, moved: FloatArray) -> pin.SE3:
         nominal = self.nominal[name]

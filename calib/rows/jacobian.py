@@ -221,7 +221,7 @@ def _compiled_motion(
     """
     shared = swept.shared
     model, signs = (shared.tree, shared.loops, swept.compiled), np.ascontiguousarray(along.signs)
-    shared.functions.motion(*model, rows, signs, direct, along.entries, result)
+    shared.functions.motion(*model, rows, signs, direct, along.alike, along.entries, result)
 
 
 def _fill_motion(

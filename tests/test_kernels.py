@@ -202,11 +202,11 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
 
 def test_a_task_of_many_poses_is_worth_loading_it():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
-    with compiled_for(100_000):
+    with compiled_for(300_000):
         assert kernels(robot.mechanism, 10) is not None
     with compiled_for(1000):
         assert kernels(robot.mechanism, 10) is None
-    with compiled(False), compiled_for(100_000):
+    with compiled(False), compiled_for(300_000):
         assert kernels(robot.mechanism, 10) is None
 
 
@@ -218,7 +218,11 @@ def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch
         assert (kernels(mechanism, 10) is not None) is kept
     assert (kernels(mechanism, 5000) is not None) is kept
     assert kernels(mechanism, 4000) is None
-    assert kernels(mechanism, 25_000) is not None
+    assert kernels(mechanism, 75_000) is not None
+    arm = calib.load(EXAMPLES / "arm.yaml").mechanism  # a pose without loops saves less
+    assert (kernels(arm, 20_000) is not None) is kept
+    assert kernels(arm, 19_000) is None
+    assert kernels(arm, 300_000) is not None
 
 
 @pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])

@@ -17,10 +17,9 @@ from typing import Any
 
 from calib.robots.mechanism import Mechanism
 
-MANY = 5000
-"""Poses at once, or batch after batch, for which loading numba is worth it."""
-_MANY_IN_ALL = 20_000  # poses of a task, for which each process may load it
-_TO_COMPILE = 5  # times as many poses are worth compiling it first: a pose of a fit saves 0.2 ms, one of a study 0.1 ms
+_MANY = 5000  # poses of robots with loops that are worth loading numba: one of a fit saves 0.1 ms
+_MANY_OPEN = 20_000  # the same of robots without loops, and of draws, which save 0.03 ms
+_TO_COMPILE = 15  # times as many are worth compiling it first
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 
@@ -39,7 +38,7 @@ def compiled(use: bool = True) -> Iterator[None]:
         _requested.reset(before)
 
 
-def compiled_for(n_poses: int, many: int = _MANY_IN_ALL) -> AbstractContextManager[None]:
+def compiled_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
     """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless told otherwise.
 
     Args:
@@ -49,7 +48,7 @@ def compiled_for(n_poses: int, many: int = _MANY_IN_ALL) -> AbstractContextManag
     return compiled() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
 
-def pays(n_poses: int, many: int = _MANY_IN_ALL) -> bool:
+def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
     """Whether compiled code saves more time than it takes, if so many poses have to be computed.
 
     Args:
@@ -57,6 +56,11 @@ def pays(n_poses: int, many: int = _MANY_IN_ALL) -> bool:
         many: How many are worth loading code that is already compiled.
     """
     return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().kept())
+
+
+def many(mechanism: Mechanism) -> int:
+    """Return how many poses of a robot, at once or batch after batch, are worth loading code that is compiled."""
+    return _MANY if mechanism.loops else _MANY_OPEN
 
 
 def compilation_requested() -> bool:
@@ -72,7 +76,7 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
         n_poses: How many poses are computed at once.
     """
     requested = _requested.get()
-    use = pays(n_poses, MANY) if requested is None else requested
+    use = pays(n_poses, many(mechanism)) if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
     return _functions()

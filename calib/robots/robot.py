@@ -17,7 +17,7 @@ from calib.base.parameter import index_of
 from calib.base.words import titled_html
 from calib.joint_terms.term import Context, TermSection
 from calib.robots import kinematics, loops
-from calib.robots.acceleration import compiled_for
+from calib.robots.acceleration import compiled_for, many
 from calib.robots.closure import actuated_jacobian
 from calib.robots.configurations import Configurations, assemble, close, configured, distances, joint_vector
 from calib.robots.held import Holds
@@ -301,7 +301,7 @@ class Robot(RobotData):
             points = self.positions(q[good]).reshape(len(good), -1)
             return good[np.all((points >= low) & (points <= high), axis=1)]
 
-        with compiled_for(TRIES * count if self.mechanism.loops else 0):
+        with compiled_for(TRIES * count if self.mechanism.loops else 0, many(self.mechanism)):
             q = spread(count, random_numbers(seed), box, self.home, usable, draw_in=not bounded)
         if len(q) < count:
             reason = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"

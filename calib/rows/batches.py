@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.base.arrays import IntArray, as_slice
 from calib.instruments.kind import Readings
-from calib.robots.acceleration import MANY, compiled_for
+from calib.robots.acceleration import compiled_for, many
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.observed import Observed, observe, some_readings
@@ -90,6 +90,6 @@ def observed_in(
             name: some_readings(readings[name], chosen, batch.visits.start) for name, chosen in batch.readings.items()
         }
         at = configurations.at(batch.visits)
-        with compiled_for(len(configurations.actuated), MANY):
+        with compiled_for(len(configurations.actuated), many(robot.mechanism)):
             observed = observe(robot, at, own, joints=joints, derivatives=derivatives, index=index)
         yield batch, observed

@@ -34,7 +34,7 @@ from calib.base.other_words import UnknownOptionError
 from calib.base.units import millimetres
 from calib.base.words import counted, listed
 from calib.joint_terms.term import Context, TermSection
-from calib.robots.acceleration import MANY, compiled_for
+from calib.robots.acceleration import compiled_for, many
 from calib.robots.configurations import Configurations
 from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
@@ -400,7 +400,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         for start in range(0, len(q), CHUNK):
             some = slice(start, start + CHUNK)
             seed = None if near is None else near[some]
-            with compiled_for(len(q), MANY):
+            with compiled_for(len(q), many(robot.mechanism)):
                 linear = self.linearised(robot, q[some], context.at(some), seed, turns=turns)
             yield some, linear
 

@@ -35,7 +35,7 @@ from calib.instruments.kind import Readings
 from calib.instruments.position import Position
 from calib.numerics.tall import in_parts
 from calib.robots import kinematics
-from calib.robots.acceleration import MANY, compiled_for
+from calib.robots.acceleration import compiled_for
 from calib.robots.configurations import Configurations
 from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import RelativeFrame
@@ -100,7 +100,7 @@ def bends(
         for number in np.unique(own.pairs).tolist():
             way = _Way(robot, robot.pairs(robot.instrument(name))[number], index, changes)
             total = np.zeros((rows.jacobian.shape[1], way.places.shape[0]))
-            with compiled_for(len(own), MANY):
+            with compiled_for(len(own)):
                 for chosen, bent in way.along(configurations, own.visits, np.flatnonzero(own.pairs == number)):
                     where = as_slice(rows.layout.rows_of_readings(name, chosen))
                     own_rows = (rows.jacobian[where] / scale[where]).reshape(*bent.shape[:2], -1)

@@ -176,7 +176,7 @@ without reading the result.
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
 once use it, and so does code under `with calib.robots.acceleration.compiled():`. Where nothing is compiled yet, only
-work that takes longer than compiling does: a study of 1200 draws of 84 poses, a fit of 25 000.
+work that takes longer than compiling does: a study of 3600 draws of 84 poses, a fit of 75 000.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""

@@ -27,8 +27,12 @@ IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.fi
 SOME = 10_000
 MANY = 100_000
 MOST = 1_000_000
-COMPILED = 6000
-"""Rows from which kinematics are compiled."""
+COMPILE = """
+import sys, calib
+from calib.robots.acceleration import compiled
+with compiled():
+    calib.fit(*sys.argv[1:])
+"""
 PROGRAMS = {"calib": ["-m", "calib"], "medrue": ["-c", "from medrue.cli import main; main()"]}
 
 
@@ -122,8 +126,8 @@ def prepared(folder):
             taken(["-m", "calib", *simulate], folder)
             fit = ["fit", str(robots[name]), f"{name}-read-{n}.csv", "--no-pages", "--out", f"{name}-many"]
             commands[f"`calib fit`, {n} poses, {name}"] = fit
-        some_rows(folder / f"{name}-read-{MANY}.csv", folder / f"{name}-some.csv", COMPILED)
-        taken(["-m", "calib", "fit", str(robots[name]), f"{name}-some.csv", "--no-pages", "--out", "compiled"], folder)
+        some_rows(folder / f"{name}-read-{MANY}.csv", folder / f"{name}-some.csv")
+        taken(["-c", COMPILE, str(robots[name]), f"{name}-some.csv"], folder)
     for command in ("study", "experiment"):
         commands[f"`medrue {command} --quick`"] = [command, "--quick", "--jobs", "1", "--out", command]
     return commands

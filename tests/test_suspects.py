@@ -9,7 +9,7 @@ from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
 from calib.data.measurements import with_points
-from calib.fitting.pose_checks import likely_mistake
+from calib.fitting.likely_mistakes import likely_mistake
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

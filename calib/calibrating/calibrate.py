@@ -29,8 +29,8 @@ from calib.base.workers import Progress, Steps, Workers
 from calib.data.measurements import Measurements
 from calib.fitting.fit import Minimum, Nearby, fit_at, fit_data, minimum_of, of_a_part, unseen
 from calib.fitting.fitted import Fit
+from calib.fitting.likely_mistakes import likely_mistake, zeros_in_words
 from calib.fitting.outliers import Outlier, left_out_with
-from calib.fitting.pose_checks import likely_mistake, zeros_in_words
 from calib.fitting.settings import Settings
 from calib.fitting.terms.candidate_terms import TermChoice, missing_terms
 from calib.fitting.terms.term_choice import choose_terms

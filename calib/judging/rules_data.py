@@ -13,8 +13,9 @@ from calib.base.words import counted, joints_named, listed
 from calib.data.measurements import Measurements
 from calib.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.fitting.fitted import Fit
+from calib.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
 from calib.fitting.outliers import Outlier, blocks, outliers_in_words
-from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits, zeros_in_words
+from calib.fitting.pose_checks import directions_moved, unmoved_joints
 from calib.judging import findings
 from calib.judging.reasons import Answer, Code, Reason
 from calib.judging.repeatability import beyond_repeatability

@@ -27,8 +27,8 @@ from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
 from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.fitted import Fit
+from calib.fitting.likely_mistakes import likely_mistake
 from calib.fitting.outliers import Outlier, Outliers
-from calib.fitting.pose_checks import likely_mistake
 from calib.joint_terms.term import Context
 from calib.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered

@@ -24,12 +24,11 @@ from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
 from calib.instruments.kind import Readings
 from calib.numerics.chances import UNLIKELY
-from calib.numerics.clusters import LeftOut
 from calib.numerics.identifiability import reduced, reduced_with
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
-from calib.numerics.prior_sizes import FamilyModel, Products, found_with_families
+from calib.numerics.prior_sizes import Products
 from calib.numerics.tall import AbovePrior, Factored, Multiplied, Tall
-from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
+from calib.numerics.variance_components import SharedError
 from calib.robots.configurations import Configurations, close, configured, describe_open
 from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
@@ -240,10 +239,14 @@ class Problem(ReadOnlyArrays):
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: Parameters that count; the free ones if not given.
         """
-        return self._as_stated(evaluation, groups, unknowns).whitened(self.weighing)
+        return self.plain_rows(evaluation, groups, unknowns).whitened(self.weighing)
 
-    def _as_stated(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
-        """Return the rows without whitening for shared errors."""
+    def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+        """Return the rows, (n_rows, n_unknowns), without whitening for shared errors.
+
+        Args:
+            evaluation, groups, unknowns: As of `rows`.
+        """
         chosen = self.unknowns if unknowns is None else unknowns
         jacobian, deviations = (
             self.derivative(evaluation, groups, chosen).whole(),
@@ -286,21 +289,6 @@ class Problem(ReadOnlyArrays):
             return Tall.of(next(batches())[1])
         return Tall((layout.n_rows, len(unknowns)), batches)
 
-    def _model(self, rows: Rows) -> LinearModel:
-        """What rows whitened by what is stated say of the noise."""
-        layout = self.whitening.layout
-        unknowns = self.unknowns
-        return LinearModel(
-            rows.residuals,
-            rows.jacobian,
-            rows.prior,
-            rows.deviations,
-            layout.group,
-            self.noise_found,
-            unknowns.family,
-            len(unknowns.families),
-        )
-
     def condensed(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns) -> tuple[FloatArray, IntArray]:
         """Return a few rows [J r] that have the products of all, (n_few, n + 1), and the group of each, (n_few,).
 
@@ -333,39 +321,6 @@ class Problem(ReadOnlyArrays):
                 factors[g] = reduced_with(factors[g], rows, right)
         return factors
 
-    def _condensed(self, evaluation: Evaluation, ones: FloatArray) -> LinearModel:
-        """The same of very many rows, by a few that are worth as much."""
-        unknowns, group, n = self.unknowns, self.whitening.layout.group, len(self.unknowns)
-        rows, numbers = self.condensed(evaluation, ones, unknowns)
-        families = unknowns.family, len(unknowns.families)
-        counts, u = np.bincount(group[group >= 0], minlength=len(ones)), unknowns.deviations(evaluation.robot.values)
-        return LinearModel(rows[:, n], rows[:, :n], unknowns.prior, u, numbers, self.noise_found, *families, counts)
-
-    def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
-
-        Args:
-            evaluation: An evaluation near the minimum.
-            groups: Scales to start from, (n_groups,).
-
-        Returns:
-            Scales of the groups (n_groups,), factors of the families (n_families,).
-        """
-        ones = np.ones(len(groups))
-        if self.unknowns.families:
-            return found_with_families(self._with_families(evaluation, ones), groups)
-        in_batches = len(evaluation.batches) > 1 and self.weighing is None
-        model = self._condensed(evaluation, ones) if in_batches else self._model(self.rows(evaluation, ones))
-        return found_scales(model, groups).scales, np.ones(0)
-
-    def _with_families(self, evaluation: Evaluation, ones: FloatArray) -> FamilyModel:
-        """What rows whitened by what is stated say of the noise and of families."""
-        if self.weighing is not None:
-            return FamilyModel.of(self._model(self.rows(evaluation, ones)))
-        unknowns, products = self.unknowns, self.products(evaluation, ones)
-        u, families = unknowns.deviations(evaluation.robot.values), (unknowns.family, len(unknowns.families))
-        return FamilyModel(products, unknowns.prior, u, self.noise_found, *families)
-
     def products(self, evaluation: Evaluation, groups: FloatArray, rows: Tall | None = None) -> Products:
         """Return the products of the rows by the free parameters, whitened by what is stated.
 
@@ -384,47 +339,6 @@ class Problem(ReadOnlyArrays):
             evaluation.products.append((scales, made))
         before, products = evaluation.products[0]
         return products if np.array_equal(before, scales) else products.resized(scales / before)
-
-    def found_ratios(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-        """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
-
-        Args:
-            evaluation: An evaluation near the minimum.
-            groups: Scales to start from, (n_groups,).
-        """
-        whitening = self.whitening
-        tried = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
-        if not np.any(tried):
-            return self.ratios
-        known = self.ratios * whitening.offset_scale(groups)
-        rows = self._as_stated(evaluation, np.ones(len(groups)))
-        components = found_components(
-            self._model(rows), groups, whitening.offset_columns * tried, whitening.layout.pose_of_row, known
-        )
-        ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)
-        return ratios
-
-    def left_out(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-        """Return how far off readings are of poses that are left out in turn: their root mean square, (n_groups,).
-
-        By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
-        readings it has.
-
-        Args:
-            evaluation: An evaluation at the minimum.
-            groups: Scale of the noise of each group, (n_groups,).
-        """
-        layout, rows = self.whitening.layout, self.rows(evaluation, groups)
-        pose = layout.pose_of_row
-        errors = LeftOut(rows.span, pose).foretold(rows.residuals)
-        errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
-        squares = (errors * self.whitening.row_scale(groups)) ** 2
-        means = []
-        for g in range(len(groups)):
-            of_group = layout.group == g
-            count = np.bincount(pose[of_group])
-            means.append(np.mean((np.bincount(pose[of_group], squares[of_group]) / np.maximum(count, 1))[count > 0]))
-        return np.sqrt(means)
 
     def solve(
         self,

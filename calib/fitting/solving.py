@@ -33,6 +33,7 @@ from calib.base.errors import NotConvergedError, NotIdentifiableError
 from calib.base.workers import Progress
 from calib.fitting.curvature import mean_square_beyond_linear
 from calib.fitting.fitted import Convergence
+from calib.fitting.found_noise import left_out, ratios_found, scales_found
 from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.robust import Solved, solve_robust
 from calib.fitting.settings import Settings
@@ -200,7 +201,7 @@ def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:
     weighed = _solve_weighed(plain)
     if weighed is None:
         return plain
-    errors, others = (end.problem.left_out(end.at, end.groups) for end in (plain, weighed))
+    errors, others = (left_out(end.problem, end.at, end.groups) for end in (plain, weighed))
     gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.ratios)
     return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
 
@@ -211,7 +212,7 @@ def _solve_weighed(plain: Solved) -> Solved | None:
     for _ in range(_NOISE_ROUNDS):
         try:
             problem = solved.problem
-            ratios = problem.found_ratios(solved.at, solved.groups)
+            ratios = ratios_found(problem, solved.at, solved.groups)
             stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
             if not np.any(ratios):
                 return None
@@ -250,7 +251,7 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
         at, solution = problem.solve(at, groups, tolerance=tolerance if finds else exact)
         if not finds:
             return Solved(problem, at, groups, solution)
-        scales, sizes = problem.found_scales(at, groups)
+        scales, sizes = scales_found(problem, at, groups)
         stands = problem.noise_found & ~unstated & ~problem.contradicted(scales)
         if np.any(stands):
             problem = replace(problem, noise_found=problem.noise_found & ~stands)
@@ -278,7 +279,7 @@ def contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
-    scales, _ = all_found.found_scales(evaluation, groups)
+    scales, _ = scales_found(all_found, evaluation, groups)
     contradicted = problem.contradicted(scales)
     return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
 

@@ -318,3 +318,17 @@ def test_texts_on_demand_are_shown_as_a_tuple_and_few_become_one():
 
 def test_cells_of_an_array_without_a_number_are_empty():
     assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"
+
+
+def test_lines_are_those_of_the_csv_writer_with_the_digits_of_repr():
+    generator = np.random.default_rng(2)
+    numbers = generator.normal(size=500) * 10.0 ** generator.integers(-20, 20, 500)
+    exact = [0.0, -0.0, 1e-4, np.nextafter(1e-4, 0.0), 1e16, np.nextafter(1e16, 0.0), 5e-324, 2.0**-10, 1e22, 123.0]
+    numbers = np.concatenate([numbers, exact])
+    words = [("", "a,b", 'with "quotes"', "line\nbreak", " plain ")[k % 5] for k in range(len(numbers))]
+    for columns in ([numbers], [words], [words, numbers], [words, words, numbers, -numbers, words], [numbers, words]):
+        expected = io.StringIO()
+        texts = [list(map(repr, column.tolist())) if isinstance(column, np.ndarray) else column for column in columns]
+        names = [f"c{k}" for k in range(len(columns))]
+        csv.writer(expected, lineterminator="\n").writerows([names, *zip(*texts, strict=True)])
+        assert format_table(list(zip(names, columns, strict=True))) == expected.getvalue()

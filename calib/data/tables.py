@@ -18,14 +18,16 @@ import logging
 import math
 import re
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, islice
+from itertools import chain, groupby, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard, cast
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError, InputError, nearest_column
@@ -55,6 +57,9 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
 _FORMULA_IN_COMMENT = re.compile(r"([,;\t])(?=[=@\uff1d\uff0b\uff0d\uff20]|[-+](?![\d.]))")
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
+_JSON = TypeAdapter(list[float])
+_ALONE = '""\n'  # what the writer makes of an empty cell that is alone in its line
+_LEAST_PLAIN, _BEYOND_PLAIN = 1e-4, 1e16  # where `repr` writes no exponent
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
@@ -475,18 +480,21 @@ def table_pieces(columns: Written, comments: Sequence[str] = ()) -> Iterator[str
             for cells in zip(*written, strict=True):
                 (quoting if _like_comment(cells[0]) else writer).writerow(cells)
         else:
-            writer.writerows(zip(*written, strict=True))
+            stream.writelines(_lines(written, [_are_numbers(values) for _, values in columns]))
         yield stream.getvalue()
         stream.seek(0)
         stream.truncate()
     yield stream.getvalue()
 
 
-def _written_cells(values: Sequence[object] | FloatArray) -> Sequence[str | float]:
-    """Cells of a column as they are written; of finite floats, the writer itself writes all digits."""
-    if isinstance(values, np.ndarray) and values.dtype == np.float64:
-        numbers: list[float] = values.tolist()
-        return numbers if np.all(np.isfinite(values)) else [x if math.isfinite(x) else "" for x in numbers]
+def _are_numbers(values: Sequence[object] | FloatArray) -> TypeGuard[FloatArray]:
+    return isinstance(values, np.ndarray) and values.dtype == np.float64
+
+
+def _written_cells(values: Sequence[object] | FloatArray) -> list[str]:
+    """Cells of a column as they are written."""
+    if _are_numbers(values):
+        return _written_numbers(values)
     known: dict[str, str] = {}
     return [
         repr(float(value))
@@ -498,8 +506,50 @@ def _written_cells(values: Sequence[object] | FloatArray) -> Sequence[str | floa
     ]
 
 
-def _like_comment(cell: str | float) -> bool:
-    return isinstance(cell, str) and cell.lstrip().startswith("#")
+def _written_numbers(values: FloatArray) -> list[str]:
+    """Return what `repr` makes of each number, in a tenth of the time; empty where it is not finite.
+
+    JSON has the same digits; it writes others where `repr` has an exponent.
+    """
+    numbers: list[float] = values.tolist()
+    cells = _JSON.dump_json(numbers)[1:-1].decode().split(",")
+    size = np.abs(values)
+    for k in np.flatnonzero(~((size >= _LEAST_PLAIN) & (size < _BEYOND_PLAIN) | (size == 0.0))).tolist():
+        cells[k] = repr(numbers[k]) if math.isfinite(numbers[k]) else ""
+    return cells
+
+
+def _lines(columns: list[list[str]], are_numbers: list[bool]) -> Iterable[str]:
+    """Return the lines of columns of cells; the writer does not look into those of numbers, which need no quotes."""
+    if len(columns) == 1:
+        return _quoted(columns)
+    parts: list[Iterable[str]] = []
+    for numeric, group in groupby(zip(are_numbers, columns, strict=True), key=itemgetter(0)):
+        some = [column for _, column in group]
+        parts.append(
+            map(",".join, zip(*some, strict=True))
+            if numeric
+            else ["" if line == _ALONE else line[:-1] for line in _quoted(some)]
+        )
+    return (f"{line}\n" for line in map(",".join, zip(*parts, strict=True)))
+
+
+def _quoted(columns: list[list[str]]) -> list[str]:
+    """Return lines of text cells, with quotes where they need them."""
+    lines: list[str] = []
+    csv.writer(_Kept(lines.append), lineterminator="\n").writerows(zip(*columns, strict=True))
+    return lines
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What a CSV writer writes to: `write` takes one line each time."""
+
+    write: Callable[[str], object]
+
+
+def _like_comment(cell: str) -> bool:
+    return cell.lstrip().startswith("#")
 
 
 def _like_formula(text: str) -> bool:

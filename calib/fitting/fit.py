@@ -171,7 +171,7 @@ def minimum_of(
     if not keeps_limits(data, solved.at):
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.done)
     steps.done()
-    require_identifiable(problem, solved.at)
+    require_identifiable(problem, solved.at, alone=True)
     return Minimum(robot, later, start, determined, solved)
 
 

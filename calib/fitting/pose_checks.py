@@ -126,18 +126,20 @@ def directions_moved(joints: FloatArray) -> int:
     return int(np.sum(spread > _ALONE * spread[0]))
 
 
-def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determination:
+def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: bool = False) -> Determination:
     """Return what the data determine; raise unless data and priors together determine every free parameter.
 
     Args:
         problem: The problem.
         evaluation: Where it is looked at.
+        alone: Whether to look at the free parameters alone.
 
     Raises:
         NotIdentifiableError: The message names the parameters, and joints that never moved.
     """
     robot = problem.robot
-    own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
+    counts = robot.is_free if alone else np.ones(len(robot.parameters), dtype=bool)
+    own = [k for k, p in enumerate(robot.parameters) if counts[k] and not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
     determined = determination(_columns(problem, evaluation, np.array(own, dtype=np.intp)), parameters, free)
     if determined.free.rank == 0:

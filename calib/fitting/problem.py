@@ -52,7 +52,7 @@ class Evaluation:
         readings: What was read, of each instrument, by name.
         batches: In which batches it is looked at.
         products: What `Problem.products` remembers: scales of the unknowns, and products for these.
-        factors: What `Problem.condensed` remembers: factors of the rows of each group.
+        factors: What `Problem.condensed` remembers: some unknowns, and factors of the rows of each group by these.
     """
 
     robot: Robot
@@ -60,7 +60,7 @@ class Evaluation:
     readings: Mapping[str, Readings]
     batches: tuple[Batch, ...]
     products: list[tuple[FloatArray, Products]] = field(default_factory=list)
-    factors: list[FloatArray] = field(default_factory=list)
+    factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
 
     @cached_property
     def _all(self) -> dict[str, Observed]:
@@ -239,7 +239,11 @@ class Problem(ReadOnlyArrays):
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: Parameters that count; the free ones if not given.
         """
-        return self.plain_rows(evaluation, groups, unknowns).whitened(self.weighing)
+        chosen = self.unknowns if unknowns is None else unknowns
+        rows = self.plain_rows(evaluation, groups, chosen)
+        if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
+            rows.remember(reduced(self.condensed(evaluation, groups, chosen)[0]))
+        return rows.whitened(self.weighing)
 
     def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the rows, (n_rows, n_unknowns), without whitening for shared errors.
@@ -289,7 +293,9 @@ class Problem(ReadOnlyArrays):
             return Tall.of(next(batches())[1])
         return Tall((layout.n_rows, len(unknowns)), batches)
 
-    def condensed(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns) -> tuple[FloatArray, IntArray]:
+    def condensed(
+        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, *, alone: bool = False
+    ) -> tuple[FloatArray, IntArray]:
         """Return a few rows [J r] that have the products of all, (n_few, n + 1), and the group of each, (n_few,).
 
         They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
@@ -298,13 +304,15 @@ class Problem(ReadOnlyArrays):
         Args:
             evaluation, groups: As of `rows`.
             unknowns: Some of these parameters.
+            alone: Whether the pass need not tell of the others.
         """
-        every = Unknowns.of(self.robot, np.array([not p.family for p in self.robot.parameters]))
-        if not evaluation.factors:
-            evaluation.factors.extend(self._factors(evaluation, every))
-        factors = evaluation.factors
-        chosen = np.append(np.searchsorted(every.index, unknowns.index), len(every))
-        sizes = np.append(unknowns.scales / every.scales[chosen[:-1]], 1.0)
+        if not any(known.has(unknowns) for known, _ in evaluation.factors):
+            every = Unknowns.of(self.robot, np.array([not p.family for p in self.robot.parameters]))
+            looked = unknowns if alone else every
+            evaluation.factors[:] = [(looked, self._factors(evaluation, looked))]
+        known, factors = evaluation.factors[0]
+        chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
+        sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
         rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
         return rows, np.repeat(np.arange(len(groups)), [len(factor) for factor in factors])
 
@@ -434,8 +442,8 @@ class _Way:
         problem, groups, unknowns, rows = self._problem, self._groups, self._unknowns, plain
         if self._is_of_families:
             rows = Multiplied(plain, lambda: problem.products(evaluation, groups, plain).weighed(groups))
-        elif self._in_batches and self._weights is None and evaluation.factors and not np.any(unknowns.family >= 0):
-            rows = Factored(plain, lambda: reduced(problem.condensed(evaluation, groups, unknowns)[0]))
+        elif self._in_batches and self._weights is None and not np.any(unknowns.family >= 0):
+            rows = Factored(plain, lambda: reduced(problem.condensed(evaluation, groups, unknowns, alone=True)[0]))
         return AbovePrior(rows, self._unknowns.prior)
 
 

@@ -247,7 +247,8 @@ def _seen(
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
-    jacobian = _reduced(rows.jacobian, counted)  # of rows alone that count: sums over them stay as they are
+    n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
+    jacobian = rows.factor[:n, :-1] if np.all(counted) else _reduced(rows.jacobian, counted)
     pulled = (jacobian @ rows.known.root) @ rows.known.root.T
     placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian

@@ -163,6 +163,10 @@ class Rows:
         """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
         return reduced(self.jacobian, self.residuals)
 
+    def remember(self, factor: FloatArray) -> None:
+        """Take over `factor` (n_free + 1, n_free + 1), where it is known."""
+        vars(self)["factor"] = factor
+
     @property
     def _triangle(self) -> FloatArray:
         """That of J, (n_free, n_free) or fewer rows."""

@@ -41,6 +41,10 @@ class Unknowns(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.names)
 
+    def has(self, others: Unknowns) -> bool:
+        """Return whether others are some of these."""
+        return bool(np.all(np.isin(others.index, self.index)))
+
     @staticmethod
     def of(robot: Robot, free: BoolArray | None = None) -> Unknowns:
         """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""

@@ -81,6 +81,10 @@ def test_rows_move_as_in_a_fit_without_their_block():
         hat = weighted[own] @ root @ root.T @ weighted[own].T
         assert largest[b] == pytest.approx(np.linalg.eigvalsh(hat)[-1], rel=1e-9)
     assert largest[6] == 0.0
+    span = weighted @ root
+    alike = moved_without(span, residuals, block, 7, span.copy())
+    for number, other in zip(moved_without(span, residuals, block, 7, span), alike, strict=True):
+        np.testing.assert_allclose(number, other, rtol=1e-9, atol=1e-9)
 
 
 def draws(seed, lengths, shared, n=400):

@@ -44,6 +44,7 @@ from calib.fitting.validation import readings_at
 from calib.numerics.clusters import moved_without
 from calib.numerics.tall import Span
 from calib.robots.held import Accuracy, SeenAt
+from calib.rows.rows import Rows
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
@@ -84,16 +85,23 @@ def limit95(lengths: FloatArray) -> float:
 def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
     data, rows = fit.identification.data, fit.weighted_rows
-    _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
-    pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
-    n_poses = int(pose_of_visit.max()) + 1
-    seen = rows.span if rows is fit.rows else Span(fit.rows.jacobian, fit.root)
-    moved, decided = moved_without(rows.span, rows.residuals, pose_of_row, n_poses, seen)
+    if rows is fit.rows:
+        moved, decided = _moved(rows)
+    else:
+        seen, n_poses = Span(fit.rows.jacobian, fit.root), int(rows.layout.pose.max()) + 1
+        moved, decided = moved_without(rows.span, rows.residuals, rows.layout.pose_of_row, n_poses, seen)
     read = fit.whitening.read(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
-    foretold = (decided <= _DECIDES)[pose_of_visit]
+    foretold = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
     whole = replace(fit.identification, after=after)
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
+
+
+@remembered
+def _moved(rows: Rows) -> tuple[FloatArray, FloatArray]:
+    """`moved_without` of each pose; what is known of a fit is known of its copies, which hold the same rows."""
+    layout = rows.layout
+    return moved_without(rows.span, rows.residuals, layout.pose_of_row, int(layout.pose.max()) + 1, rows.span)
 
 
 def moved_left_out(fit: Fit) -> float:
@@ -104,7 +112,9 @@ def moved_left_out(fit: Fit) -> float:
     foretold, whole = left_out_one_by_one(fit), fit.identification
     if foretold is None:
         return math.nan
-    used = _at(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
+    used = whole
+    if len(foretold.data) < len(whole.data):
+        used = _at(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
     part = foretold.main_part.name
     moved = foretold.errors("after", part) - used.errors("after", part)
     return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))

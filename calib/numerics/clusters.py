@@ -198,9 +198,15 @@ def moved_without(
     """
     moved, largest = np.zeros(len(residuals)), np.zeros(n_blocks)
     for rows in of_equal_length(block):
-        own = span[rows]
+        own, numbers = span[rows], block[rows[:, 0]]
+        if seen is span and rows.shape[1] <= span.shape[1]:  # U_b c_b = H_b (1 - H_b)^-1 r_b
+            values, vectors = np.linalg.eigh(np.matmul(own, own.transpose(0, 2, 1)))
+            values = np.clip(values, 0.0, 1.0)
+            along = np.matmul(residuals[rows][:, None], vectors) * (values / np.maximum(1.0 - values, _NONE))[:, None]
+            moved[rows] = np.matmul(along, vectors.transpose(0, 2, 1))[:, 0]
+            largest[numbers] = values[:, -1]
+            continue
         values, errors, turned = directions(own, residuals[rows])
-        numbers = block[rows[:, 0]]
         largest[numbers] = np.max(values, axis=1, initial=0.0)
         pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), turned)
         moved[rows] = np.matmul(own if seen is span else seen[rows], pulls[:, :, None])[:, :, 0]

@@ -179,6 +179,7 @@ def _measured(poses: object, truth: object, noise: object) -> Measurements:
     return poses
 
 
+@one_blas_thread
 def _prepared(
     robot: Robot,
     source: Simulated | Measurements,

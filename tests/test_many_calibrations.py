@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import fields, replace
@@ -16,10 +17,13 @@ from test_workers import Shared
 
 import calib
 from calib.base.workers import Workers, in_order
+from calib.fitting.problem import Problem
 from calib.fitting.settings import Settings
 from calib.planning.studies.many_calibrations import Repeated
 from calib.planning.studies.study_data import Drawn, Resampled
 from calib.planning.studies.study_result import Draws, DrawSums
+from calib.robots.acceleration import compiled
+from calib.rows.many_robots import ManyRobots
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
@@ -533,3 +537,26 @@ def test_intervals_hold_what_bends_along_directions_that_priors_hold():
     linear = fit.statistics.coverage_factor * fit.statistics.std
     assert np.mean(off[:, k] <= linear[k]) < 52 / 60
     assert np.all(fit.statistics.half_width >= linear)
+
+
+def test_rows_of_many_robots_are_those_of_each_alone(five_bar):
+    pytest.importorskip("numba")
+    robot, exact = five_bar
+    data = [calib.simulate(robot, exact.joints, SIGMA, seed) for seed in range(3)]
+    problem = Problem.of(robot, data[0], SIGMA)
+    unknowns, driven = problem.unknowns, robot.mechanism.untilted(data[0].joints)
+    values = robot.values + 1e-4 * np.random.default_rng(0).standard_normal((3, len(robot.values)))
+    values[1, 0] += 10.0  # no loop closes
+    with compiled():
+        many = ManyRobots.of(robot, driven, data[0].readings, unknowns.index, problem.whitening)
+        many = pickle.loads(pickle.dumps(many))  # as it goes to other processes
+        seeds = np.repeat(problem.passive[None], 3, axis=0)
+        found = list(many.rows(values, seeds, [each.readings for each in data]))
+    assert found[1] is None
+    for k in (0, 2):
+        alone = problem.read_again(data[k], problem.passive)
+        with compiled(False):
+            rows = alone.rows(alone.evaluate(robot.with_parameters(values[k])), np.ones(1))
+        assert found[k][0] == pytest.approx(rows.residuals, abs=1e-9 * np.max(np.abs(rows.residuals)))
+        whole = found[k][1] * unknowns.scales
+        assert whole == pytest.approx(rows.jacobian, abs=1e-9 * np.max(np.abs(rows.jacobian)))

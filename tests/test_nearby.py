@@ -30,8 +30,10 @@ def minima(bend, held, pulled, noise, refused=()):
     """Minima, and those of SciPy."""
     at_zero = rows(np.zeros(N), bend) + noise
 
-    def evaluate(k, z):
-        return None if k in refused else (rows(z, bend) + noise[k] - rows(np.zeros(N), bend), derivative(z, bend))
+    def evaluate(numbers, places):
+        for k, z in zip(numbers, places, strict=True):
+            at = rows(z, bend) + noise[k] - rows(np.zeros(N), bend), derivative(z, bend)
+            yield None if k in refused else at
 
     exact = [
         scipy.optimize.least_squares(
@@ -79,7 +81,7 @@ def test_a_saddle_is_no_minimum():
     """Residuals so large that they outweigh what the rows say of a direction."""
     hollow = np.einsum("r,ij->rij", np.ones(2), np.diag([0.0, 1.0]))
     model = Nearby(np.eye(2), hollow, np.zeros((0, 2)), np.zeros(0))
-    found = model.minima(np.array([[0.0, -5.0]]), lambda k, z: (np.array([0.0, -5.0]), np.eye(2)))
+    found = model.minima(np.array([[0.0, -5.0]]), lambda k, z: [(np.array([0.0, -5.0]), np.eye(2))])
     assert len(found.draws) == 0
 
 

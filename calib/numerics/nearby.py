@@ -24,7 +24,7 @@ find it, who need no model.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,14 +86,16 @@ class Nearby(ReadOnlyArrays):
         return np.asarray(z - np.linalg.solve(gram, pull.T).T)
 
     def minima(
-        self, residuals: FloatArray, evaluate: Callable[[int, FloatArray], tuple[FloatArray, FloatArray] | None]
+        self,
+        residuals: FloatArray,
+        evaluate: Callable[[IntArray, FloatArray], Iterable[tuple[FloatArray, FloatArray] | None]],
     ) -> Minima:
         """Find the minima of draws.
 
         Args:
             residuals: Of each draw at the known minimum, (n_draws, n_rows).
-            evaluate: Number of a draw, z (n,) -> its residuals (n_rows,) and their derivative (n_rows, n); None where
-                there are none.
+            evaluate: Numbers of draws (m,), z (m, n) -> residuals (n_rows,) of each and their derivative (n_rows, n);
+                None where there are none.
         """
         (n_draws, n_rows), n = residuals.shape, self.jacobian.shape[1]
         z, r, jacobian = self.first(residuals), np.empty_like(residuals), np.empty((n_draws, n_rows, n))
@@ -101,8 +103,7 @@ class Nearby(ReadOnlyArrays):
         found, active = np.zeros(n_draws, dtype=bool), np.arange(n_draws)
         for _ in range(_ROUNDS):
             possible = np.zeros(len(active), dtype=bool)
-            for place, k in enumerate(active.tolist()):
-                rows = evaluate(k, z[k])
+            for place, (k, rows) in enumerate(zip(active, evaluate(active, z[active]), strict=True)):
                 if rows is not None:
                     r[k], jacobian[k], possible[place] = *rows, True
             count += len(active)

@@ -93,6 +93,22 @@ def flat_poses(poses: Any) -> FloatArray:
     return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
 
 
+def before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
+    """Return Ad(placement) xi, twists of origins in the frames before them, (..., 6, k).
+
+    Args:
+        placements: `flat_poses` of the origins, (..., 12).
+        twists: xi, (..., 6, k).
+    """
+    rotation = placements[..., :9].reshape(*placements.shape[:-1], 3, 3).swapaxes(-1, -2)
+    x, y, z = np.moveaxis(placements[..., 9:], -1, 0)[..., None]
+    along, across, up = np.moveaxis(rotation, -2, 0)
+    action = np.zeros((*placements.shape[:-1], 6, 6))
+    action[..., :3, :3] = action[..., 3:, 3:] = rotation
+    action[..., :3, 3:] = np.stack([y * up - z * across, z * along - x * up, x * across - y * along], axis=-2)
+    return np.matmul(action, twists)
+
+
 def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
     """Return an origin as a URDF has it [m], [rad] as a rigid transform."""
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
@@ -211,14 +227,8 @@ class Mechanism(ReadOnlyArrays):
             twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
         """
         n = self.n_joints
-        rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)
-        x, y, z = self.placements[:, 9:].T[:, :, None]
-        action = np.zeros((n, 6, 6))
-        action[:, :3, :3] = action[:, 3:, 3:] = rotation
-        crossed = y * rotation[:, 2] - z * rotation[:, 1], z * rotation[:, 0] - x * rotation[:, 2]
-        action[:, :3, 3:] = np.stack([*crossed, x * rotation[:, 1] - y * rotation[:, 0]], axis=1)
         every = np.eye(6 * n) if twists is None else twists
-        return np.matmul(action, every.reshape(n, 6, -1))
+        return before_origins(self.placements, every.reshape(n, 6, -1))
 
     def between_origins(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""

@@ -21,12 +21,12 @@ common start, a draw begins where the first one ended.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import CalibrationError, ComputationError
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
@@ -40,6 +40,7 @@ from calib.numerics.nearby import Nearby
 from calib.planning.studies.draw_statistics import Estimate, estimates_at
 from calib.planning.studies.study_data import Drawn
 from calib.robots.robot import Robot
+from calib.rows.many_robots import ManyRobots
 from calib.rows.observed import seen_by
 
 _STEP = 0.1  # of a difference of Jacobians, in standard deviations
@@ -59,6 +60,7 @@ class Repeated(ReadOnlyArrays):
         nearby: The rows around that minimum.
         passive: Passive joints there, (n, n_passive) [m or rad].
         by_z: Their derivative, (n * n_passive, rank).
+        many: Evaluates many robots at once; None where each has to be evaluated by itself.
     """
 
     first: Fit
@@ -68,6 +70,7 @@ class Repeated(ReadOnlyArrays):
     nearby: Nearby
     passive: FloatArray
     by_z: FloatArray
+    many: ManyRobots | None
 
     @staticmethod
     def of(first: Fit, settings: Settings, *, alike: bool = True) -> Repeated:
@@ -87,7 +90,9 @@ class Repeated(ReadOnlyArrays):
         nearby = Nearby(rows.jacobian @ root, bend, rows.prior.times(root), rows.prior.times(rows.deviations))
         passive = at.configurations.passive
         by_z = np.zeros((passive.size, root.shape[1])) if by_z is None else by_z
-        return Repeated(first, settings, problem, seen, nearby, passive, by_z)
+        driven, index, whitening = at.configurations.actuated, first.unknowns.index, problem.whitening
+        many = None if problem.noise_weighs else ManyRobots.of(first.robot, driven, data.readings, index, whitening)
+        return Repeated(first, settings, problem, seen, nearby, passive, by_z, many)
 
     def estimates(self, drawn: Sequence[Drawn]) -> list[Estimate | CalibrationError]:
         """Calibrate from other readings.
@@ -137,6 +142,7 @@ class Repeated(ReadOnlyArrays):
         last = dict[int, Evaluation]()
 
         def evaluate(k: int, z: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+            """By the way of every fit."""
             problem = self._problem(data[k], z)
             evaluation = problem.evaluate_if_closed(self._robot(z))
             if evaluation is None:
@@ -144,8 +150,21 @@ class Repeated(ReadOnlyArrays):
             rows, last[k] = problem.rows(evaluation, ones), evaluation
             return rows.residuals, rows.jacobian @ root
 
+        def each(numbers: IntArray, z: FloatArray) -> Iterator[tuple[FloatArray, FloatArray] | None]:
+            if self.many is None:
+                yield from map(evaluate, numbers, z)
+                return
+            first = self.first
+            values = np.repeat(first.robot.values[None], len(z), axis=0)
+            values[:, first.unknowns.index] = first.unknowns.values_at(first.rows.deviations + z @ root.T)
+            passive = self.passive + (z @ self.by_z.T).reshape(-1, *self.passive.shape)
+            by_z = first.unknowns.scales[:, None] * root
+            found = self.many.rows(values, passive, [data[k].readings for k in numbers])
+            for k, at, rows in zip(numbers, z, found, strict=True):
+                yield evaluate(k, at) if rows is None else (rows[0], rows[1] @ by_z)
+
         residuals = np.stack([self._residuals(self._problem(each)) for each in data])
-        minima = self.nearby.minima(residuals, evaluate)
+        minima = self.nearby.minima(residuals, each)
         found = estimates_at(minima, self.nearby, self.first) if len(minima.draws) else {}
         if not self.problem.noise_weighs:
             return found

@@ -146,14 +146,42 @@ class Effect:
     Attributes:
         kind: Which one.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
-        columns: What it adds to the whitened rows, (n_rows, k).
+        base: What it adds to the whitened rows, (n_rows, b).
         detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
+        visit: Visit of each row, (n_rows,).
+        factors: What each column is multiplied with at each visit, one after the other, (n_visits, f); None: nothing.
     """
 
     kind: Kind
     name: str
-    columns: FloatArray
-    detail: str = ""
+    base: FloatArray
+    detail: str
+    visit: IntArray
+    factors: FloatArray | None = None
+
+    @property
+    def width(self) -> int:
+        """Number of columns, k = b f."""
+        return self.base.shape[1] * (1 if self.factors is None else self.factors.shape[1])
+
+    def rows(self, part: slice) -> FloatArray:
+        """Return some rows of its columns, (n, k)."""
+        base = self.base[part]
+        if self.factors is None:
+            return base
+        return (base[:, :, None] * self.factors[self.visit[part]][:, None, :]).reshape(len(base), -1)
+
+    @property
+    def columns(self) -> FloatArray:
+        """All of its columns, (n_rows, k)."""
+        return self.rows(slice(None))
+
+    def times(self, coefficients: FloatArray) -> FloatArray:
+        """Return its columns times coefficients (k,), (n_rows,)."""
+        if self.factors is None:
+            return np.asarray(self.base @ coefficients)
+        weights = self.factors @ coefficients.reshape(self.base.shape[1], -1).T
+        return np.asarray(np.einsum("ij,ij->i", self.base, weights[self.visit]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +217,8 @@ class JointWaves:
 
     def effect(self, order: int) -> Effect:
         """Return the wave of one order."""
-        angle = order * self.phase[self.visit]
-        columns = self.column[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return Effect(self.kind, self.name, columns, self.detail(order))
+        waves = np.stack([np.cos(order * self.phase), np.sin(order * self.phase)], axis=1)
+        return Effect(self.kind, self.name, self.column[:, None], self.detail(order), self.visit, waves)
 
 
 def effects(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
@@ -214,14 +241,14 @@ def gains(setting: EffectSetting) -> FloatArray:
 
 def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
     shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
-    lengths = scale(setting)
+    lengths, visit = scale(setting), setting.visit
     for axis, name in enumerate("xyz"):
-        yield Effect(Kind.AXIS, name, shifts[:, axis : axis + 1])
-    yield Effect(Kind.TURN, "xyz", turns)
-    yield Effect(Kind.SCALE, "xyz", lengths)
-    in_course = setting.per_visit(_curves(setting.course))
+        yield Effect(Kind.AXIS, name, shifts[:, axis : axis + 1], "", visit)
+    yield Effect(Kind.TURN, "xyz", turns, "", visit)
+    yield Effect(Kind.SCALE, "xyz", lengths, "", visit)
+    in_course = _curves(setting.course)
     for kind, columns in ((Kind.DRIFT, shifts), (Kind.TURNING, turns), (Kind.GROWTH, lengths)):
-        yield Effect(kind, "xyz", (columns[:, :, None] * in_course[:, None, :]).reshape(len(columns), -1))
+        yield Effect(kind, "xyz", columns, "", visit, in_course)
 
 
 def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
@@ -233,29 +260,29 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
     for target, arrays in _moved_targets(setting).items():
         moved = setting.whitened(arrays)
         for first in firsts:
-            late = setting.per_visit((rank >= first).astype(float))[:, None]
-            yield Effect(Kind.SLIP, target, moved * late, f"from {setting.data.labels[order[first]]} on")
+            late = (rank >= first).astype(float)[:, None]
+            yield Effect(Kind.SLIP, target, moved, f"from {setting.data.labels[order[first]]} on", setting.visit, late)
 
 
 def _of_joints(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
     robot, data = setting.robot, setting.data
-    by_joint = setting.whitened(setting.by_joint)
-    in_course = setting.per_visit(_curves(setting.course))
+    by_joint, visit = setting.whitened(setting.by_joint), setting.visit
+    in_course = _curves(setting.course)
     still, directions = unmoved_joints(robot, data.joints), data.approach_directions
     for j, name in enumerate(robot.joint_names):
         column, q = by_joint[:, j : j + 1], data.joints[:, j]
         if name in still:
             continue
-        yield Effect(Kind.JOINT, name, column * setting.per_visit(_curves(q)))
-        yield Effect(Kind.APPROACH, name, column * setting.per_visit(directions[:, j])[:, None])
-        yield Effect(Kind.ZERO, name, column * in_course)
+        yield Effect(Kind.JOINT, name, column, "", visit, _curves(q))
+        yield Effect(Kind.APPROACH, name, column, "", visit, directions[:, j : j + 1])
+        yield Effect(Kind.ZERO, name, column, "", visit, in_course)
         for neighbour in (j - 1, j + 1):
             if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:
-                driving = setting.per_visit(np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])
-                yield Effect(Kind.COUPLING, name, column * driving[:, None], robot.joint_names[neighbour])
+                driving = (np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])[:, None]
+                yield Effect(Kind.COUPLING, name, column, robot.joint_names[neighbour], visit, driving)
         turns = robot.mechanism.dimensions[name] == "angle"
         words = "cycles a turn" if turns else "cycles over the range measured"
-        yield JointWaves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
+        yield JointWaves(name, column[:, 0], visit, q if turns else q * (TURN / float(np.ptp(q))), words)
 
 
 def _position_rows(instrument: Instrument) -> list[int]:

@@ -36,6 +36,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 import scipy
@@ -48,14 +49,16 @@ from calib.judging.effect_kinds import Family, Kind, Trait
 from calib.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.numerics.clusters import LeftOut
-from calib.numerics.tall import Span
+from calib.numerics.tall import Span, in_parts
 from calib.rows.rows import Rows
 
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
 PARTS_PER_MILLION = 1e6
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
-_NUMBERS_AT_ONCE = 1 << 22  # of effects' columns that are tested together
+_COLUMNS_AT_ONCE = 128  # of effects that are tested together
+_ROWS_AT_ONCE = 1 << 12  # of these
+_NUMBERS_AT_ONCE = 1 << 24  # of what findings explain
 _VISITS_AT_ONCE = 512  # their powers stay in the processor's cache
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
@@ -195,11 +198,9 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
         kept |= {(test.effect.kind, test.effect.name, test.effect.detail): (test, times) for test in _best(members)}
     noise = setting.size(np.full(len(residuals.rows.residuals), residuals.factor))
     result = []
-    for effect in _columns_of(setting, kept):
+    for effect, explained in _explained(residuals, _kept_effects(setting, kept), kept):
         test, times = kept[effect.kind, effect.name, effect.detail]
-        absorbed = residuals.span.times(test.effect.absorbed @ test.coefficients)
-        explained = effect.columns @ test.coefficients - absorbed  # of `after_fit`, in less time
-        p = min(1.0, _chance(residuals, test, effect.columns, explained, FALSE_ALARM / times) * times)
+        p = min(1.0, _chance(residuals, test, effect, explained, FALSE_ALARM / times) * times)
         size = setting.size(explained)
         significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
         amount = (
@@ -213,8 +214,20 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
-def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
-    """Yield the effects with these kinds, names and details, with their columns."""
+def _explained(
+    residuals: LinearFit, some: Iterator[Effect], kept: Mapping[tuple[str, str, str], tuple[_Tested, int]]
+) -> Iterator[tuple[Effect, FloatArray]]:
+    """Yield effects with M Z c, (n_rows,), which takes less time for several of them than `after_fit`."""
+    at_once = max(_NUMBERS_AT_ONCE // len(residuals.span), 1)
+    while together := list(islice(some, at_once)):
+        tests = [kept[effect.kind, effect.name, effect.detail][0] for effect in together]
+        absorbed = residuals.span.times(np.stack([test.effect.absorbed @ test.coefficients for test in tests], axis=1))
+        for k, (effect, test) in enumerate(zip(together, tests, strict=True)):
+            yield effect, effect.times(test.coefficients) - absorbed[:, k]
+
+
+def _kept_effects(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
+    """Yield the effects with these kinds, names and details."""
     for effect in effects(setting):
         if isinstance(effect, JointWaves):
             orders = (order for order in effect.orders if (Kind.WAVE, effect.name, effect.detail(order)) in kept)
@@ -254,38 +267,58 @@ def visible(residuals: LinearFit, column: FloatArray) -> float:
 
 def _moments(residuals: LinearFit, some: Iterable[Effect | JointWaves]) -> Iterator[_Moments]:
     """Yield the moments of effects, those of several at once, and of all waves of joints."""
-    at_once, together, width = max(_NUMBERS_AT_ONCE // len(residuals.rows.residuals), 1), list[Effect](), 0
+    together, width = list[Effect](), 0
     for effect in some:
         if isinstance(effect, JointWaves):
             yield from _moments_of_waves(residuals, effect)
             continue
-        if together and width + effect.columns.shape[1] > at_once:
+        if together and width + effect.width > _COLUMNS_AT_ONCE:
             yield from _moments_at_once(residuals, together)
             together, width = [], 0
         together.append(effect)
-        width += effect.columns.shape[1]
+        width += effect.width
     if together:
         yield from _moments_at_once(residuals, together)
 
 
 def _moments_at_once(residuals: LinearFit, some: list[Effect]) -> Iterator[_Moments]:
-    columns = some[0].columns if len(some) == 1 else np.hstack([effect.columns for effect in some])
-    absorbed, score = residuals.span.pulled(columns), columns.T @ residuals.rows.residuals
+    """Yield the moments of effects, whose columns are there for some rows at a time."""
+    squares = [np.zeros((effect.width, effect.width)) for effect in some]
+    others = _beside(residuals)
+    products = np.zeros((sum(other.shape[1] for other in others), sum(effect.width for effect in some)))
+    for part in in_parts(len(residuals.span), _ROWS_AT_ONCE):
+        columns = [effect.rows(part) for effect in some]
+        for square, z in zip(squares, columns, strict=True):
+            square += z.T @ z
+        together = np.hstack(columns)
+        products += np.concatenate([other[part].T @ together for other in others])
+    absorbed, score = _resolved(residuals, products)
     first = 0
-    for effect in some:
-        z, own = effect.columns, slice(first, first + effect.columns.shape[1])
-        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, absorbed[:, own], score[own])
+    for effect, square in zip(some, squares, strict=True):
+        own = slice(first, first + effect.width)
+        yield _Moments(effect.kind, effect.name, effect.detail, square, absorbed[:, own], score[own])
         first = own.stop
+
+
+def _beside(residuals: LinearFit) -> list[FloatArray]:
+    """J, r and what stands beside J T, (n_rows, ...) each: what effects are multiplied with."""
+    span = residuals.span
+    return [span.jacobian, residuals.rows.residuals[:, None], *([] if span.more is None else [span.more])]
+
+
+def _resolved(residuals: LinearFit, products: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (J T)^T Z and r^T Z from products of `_beside` with columns Z, (n, k)."""
+    root = residuals.span.root
+    n = len(root)
+    return np.vstack([root.T @ products[:n], products[n + 1 :]]), products[n]
 
 
 def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Moments]:
     """Yield the moments of all waves of a joint; see the module docstring."""
     if not waves.orders:
         return
-    span, n_orders, rank = residuals.span, len(ORDERS), residuals.span.shape[1]
-    others = [span.jacobian, residuals.rows.residuals[:, None], *([] if span.more is None else [span.more])]
-    n = span.root.shape[0]
-    squares, products = np.zeros((3, n_orders)), np.zeros((n + 1 + rank - span.root.shape[1], 2 * n_orders))
+    others, n_orders = _beside(residuals), len(ORDERS)
+    squares, products = np.zeros((3, n_orders)), np.zeros((sum(other.shape[1] for other in others), 2 * n_orders))
     for rows, firsts, visits in _visits_together(waves.visit):
         column = waves.column[rows]
         sums = _sums_of_visits(column, [other[rows] for other in others], firsts)
@@ -294,12 +327,12 @@ def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Mome
         cosine, sine = powers.real, powers.imag
         squares += [weights @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
         products += sums.T @ powers.view(float)
-    products = np.vstack([span.root.T @ products[:n], products[n + 1 :], products[n : n + 1]])
+    absorbed, score = _resolved(residuals, products)
     for order in waves.orders:
         k = order - ORDERS.start
         normal = squares[[[0, 1], [1, 2]], k]
-        own = products[:, 2 * k : 2 * k + 2]
-        yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, own[:rank], own[rank])
+        own = slice(2 * k, 2 * k + 2)
+        yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, absorbed[:, own], score[own])
 
 
 def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray, IntArray]]:
@@ -384,19 +417,19 @@ def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> tuple[list[
     ]
 
 
-def _chance(residuals: LinearFit, tested: _Tested, columns: FloatArray, explained: FloatArray, limit: float) -> float:
+def _chance(residuals: LinearFit, tested: _Tested, effect: Effect, explained: FloatArray, limit: float) -> float:
     """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
 
     Args:
         residuals: The fit.
         tested: The effect.
-        columns: Z, (n_rows, k).
+        effect: What was tested, with its columns.
         explained: M Z c, (n_rows,).
         limit: Chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
-    basis = scipy.linalg.orth(columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
+    basis = scipy.linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
 

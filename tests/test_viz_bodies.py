@@ -32,6 +32,8 @@ def test_poses_agree_with_pinocchio_for_every_link(robots, posed):
         for link in ("carriage", "distal_B1", "E1_D", "G2_slide", "F6", "tool", "base"):
             expected = robot.forward(q, link)
             drawn = [bodies.poses(posed_one, pose)[bodies.names.index(link)] for pose in range(len(q))]
+            together = bodies.poses(posed_one, slice(None))[:, bodies.names.index(link)]
+            np.testing.assert_allclose(together, drawn, atol=1e-14)  # rounding
             np.testing.assert_allclose(drawn, expected, atol=1e-12)
 
 

@@ -77,24 +77,30 @@ class Bodies:
         """Joints that move, in the order of the columns, (n_moving,)."""
         return np.flatnonzero(self.columns >= 0)
 
-    def poses(self, robot: PosedRobot, pose: int) -> FloatArray:
-        """Return T of each body in the measurement frame as the page computes it, (n_joints + 1, 4, 4) [m]."""
-        T = np.tile(np.eye(4), (len(self.names), 1, 1))
+    def poses(self, robot: PosedRobot, pose: int | slice | IntArray) -> FloatArray:
+        """Return T of each body in the measurement frame as the page computes it, (..., n_joints + 1, 4, 4) [m].
+
+        Args:
+            robot: The robot.
+            pose: Number of the pose; or several poses, (n_poses,), which come first in the result.
+        """
+        values = robot.values[pose]
+        T = np.tile(np.eye(4), (*values.shape[:-1], len(self.names), 1, 1))
         for i, parent in enumerate(self.parents):
-            motion = np.eye(4)
+            motion = np.tile(np.eye(4), (*values.shape[:-1], 1, 1))
             if self.columns[i] >= 0:
-                value = float(robot.values[pose, self.columns[i]])
+                value = values[..., self.columns[i]]
                 if self.sliding[i]:
-                    motion[:3, 3] = value * self.axes[i]
+                    motion[..., :3, 3] = np.multiply.outer(value, self.axes[i])
                 else:
-                    motion[:3, :3] = _turn(self.axes[i], value)
-            T[i + 1] = T[parent] @ robot.placements[i] @ motion
-        root = np.linalg.inv(T[self.base]) if robot.root is None else robot.root
+                    motion[..., :3, :3] = _turn(self.axes[i], value)
+            T[..., i + 1, :, :] = T[..., parent, :, :] @ robot.placements[i] @ motion
+        root = np.linalg.inv(T[..., [self.base], :, :]) if robot.root is None else robot.root
         relative: FloatArray = root @ T
         return relative
 
-    def matrices(self, robot: PosedRobot, pose: int) -> FloatArray:
-        """Return M = T S of each body, (n_joints + 1, 4, 4) [m]."""
+    def matrices(self, robot: PosedRobot, pose: int | slice | IntArray) -> FloatArray:
+        """Return M = T S of each body, (..., n_joints + 1, 4, 4) [m], as `poses` does."""
         result: FloatArray = self.poses(robot, pose) @ robot.stretches
         return result
 
@@ -166,9 +172,9 @@ def _stretches(robot: Robot, bodies: Bodies, placements: FloatArray) -> FloatArr
     return stretches
 
 
-def _turn(axis: FloatArray, angle: float) -> FloatArray:
-    """Rotation by Rodrigues' formula, (3, 3)."""
+def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotations by Rodrigues' formula, (..., 3, 3), by angles (...)."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
+    rotation: FloatArray = np.eye(3) + np.multiply.outer(np.sin(angle), K) + np.multiply.outer(1 - np.cos(angle), K @ K)
     return rotation

@@ -38,7 +38,7 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
     """Return lines from fixed ends to targets at some of the poses, in the measurement frame."""
     shapes = []
     poses = np.unique(np.linspace(0, len(solid.values) - 1, _WIRES).astype(int))
-    placed = [bodies.poses(solid, int(pose)) for pose in poses]
+    placed = bodies.poses(solid, poses)
     for instrument in robot.instruments:
         pairs = robot.pairs(instrument) if _tells_distances(instrument) else ()
         of_first_setup = pairs[: len(pairs) // max(1, len(robot.description.setups))]

@@ -306,12 +306,10 @@ def nice_factor(typical: float, longest: float) -> float:
 
 def _moved(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> float:
     """Return how far apart the links of two robots typically are: median over poses of the farthest link [m]."""
-    n_poses = len(solid.values)
-    apart = []
-    for pose in range(0, n_poses, max(1, n_poses // 20)):
-        difference = bodies.poses(ghost, pose)[:, :3, 3] - bodies.poses(solid, pose)[:, :3, 3]
-        apart.append(max(np.linalg.norm(difference, axis=1)[[not name.startswith("(") for name in bodies.names]]))
-    return float(np.median(apart))
+    some = slice(None, None, max(1, len(solid.values) // 20))
+    difference = (bodies.poses(ghost, some) - bodies.poses(solid, some))[..., :3, 3]
+    apart = np.linalg.norm(difference, axis=2)[:, [not name.startswith("(") for name in bodies.names]]
+    return float(np.median(np.max(apart, axis=1)))
 
 
 def _typical(vectors: FloatArray) -> float:
@@ -357,12 +355,9 @@ def _view(
     R = bodies.poses(solid, 0)[0, :3, :3].T
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
-    n_poses = len(solid.values)
-    for pose in np.unique(np.linspace(0, n_poses - 1, _LOOKED_AT).astype(int)):
-        matrices = bodies.matrices(solid, pose)
-        for shape in shapes:
-            M = matrices[number[str(shape.body)]]
-            robot.append(shape.corners() @ M[:3, :3].T + M[:3, 3])
+    corners = [(number[str(shape.body)], shape.corners()) for shape in shapes]
+    for matrices in bodies.matrices(solid, np.unique(np.linspace(0, len(solid.values) - 1, _LOOKED_AT).astype(int))):
+        robot += [own @ matrices[body, :3, :3].T + matrices[body, :3, 3] for body, own in corners]
     predicted = table.before if not np.any(np.isfinite(table.after)) else table.after
     points = predicted[np.all(np.isfinite(predicted), axis=1)]
     robot_points, all_points = np.concatenate(robot) @ R.T, np.concatenate([*robot, points]) @ R.T

@@ -49,6 +49,7 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "legend.frameon": False,
     "axes.titlesize": 9.5,
+    "axes.titley": 1.0,  # else it is looked for, and all ticks measured once more
     "axes.formatter.useoffset": False,
 }
 
@@ -138,14 +139,19 @@ def _lay_out(figure: Any) -> None:
     panels = [axes for axes in figure.axes if axes.get_visible()]
     grid = panels[0].get_gridspec()
     left, right, below, over = np.zeros(grid.ncols), np.zeros(grid.ncols), np.zeros(grid.nrows), np.zeros(grid.nrows)
-    labels = []
     for axes in panels:
         axes.apply_aspect()
+    ticks = {axis: Ticks.of(axis) for axes in panels for axis in (axes.xaxis, axes.yaxis)}
+    labels = []
+    for axes in panels:
         inner, place = axes.bbox.frozen(), axes.get_subplotspec()
         ways = [axis.label.get_transform() for axis in (axes.xaxis, axes.yaxis)]
         for axis in (axes.xaxis, axes.yaxis):  # labels in the middle: their own places would have ticks measured twice
             axis.set_label_coords(0.5, 0.5)
-        x_ticks, y_ticks = (_extent(axis, renderer) or inner for axis in (axes.xaxis, axes.yaxis))
+        x_ticks, y_ticks = (
+            (axis.get_tightbbox(renderer) if own is None else own.extent(renderer)) or inner
+            for axis, own in ((axis, ticks[axis]) for axis in (axes.xaxis, axes.yaxis))
+        )
         x_label, y_label = (axis.label.get_window_extent(renderer) for axis in (axes.xaxis, axes.yaxis))
         down = max(inner.y0 - x_ticks.y0, axes.xaxis.get_tick_padding())  # to where ticks and their numbers end
         out = max(inner.x0 - y_ticks.x0, axes.yaxis.get_tick_padding())
@@ -171,16 +177,9 @@ def _lay_out(figure: Any) -> None:
     for axes, under, aside, below_x, beside_y in labels:  # they stay there, and need not be measured again
         axes.xaxis.set_label_coords(0.5, axes.bbox.y0 - under, below_x)
         axes.yaxis.set_label_coords(axes.bbox.x0 - aside, 0.5, beside_y)
-    drawn = [Ticks.of(axis) for axes in panels for axis in (axes.xaxis, axes.yaxis)]  # all at first: some share theirs
-    for ticks in drawn:
-        if ticks is not None:
-            ticks.draw()
-
-
-def _extent(axis: Any, renderer: Any) -> Any:
-    """What the numbers of an axis cover, a `Bbox` [points]; None without any."""
-    ticks = Ticks.of(axis)
-    return axis.get_tightbbox(renderer) if ticks is None else ticks.extent(renderer)
+    for own in ticks.values():  # after all are known: some share theirs
+        if own is not None:
+            own.draw()
 
 
 def plain_ticks(*axes: Any) -> None:

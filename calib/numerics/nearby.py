@@ -108,11 +108,13 @@ class Nearby(ReadOnlyArrays):
                     r[k], jacobian[k], possible[place] = *rows, True
             count += len(active)
             active = active[possible]
-            active = active[self._are_valleys(r[active], jacobian[active])]
+            hessians = self._hessian(r[active], jacobian[active])
+            valleys = _are_valleys(hessians)
+            active, hessians = active[valleys], hessians[valleys]
             if len(active) == 0:
                 break
             try:
-                moved = self._stepped(z[active], r[active], jacobian[active])
+                moved = self._stepped(z[active], r[active], jacobian[active], hessians)
             except np.linalg.LinAlgError:  # rows and priors of one draw at least do not see every direction
                 break
             z[active], r[active], jacobian[active], root[active], left[active], found[active] = moved
@@ -121,12 +123,12 @@ class Nearby(ReadOnlyArrays):
         return Minima(done, z[done], r[done], jacobian[done], root[done], left[done], count)
 
     def _stepped(
-        self, z: FloatArray, r: FloatArray, jacobian: FloatArray
+        self, z: FloatArray, r: FloatArray, jacobian: FloatArray, hessians: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
         """Take the step of the module docstring; return what `Minima` says of where it ends."""
         gram, n_rows = self.held.T @ self.held, r.shape[1]
         third = np.linalg.norm(jacobian - self.jacobian - self._bent(z), axis=(1, 2))
-        step = -np.linalg.solve(self._hessian(r, jacobian), self._pull(z, r, jacobian)[:, :, None])[:, :, 0]
+        step = -np.linalg.solve(hessians, self._pull(z, r, jacobian)[:, :, None])[:, :, 0]
         further = jacobian + self._bent(step)
         at, left = z + step, r + 0.5 * _times(jacobian + further, step)
         root = np.linalg.cholesky(further.transpose(0, 2, 1) @ further + gram)
@@ -135,11 +137,6 @@ class Nearby(ReadOnlyArrays):
         off = 2.0 * third * np.linalg.norm(step, axis=1)
         known = off <= np.sqrt(TOLERANCE * n_rows) * np.linalg.norm(z, axis=1)
         return at, left, further, root, promised, known & (np.sum(promised**2, axis=1) <= TOLERANCE * cost)
-
-    def _are_valleys(self, r: FloatArray, jacobian: FloatArray) -> BoolArray:
-        """Whether a step leads to a minimum, not to a saddle, (n_draws,)."""
-        hessians = self._hessian(r, jacobian)
-        return np.array([not scipy.linalg.lapack.dpotrf(hessian)[1] for hessian in hessians], dtype=bool)
 
     def _hessian(self, r: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Half the second derivative of the cost, (n_draws, n, n)."""
@@ -163,6 +160,11 @@ class Nearby(ReadOnlyArrays):
         """Sum of r_i H_i, (n_draws, n, n)."""
         assert self.bend is not None
         return (r @ self.bend.reshape(len(self.bend), -1)).reshape(len(r), *self.bend.shape[1:])
+
+
+def _are_valleys(hessians: FloatArray) -> BoolArray:
+    """Whether a step leads to a minimum, not to a saddle, (n_draws,)."""
+    return np.array([not scipy.linalg.lapack.dpotrf(hessian)[1] for hessian in hessians], dtype=bool)
 
 
 def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ from calib.robots import kinematics
 from calib.robots.acceleration import kernels
 from calib.robots.continuation import LARGEST_STEP, MAX_NEWTON, SURE, closing_tolerance
 from calib.robots.mechanism import RelativeFrame, before_origins
+from calib.robots.parameters import OfManyValues
 from calib.robots.robot import Robot
 from calib.rows.whitening import Whitening
 
@@ -145,6 +146,12 @@ class ManyRobots:
         mechanism, parametrisation = self.robot.nominal, self.robot.parametrisation
         placements = np.repeat(mechanism.placements[None], len(values), axis=0)
         twists = np.zeros((len(values), mechanism.n_joints, 6, len(self.index)))
+        if isinstance(parametrisation, OfManyValues):
+            poses, moved = parametrisation.of_many(values)
+            for name, pose in poses.items():
+                place = mechanism.origin_names.index(name)
+                placements[:, place], twists[:, place] = pose, moved[name][:, :, self.index]
+            return placements, twists
         for k, own in enumerate(values):
             for name, pose in parametrisation.placements(own).items():
                 place = mechanism.origin_names.index(name)

@@ -29,7 +29,7 @@ from calib.robots.configurations import Configurations, configured
 from calib.robots.joint_errors import term_columns
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
-from calib.rows.observed import looks_at, observe, predicted_readings, unsaid_touches
+from calib.rows.observed import looks_at, observe, predicted_readings, some_readings, unsaid_touches
 from calib.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
@@ -278,7 +278,7 @@ def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     """Readings with noise, without those of what cannot be seen."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
-    visible = Readings(exact.visits[seen], exact.pairs[seen], exact.values[seen], None, exact.details[seen])
+    visible = exact if len(seen) == len(exact) else some_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)

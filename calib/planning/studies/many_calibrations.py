@@ -42,6 +42,7 @@ from calib.planning.studies.study_data import Drawn
 from calib.robots.robot import Robot
 from calib.rows.many_robots import ManyRobots
 from calib.rows.observed import seen_by
+from calib.rows.whitening import Whitening
 
 _STEP = 0.1  # of a difference of Jacobians, in standard deviations
 _LARGEST = 4_000_000  # numbers in a second derivative that is computed, 32 MB
@@ -163,7 +164,7 @@ class Repeated(ReadOnlyArrays):
             for k, at, rows in zip(numbers, z, found, strict=True):
                 yield evaluate(k, at) if rows is None else (rows[0], rows[1] @ by_z)
 
-        residuals = np.stack([self._residuals(self._problem(each)) for each in data])
+        residuals = np.stack([self._residuals(each, self.problem.whitening) for each in data])
         minima = self.nearby.minima(residuals, each)
         found = estimates_at(minima, self.nearby, self.first) if len(minima.draws) else {}
         if not self.problem.noise_weighs:
@@ -179,7 +180,7 @@ class Repeated(ReadOnlyArrays):
             return self._from(Problem.of(first.nominal, data, self.settings.sigma, drawn.passive), first.robot)
         start, problem = first.robot, self._problem(data)
         if _same_looks(data, first.identification.data):
-            z = self.nearby.first(self._residuals(problem)[None])[0]
+            z = self.nearby.first(self._residuals(data, problem.whitening)[None])[0]
             start, problem = self._robot(z), self._problem(data, z)
         try:
             return self._from(problem, start)
@@ -219,14 +220,13 @@ class Repeated(ReadOnlyArrays):
         passive = self.passive if z is None else self.passive + (self.by_z @ z).reshape(self.passive.shape)
         return self.problem.read_again(data, passive)
 
-    def _residuals(self, problem: Problem) -> FloatArray:
+    def _residuals(self, data: Measurements, whitening: Whitening) -> FloatArray:
         """Whitened residuals of other readings at the first minimum, (n_rows,)."""
-        first, robot, readings = self.first, self.first.robot, problem.data.readings
+        first, robot, readings = self.first, self.first.robot, data.readings
         residuals = {
             name: robot.instrument(name).compare(seen, robot.values[robot.unknowns(name)], readings[name]).residuals
             for name, seen in self.seen.items()
         }
-        whitening = problem.whitening
         weighing = whitening.weighing(first.scales.ratios)
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(first.scales.groups)
         return whitened if weighing is None else weighing.whiten(whitened)

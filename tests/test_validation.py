@@ -55,6 +55,18 @@ def test_repeats_are_known_although_an_encoder_reads_them_with_noise():
     assert all(len(set(label[4 * k : 4 * k + 4])) == 1 for k in range(30))
 
 
+@pytest.mark.parametrize("n_joints", [1, 2, 6])
+def test_rows_repeat_a_pose_where_a_chain_of_neighbours_links_them(n_joints):
+    rng = np.random.default_rng(1)
+    q = 1e-4 * rng.integers(0, 40 if n_joints < 6 else 4, (150, n_joints))
+    linked = np.all(np.abs(q[:, None] - q[None]) < 1.5e-4, axis=2)
+    for _ in range(8):  # chains of up to 256 links
+        linked = linked @ linked
+    label = pose_labels(q + 2e-5 * rng.uniform(-1, 1, q.shape))
+    np.testing.assert_array_equal(label[:, None] == label[None], linked)
+    assert pose_labels(q[:0]).shape == (0,)
+
+
 def test_a_split_is_in_file_order_and_repeatable():
     kept, held = some(30).split(validation=0.2, seed=7)
     assert len(held) == 6

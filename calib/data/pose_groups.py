@@ -17,12 +17,37 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
     Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
     """
-    cells, cell = np.unique(np.round(joints / SAME_JOINTS), axis=0, return_inverse=True)
+    rounded = np.round(joints / SAME_JOINTS)
+    near = _may_have_neighbours(rounded)
+    cells, cell = np.unique(rounded[near], axis=0, return_inverse=True)
     linked = scipy.spatial.cKDTree(cells).query_pairs(
         1.5, p=np.inf, output_type="ndarray"
     )  # the same cell or a neighbour
     graph = scipy.sparse.coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1][cell.reshape(-1)]
+    number, of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    result: IntArray = number + np.cumsum(~near) - 1
+    result[near] = of_cell[cell.reshape(-1)]
+    return result
+
+
+def _may_have_neighbours(cells: FloatArray) -> BoolArray:
+    """Return which rows of whole numbers (n, k) may equal another one or differ by 1, (n,): of many, few.
+
+    Two numbers that differ by 1 are halves of one number, rounded down, before or after 1 is added. So rows that are
+    near each other fall together at one of four grids of the two columns that reach farthest.
+    """
+    near = np.zeros(len(cells), dtype=bool)
+    if len(cells) == 0:
+        return near
+    reach = np.ptp(cells, axis=0)
+    first, second = (cells[:, k] - cells[:, k].min() for k in np.argsort(-reach)[[0, min(1, len(reach) - 1)]])
+    width = float(np.max(reach)) + 2.0
+    for shifts in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+        place = np.floor((first + shifts[0]) / 2.0) * width + np.floor((second + shifts[1]) / 2.0)
+        order = np.argsort(place)
+        same = place[order[1:]] == place[order[:-1]]
+        near[order[1:][same]] = near[order[:-1][same]] = True
+    return near
 
 
 def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:

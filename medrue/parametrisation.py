@@ -135,6 +135,7 @@ class MedrueParametrisation:
             rpy[place, 0] += np.arctan2(z, y)
         xyz += (self._given[0] - self._nominal[0])[:, :, None]
         rpy += (self._given[1] - self._nominal[1])[:, :, None]
+        turned = dict(zip(_TURNING, zip(*_turned_by(rpy[_TURNING_PLACES]), strict=True), strict=True))
         poses, twists = dict[str, FloatArray](), dict[str, FloatArray]()
         for k, (name, (rotation, twist)) in enumerate(self._turned.items()):
             poses[name], twists[name] = np.empty((len(values), 12)), np.empty((len(values), 6, len(PARAMETERS)))
@@ -145,7 +146,7 @@ class MedrueParametrisation:
                     y, z = vectors[_FIVE_BARS[name]]
                     slopes = np.stack([-z, y, z, -y], axis=1) / (y * y + z * z)[:, None]
                     d_rpy[:, 0, _ANCHORS[_FIVE_BARS[name]]] = slopes
-                columns, local = _turned_by(*rpy[k])
+                columns, local = turned[name]
                 poses[name][:, :9] = columns.reshape(-1, 9)
                 twists[name][:, :3], twists[name][:, 3:] = columns @ d_xyz, local @ d_rpy
         return poses, twists
@@ -176,14 +177,14 @@ class MedrueParametrisation:
         return {name: own for name, own in zip(_COORDINATES, rpy, strict=True) if name in _TURNING}
 
 
-def _turned_by(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Transposed rotation matrices of angles (n,), and the turn in their axes by the rate of each angle, (n, 3, 3)."""
-    (a, b, c), (s, t, u) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+def _turned_by(rpy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Transposed rotations by angles (m, 3, n), and turns in their axes by the rate of each angle, (m, n, 3, 3)."""
+    (a, b, c), (s, t, u) = np.cos(rpy).swapaxes(0, 1), np.sin(rpy).swapaxes(0, 1)
     none, one = np.zeros_like(a), np.ones_like(a)
     x, y = (b * c, b * u, -t), (s * t * c - a * u, s * t * u + a * c, s * b)
     z = (a * t * c + s * u, a * t * u - s * c, a * b)
     local = (one, none, -t), (none, a, s * b), (none, -s, a * b)
-    return np.moveaxis(np.array((x, y, z)), 2, 0), np.moveaxis(np.array(local), 2, 0)
+    return np.array((x, y, z)).transpose(2, 3, 0, 1), np.array(local).transpose(2, 3, 0, 1)
 
 
 def _linear(name: str) -> tuple[FloatArray, FloatArray]:
@@ -200,6 +201,7 @@ _LINEAR = {name: _linear(name) for name in _COORDINATES}
 
 
 _ALL_XYZ, _ALL_RPY = (np.array([_LINEAR[name][part] for name in _COORDINATES]) for part in (0, 1))
+_TURNING_PLACES = [list(_COORDINATES).index(name) for name in _TURNING]
 _ROLLS = [(k, _FIVE_BARS[name]) for k, name in enumerate(_COORDINATES) if name in _FIVE_BARS]
 
 

@@ -288,6 +288,6 @@ def test_medrue_computes_many_sets_of_values_as_one_by_one(medrue):
         placements, alone = parametrisation.placements(own), parametrisation.twists(own)
         assert poses.keys() == twists.keys() == placements.keys() == alone.keys()
         for name, placement in placements.items():
-            assert poses[name][k, :9].reshape(3, 3).T == pytest.approx(placement.rotation, abs=1e-13)
-            assert poses[name][k, 9:] == pytest.approx(placement.translation, abs=1e-13)
+            numbers = np.concatenate([placement.rotation.T.ravel(), placement.translation])
+            assert poses[name][k] == pytest.approx(numbers, abs=1e-13)
             assert twists[name][k] == pytest.approx(alone[name], abs=1e-12)

@@ -102,6 +102,8 @@ class Nearby(ReadOnlyArrays):
         root, left, count = np.zeros((n_draws, n, n)), np.zeros((n_draws, n)), 0
         found, active = np.zeros(n_draws, dtype=bool), np.arange(n_draws)
         for _ in range(_ROUNDS):
+            if len(active) == 0:
+                break
             possible = np.zeros(len(active), dtype=bool)
             for place, (k, rows) in enumerate(zip(active, evaluate(active, z[active]), strict=True)):
                 if rows is not None:
@@ -111,8 +113,6 @@ class Nearby(ReadOnlyArrays):
             hessians = self._hessian(r[active], jacobian[active])
             valleys = _are_valleys(hessians)
             active, hessians = active[valleys], hessians[valleys]
-            if len(active) == 0:
-                break
             try:
                 moved = self._stepped(z[active], r[active], jacobian[active], hessians)
             except np.linalg.LinAlgError:  # rows and priors of one draw at least do not see every direction

@@ -70,7 +70,7 @@ and as not converged after `max_evaluations` trial points.
 
 What the rows do not determine may recede: of poses that lie close together, an arc explains readings the better the
 longer its radius, and no length is the best one. Then there is the farther to go the farther one goes. So the iteration
-ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last five
+ends as not converged where, after 20 trial points, it has come farther than a = 3.5 sqrt(n), each of the last three
 steps has made f longer, and f is longer than a and than at the start, promises at most half of the cost, and has a
 standard deviation, s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such length.)
 
@@ -110,7 +110,7 @@ _REACH = 0.5  # how far the steps may then go at first, in the same units
 _LONGER = 2.0  # how far a step away from the bottom of a valley may go, over the length of the last one
 _AWAY = 8  # further steps away from the bottom
 _PATIENCE = 20  # trial points that a minimum that recedes is followed at least
-_RECEDED = 5  # steps in a row that made what is left longer
+_RECEDED = 3  # steps in a row that made what is left longer
 _LIMIT, _RECEDES, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the best values recede",

@@ -8,7 +8,8 @@ number is the evaluations of a fit, all its solves together; * says that it is n
 that are a random prior sigma away in every parameter that has one, it is the most that one of them takes.
 
 With N subsets, the fit is compared with MINPACK's `lm` in SciPy (tolerances as it has them), on the same residuals and
-the same Jacobian: subsets of 20 to 200 rows, at random, one behind the other, and nearest in joint space.
+the same Jacobian: subsets of 20 to 200 rows, at random, one behind the other, and nearest in joint space. Where the fit
+takes more than 20 evaluations, or more than MINPACK, all solvers of SciPy's least squares are compared.
 """
 
 import argparse
@@ -164,6 +165,51 @@ def against_minpack(robot, data):
     return last
 
 
+@one_blas_thread
+def lowest_costs(robot, data):
+    """Lowest cost so far at each evaluation of the last solve of a fit, by the fit and by each solver of SciPy."""
+    paths = {}
+
+    def all_of_them(residuals, jacobian, start, **options):
+        def path_of(name, solve):
+            costs = []
+
+            def seen(u):
+                values = residuals(u)
+                costs.append(np.inf if np.any(np.isnan(values)) else values @ values)
+                return values
+
+            solution = solve(seen)
+            paths[name] = np.minimum.accumulate(costs)
+            return solution
+
+        for name in ("lm", "trf", "dogbox"):
+            path_of(
+                name,
+                lambda seen, name=name: scipy.optimize.least_squares(
+                    lambda u: np.nan_to_num(seen(u), nan=1e6),
+                    start,
+                    lambda u: Tall.of(jacobian(u)).whole(),
+                    method=name,
+                    **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
+                    max_nfev=300,
+                ),
+            )
+        return path_of("fit", lambda seen: minimise(seen, jacobian, start, **options))
+
+    with mock.patch("calib.fitting.problem.minimise", all_of_them):
+        fit_data(robot, Settings(), data)
+    return paths
+
+
+def reached(paths):
+    """Evaluations by which each came within 1e-8, and within 1e-12, of the lowest cost of all; a dash for never."""
+    lowest = min(path[-1] for path in paths.values())
+    for path in (paths[name] for name in ("fit", "lm", "trf", "dogbox")):
+        within = [np.flatnonzero(path <= (1 + part) * lowest) for part in (1e-8, 1e-12)]
+        yield ", ".join(str(first[0] + 1) if len(first) else "-" for first in within)
+
+
 def clustered(folder=None):
     """Robots and measurements of which subsets are fitted; those of others where there is a folder."""
     robots = {"MedRUE": example("medrue"), "arm": example("arm"), "Stewart": example("stewart")}
@@ -171,16 +217,20 @@ def clustered(folder=None):
 
 
 def subset_table(robots, count):
-    """Lines of the table of subsets."""
+    """Lines of the table of subsets, and of one of those that take many evaluations."""
     yield (
         "| rows | fits | evaluations: median | most | more than 20 | MINPACK: median | most | more than MINPACK's |"
         " higher cost |"
     )
     yield "|---|---:|---:|---:|---:|---:|---:|---:|---:|"
+    long = []
     for name, (robot, data) in robots.items():
         by_sort = {}
         for sort, rows in subsets(data.joints, count):
-            by_sort.setdefault(sort, []).append(against_minpack(robot, data.subset(rows)))
+            counts = against_minpack(robot, data.subset(rows))
+            by_sort.setdefault(sort, []).append(counts)
+            if counts and (counts[0] > 20 or counts[0] > counts[1]):
+                long.append((f"{name}, {len(rows)} rows {sort}", counts[0], robot, data.subset(rows)))
         for sort, each in by_sort.items():
             ours, theirs, cost, other, converged = np.array([counts for counts in each if counts]).T
             failed = "" if np.all(converged) else f", {int(np.sum(converged == 0))} not converged"
@@ -188,6 +238,11 @@ def subset_table(robots, count):
             numbers = *numbers, np.sum(ours > theirs)
             shown = " | ".join(f"{number:.0f}" for number in (*numbers, np.sum(cost > (1 + 1e-6) * other)))
             yield f"| {name}, {sort} | {len(ours)}{failed} | {shown} |"
+    yield ""
+    yield "| more than 20, or than MINPACK's | evaluations | fit: 1e-8, 1e-12 | `lm` | `trf` | `dogbox` |"
+    yield "|---|---:|---:|---:|---:|---:|"
+    for name, evaluations, robot, data in long:
+        yield f"| {name} | {evaluations} | {' | '.join(reached(lowest_costs(robot, data)))} |"
 
 
 def main():

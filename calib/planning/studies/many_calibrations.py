@@ -21,7 +21,7 @@ common start, a draw begins where the first one ended.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,12 +87,12 @@ class Repeated(ReadOnlyArrays):
         at = problem.evaluate(first.robot)
         seen = seen_by(first.robot, at.configurations, data.readings)
         root = rows.known.root
-        bend, by_z = _differences(problem, first, at) if alike and settings.loss == "none" else (None, None)
+        driven, index, whitening = at.configurations.actuated, first.unknowns.index, problem.whitening
+        many = None if problem.noise_weighs else ManyRobots.of(first.robot, driven, data.readings, index, whitening)
+        bend, by_z = _differences(problem, first, at, many) if alike and settings.loss == "none" else (None, None)
         nearby = Nearby(rows.jacobian @ root, bend, rows.prior.times(root), rows.prior.times(rows.deviations))
         passive = at.configurations.passive
         by_z = np.zeros((passive.size, root.shape[1])) if by_z is None else by_z
-        driven, index, whitening = at.configurations.actuated, first.unknowns.index, problem.whitening
-        many = None if problem.noise_weighs else ManyRobots.of(first.robot, driven, data.readings, index, whitening)
         return Repeated(first, settings, problem, seen, nearby, passive, by_z, many)
 
     def estimates(self, drawn: Sequence[Drawn]) -> list[Estimate | CalibrationError]:
@@ -156,11 +156,9 @@ class Repeated(ReadOnlyArrays):
                 yield from map(evaluate, numbers, z)
                 return
             first = self.first
-            values = np.repeat(first.robot.values[None], len(z), axis=0)
-            values[:, first.unknowns.index] = first.unknowns.values_at(first.rows.deviations + z @ root.T)
             passive = self.passive + (z @ self.by_z.T).reshape(-1, *self.passive.shape)
             by_z = first.unknowns.scales[:, None] * root
-            found = self.many.rows(values, passive, [data[k].readings for k in numbers])
+            found = self.many.rows(_values(first, z), passive, [data[k].readings for k in numbers])
             for k, at, rows in zip(numbers, z, found, strict=True):
                 yield evaluate(k, at) if rows is None else (rows[0], rows[1] @ by_z)
 
@@ -232,7 +230,16 @@ class Repeated(ReadOnlyArrays):
         return whitened if weighing is None else weighing.whiten(whitened)
 
 
-def _differences(problem: Problem, first: Fit, at: Evaluation) -> tuple[FloatArray | None, FloatArray | None]:
+def _values(first: Fit, z: FloatArray) -> FloatArray:
+    """All parameters at z (n, rank), (n, n_parameters) [m or rad]."""
+    values = np.repeat(first.robot.values[None], len(z), axis=0)
+    values[:, first.unknowns.index] = first.unknowns.values_at(first.rows.deviations + z @ first.rows.known.root.T)
+    return values
+
+
+def _differences(
+    problem: Problem, first: Fit, at: Evaluation, many: ManyRobots | None
+) -> tuple[FloatArray | None, FloatArray | None]:
     """Second derivative of the rows, (n_rows, rank, rank), and derivative of passive joints; None where not known."""
     rows, root, passive = first.rows, first.rows.known.root, at.configurations.passive
     (n_rows, rank), scales = (len(rows.residuals), root.shape[1]), first.scales
@@ -240,7 +247,15 @@ def _differences(problem: Problem, first: Fit, at: Evaluation) -> tuple[FloatArr
         return None, None
     problem = problem.weighed(scales.ratios)
     bend, by_z = np.empty((n_rows, rank, rank)), np.empty((passive.size, rank))
-    for k in range(rank):
+    found: Iterable[tuple[FloatArray, FloatArray] | None] = [None] * rank
+    if many is not None and np.all(scales.groups == 1.0) and not np.any(scales.ratios):
+        closed = np.repeat(passive[None], rank, axis=0)
+        found = many.rows(_values(first, _STEP * np.eye(rank)), closed, [problem.data.readings] * rank)
+    for k, moved in enumerate(found):
+        if moved is not None:
+            bend[:, :, k] = (moved[1] * first.unknowns.scales - rows.jacobian) @ root / _STEP
+            by_z[:, k] = (closed[k] - passive).ravel() / _STEP
+            continue
         robot = first.unknowns.moved(first.robot, rows.deviations + _STEP * root[:, k])
         evaluation = problem.evaluate_if_closed(robot, at)
         if evaluation is None:

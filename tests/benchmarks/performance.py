@@ -216,7 +216,7 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 |---|---:|---:|---:|"""
     for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
         if each is not None:
-            yield f"| {name} | {alone / each:.1f} draws | {1e3 * each:.0f} ms | {1e4 * each / 120:.1f} min |"
+            yield f"| {name} | {alone / each:.1f} draws | {1e3 * each:.1f} ms | {1e4 * each / 120:.1f} min |"
     yield """
 ## Whole commands
 

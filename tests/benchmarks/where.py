@@ -26,7 +26,7 @@ from calib.judging import claim, error_budget, residual_patterns, verdict
 from calib.numerics import nearby
 from calib.planning.studies import draw_statistics, many_calibrations, study_data
 from calib.robots import continuation, kinematics
-from calib.rows import jacobian, observed
+from calib.rows import jacobian, many_robots
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from viz import pictures, report_page, scene, svg, viewer_page
@@ -80,8 +80,7 @@ def works(folder):
     medrue, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
     draws = {
         "minima": nearby.Nearby.minima,
-        "loops closed in them": continuation.newton,
-        "derivatives in them": observed.observe,
+        "rows of many robots": many_robots.ManyRobots.rows,
         "uncertainty": draw_statistics.estimates_at,
         "readings simulated": study_data.Simulated.measured,
         "what draws share": many_calibrations.Repeated.of,

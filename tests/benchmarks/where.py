@@ -72,6 +72,7 @@ def works(folder):
         "closing": continuation.newton,
         "poses of joints in both": kinematics.sweep,
         "derivatives": jacobian.relative_motion,
+        "linear systems in both": np.linalg.solve,
     }
     for name, shown in (("medrue", "MedRUE"), ("stewart", "Stewart")):
         yield f"closing and derivatives, {shown}", step(name), closing

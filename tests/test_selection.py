@@ -296,6 +296,7 @@ def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, mon
     for part, few in {
         "calib.base.files._PIECE": 1 << 14,
         "calib.data.tables._PART": 250,
+        "calib.data.table_writing._PART": 250,
         "calib.rows.candidates._PART": 250,
         "calib.numerics.identifiability._AT_ONCE": 500,
         "calib.planning.selection_problem._PART": 250,

@@ -10,7 +10,8 @@ import pytest
 
 from calib.base.errors import DataError, InputError
 from calib.data.on_demand import Packed, cells_of, held, picked
-from calib.data.tables import check_plausible, format_table, read_number, read_table
+from calib.data.table_writing import format_table
+from calib.data.tables import check_plausible, read_number, read_table
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import calib
 from calib.commands.verify import command
 from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.judging.acceptance import poses_needed, verify, visible_changes
 from calib.judging.promise import Change, Promise, without_outliers
 from calib.judging.repeatability import CONDITIONS, conditions, iso_figures

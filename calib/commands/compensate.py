@@ -19,7 +19,8 @@ from calib.commands.compensate_program import compensate_controller
 from calib.data.measurement_columns import approach_columns, cells_of, condition_columns, joint_columns, pose_columns
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
-from calib.data.tables import format_table, read_table
+from calib.data.table_writing import format_table
+from calib.data.tables import read_table
 from calib.reporting.result_reading import load_known, read_result
 from calib.robots.robot import Robot
 from calib.using.compensation import Compensation, compensate

@@ -10,7 +10,7 @@ from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
 from calib.data.measurement_columns import cells_of
 from calib.data.measurements import Poses
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.rows.known_robot import KnownRobot
 from calib.using.expected_errors import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.using.goals import Goals

@@ -15,7 +15,7 @@ from calib.base.files import write_files
 from calib.base.words import counted, listed
 from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, shared_options
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.instruments.board import Board
 from calib.instruments.camera import LITTLE_COVERAGE, image_coverage
 from calib.photographs.detection import DetectedImage, Detection, detect

@@ -24,7 +24,7 @@ from calib.data.dh_files import read_dh
 from calib.data.measurement_columns import header
 from calib.data.printer_files import printer_table, read_printer
 from calib.data.printer_rows import PrinterFile, expected_geometry
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.instruments.camera import NAMES
 from calib.photographs.camera_files import read_camera
 from calib.robots.description import Description, schema_text

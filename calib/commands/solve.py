@@ -17,7 +17,7 @@ from calib.commands.common import (
     with_values,
 )
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.reporting.result_reading import load_known
 from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot

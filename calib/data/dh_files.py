@@ -15,7 +15,8 @@ from pathlib import Path
 
 from calib.base.errors import DataError, InputError, nearest
 from calib.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
-from calib.data.tables import Table, check_plausible, format_table, read_number, read_table
+from calib.data.table_writing import format_table
+from calib.data.tables import Table, check_plausible, read_number, read_table
 from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
 
 _NUMBERS: dict[str, Dimension] = {"theta": "angle", "d": "length", "a": "length", "alpha": "angle", "beta": "angle"}

@@ -24,7 +24,8 @@ from calib.data.measurement_columns import APPROACH, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered, Packed
 from calib.data.robot_tables import read_robot_table
-from calib.data.tables import Source, Table, format_table, is_columns
+from calib.data.table_writing import format_table
+from calib.data.tables import Source, Table, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
 from calib.joint_terms.gravity import GravitySection, check_read, columns_of, read_down

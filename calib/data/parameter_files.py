@@ -9,7 +9,8 @@ from calib.base.errors import DataError, InputError, ParameterError, nearest_col
 from calib.base.other_words import worded
 from calib.base.parameter import index_of
 from calib.base.units import per_si
-from calib.data.tables import check_plausible, format_table, read_number, read_table
+from calib.data.table_writing import format_table
+from calib.data.tables import check_plausible, read_number, read_table
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 

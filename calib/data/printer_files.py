@@ -23,7 +23,7 @@ from calib.base.errors import DataError, InputError
 from calib.base.files import read_text
 from calib.base.units import PER_SI, millimetres
 from calib.data.printer_rows import PrinterFile, Row, require_plausible, require_steps
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.robots.linear_delta import ANGLES, TOWERS, DeltaGeometry, around, height_name
 
 _MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]

@@ -19,7 +19,7 @@ from calib.base.errors import InputError
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.base.words import listed
 from calib.data.dh_files import format_dh
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.exporting.held_formats import compared
 from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain

@@ -24,7 +24,7 @@ from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import InputError
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.base.words import listed
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.exporting.urdf import urdf_bytes
 from calib.joint_terms.term import Context, JointTerm
 from calib.robots.held import Holds

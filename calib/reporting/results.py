@@ -31,7 +31,7 @@ from calib.base.units import ERROR_UNIT, error_scale
 from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.on_demand import picked
 from calib.data.parameter_files import format_parameters
-from calib.data.tables import format_table, table_bytes
+from calib.data.table_writing import format_table, table_bytes
 from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes

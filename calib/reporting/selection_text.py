@@ -14,7 +14,8 @@ from calib.data.instrument_cells import columns_in
 from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
-from calib.data.tables import Table, format_table
+from calib.data.table_writing import format_table
+from calib.data.tables import Table
 from calib.numerics.observability import INDICES
 from calib.planning.selection import Run, Selection
 from calib.planning.selection_bound import CERTIFIED

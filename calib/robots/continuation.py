@@ -25,6 +25,8 @@ cannot be closed.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 
@@ -41,8 +43,8 @@ _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
 LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
-MAX_NEWTON = 12
-SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
+_MAX_NEWTON = 12
+_SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
@@ -78,20 +80,38 @@ def newton(
         arrays where they are not wanted, and which poses were accepted (n,).
     """
     (n, n_passive), passive, enough = passive.shape, passive.copy(), closing_tolerance(mechanism) / 10
-    sure, accepted, fast = 0.0 if slopes else SURE * enough, np.zeros(n, dtype=bool), kernels(mechanism, n)
+    sure, accepted, fast = 0.0 if slopes else _SURE * enough, np.zeros(n, dtype=bool), kernels(mechanism, n)
     slope = np.full((n if slopes else 0, n_passive, n_passive), np.nan)
     slope_actuated = np.full((n if slopes else 0, n_passive, actuated.shape[1]), np.nan)
     found = slope, slope_actuated, accepted
     if fast is None:
         _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
     else:
-        reduced, _ = mechanism.around(mechanism.loops)
-        rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
-        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        loops, limits = fast.loops(mechanism, reduced), (enough, sure, LARGEST_STEP, MAX_NEWTON)
-        model = fast.tree(mechanism, reduced), loops, fast.blocks(mode, reduced, loops), mode.signs
-        fast.close(*model, rest, passive, scale, *limits, *found)
+        tree = fast.tree(mechanism, mechanism.around(mechanism.loops)[0])
+        loops, rest, scale, limits = compiled_loops(fast, mechanism, mode, actuated, checked=slopes)
+        fast.close(tree, *loops, rest, passive, scale, *limits, *found)
     return passive, *found
+
+
+def compiled_loops(
+    fast: Any, mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, checked: bool
+) -> tuple[Any, FloatArray, FloatArray, tuple[float, float, float, int]]:
+    """Return what compiled code needs to close loops beside origins and a start: the same for other origins.
+
+    Args:
+        fast: The compiled functions.
+        mechanism, mode, actuated: As of `newton`.
+        checked: Whether the last correction is checked, too.
+
+    Returns:
+        Loops with their blocks and signs; joints that are given, 0 for the passive ones, (n, n_reduced); length of a
+        step of 1 of each passive joint, (n_passive,); and limits.
+    """
+    reduced, enough = mechanism.around(mechanism.loops)[0], closing_tolerance(mechanism) / 10
+    rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
+    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    loops, limits = fast.loops(mechanism, reduced), (enough, 0.0 if checked else _SURE * enough)
+    return (loops, fast.blocks(mode, reduced, loops), mode.signs), rest, scale, (*limits, LARGEST_STEP, _MAX_NEWTON)
 
 
 def _correct(
@@ -117,7 +137,7 @@ def _correct(
     for part in loops.chunks(n):
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
-        for _ in range(MAX_NEWTON):
+        for _ in range(_MAX_NEWTON):
             swept = loops.at(actuated[index], passive[index])
             values, slopes = kinematics.gaps(swept), loops.by(coordinates, swept)
             worst = np.max(np.abs(values), axis=1)

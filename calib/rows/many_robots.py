@@ -22,7 +22,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.instruments.kind import Comparison, FrameInstrument, Readings, View
 from calib.robots import kinematics
 from calib.robots.acceleration import kernels
-from calib.robots.continuation import LARGEST_STEP, MAX_NEWTON, SURE, closing_tolerance
+from calib.robots.continuation import compiled_loops
 from calib.robots.mechanism import RelativeFrame, before_origins
 from calib.robots.parameters import OfManyValues
 from calib.robots.robot import Robot
@@ -166,16 +166,12 @@ class ManyRobots:
         if not mechanism.loops:
             return np.ones(len(placements), dtype=bool)
         fast, counts, n_passive = closing.functions, closing.reduced.joints, passive.shape[2]
-        rest = self.driven @ mechanism.select_actuated[counts].T + mechanism.constant[counts]
-        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+        loops, rest, scale, limits = compiled_loops(fast, mechanism, mode, self.driven, checked=False)
         found = np.zeros((0, n_passive, n_passive)), np.zeros((0, n_passive, self.driven.shape[1]))
-        blocks = fast.blocks(mode, closing.reduced, closing.loops)
-        enough = closing_tolerance(mechanism) / 10
         ok = np.zeros((len(placements), n), dtype=bool)
         for k, own in enumerate(placements):
-            model = closing.tree._replace(origins=own[counts]), closing.loops, blocks, mode.signs
-            limits = enough, SURE * enough, LARGEST_STEP, MAX_NEWTON
-            fast.close(*model, rest, passive[k], scale, *limits, *found, ok[k])
+            tree = closing.tree._replace(origins=own[counts])
+            fast.close(tree, *loops, rest, passive[k], scale, *limits, *found, ok[k])
         return np.all(ok, axis=1)
 
 

@@ -21,7 +21,7 @@ from calib.base.units import DISPLAY_UNIT, PER_SI
 from calib.data.dh_files import read_dh
 from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.robots.templates import loop_files, read_lengths
 from calib.robots.urdf.denavit_hartenberg import urdf_text
 

@@ -28,7 +28,7 @@ import calib
 from calib.base.errors import CalibrationError
 from calib.base.files import write_file
 from calib.base.workers import Workers, in_order
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from calib.robots.described_instruments import instruments_of
 
 PAGE = EXAMPLES.parent / "verdict.md"

@@ -17,7 +17,7 @@ import numpy as np
 
 import calib
 from calib.base.units import PER_SI, millimetres
-from calib.data.tables import format_table
+from calib.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -151,7 +151,7 @@ class Repeated(ReadOnlyArrays):
             rows, last[k] = problem.rows(evaluation, ones), evaluation
             return rows.residuals, rows.jacobian @ root
 
-        def each(numbers: IntArray, z: FloatArray) -> Iterator[tuple[FloatArray, FloatArray] | None]:
+        def rows_of(numbers: IntArray, z: FloatArray) -> Iterator[tuple[FloatArray, FloatArray] | None]:
             if self.many is None:
                 yield from map(evaluate, numbers, z)
                 return
@@ -163,7 +163,7 @@ class Repeated(ReadOnlyArrays):
                 yield evaluate(k, at) if rows is None else (rows[0], rows[1] @ by_z)
 
         residuals = np.stack([self._residuals(each, self.problem.whitening) for each in data])
-        minima = self.nearby.minima(residuals, each)
+        minima = self.nearby.minima(residuals, rows_of)
         found = estimates_at(minima, self.nearby, self.first) if len(minima.draws) else {}
         if not self.problem.noise_weighs:
             return found

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+import pytest
 import yaml
 from scipy.optimize import fsolve, least_squares
 from scipy.spatial.transform import Rotation
@@ -41,7 +42,7 @@ def urdf_links(source: bytes) -> Links:
 
 def mjcf_links(path: Path) -> Links:
     """The links of an MJCF, by MuJoCo."""
-    import mujoco
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra 'mujoco')")
 
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)

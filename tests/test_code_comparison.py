@@ -7,6 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra 'camera')")
 from code_comparison.__main__ import main
 from code_comparison.arms import Arm, Chain
 from code_comparison.codes import CHAIN, CODES, HERE, PLACED, Code
@@ -18,8 +22,6 @@ from code_comparison.data_sets.klipper_delta import Folds, Printers, Row, height
 from code_comparison.data_sets.motoman_pixels import Watched
 from code_comparison.data_sets.tilting_base import COLUMN, Stations
 from code_comparison.running import compared
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 OURS, HAND_EYE, PRINTER = ALL_OURS["arm"], ALL_OURS["photographs"], ALL_OURS["printers"]
 SHOWN = [code for code in CODES if code.name in (PLACED, OURS, "SciPy, priors", "robotkinecal")]

@@ -22,11 +22,11 @@ __all__ = sorted(_HOMES)
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return import_module("calib.base.version").VERSION
+        return import_module("calib.core.base.version").VERSION
     if name not in _HOMES:
         if name.startswith("_"):
             raise AttributeError(name)
-        raise import_module("calib.base.other_words").no_name_in_package(name, __all__)
+        raise import_module("calib.core.base.other_words").no_name_in_package(name, __all__)
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return value
 

@@ -12,37 +12,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import pictures
-from calib.base.errors import InputError
-from calib.base.other_words import worded
-from calib.base.units import ERROR_UNIT, in_si
-from calib.base.words import listed, titled_html
-from calib.base.workers import Progress, Workers
-from calib.calibrating.calibrate import calibrate
-from calib.calibrating.file_robots import with_files
-from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
-from calib.fitting.error_sets import Folds, error_table
-from calib.fitting.fit import of_a_part
-from calib.fitting.settings import Asked, Settings
-from calib.fitting.validation import cross_validate, n_folds
-from calib.instruments.kind import Readings
-from calib.joint_terms.terms import terms_text
-from calib.judging.verdict import JudgedFit
-from calib.numerics.losses import checked_loss
+from calib.core.base.errors import InputError
+from calib.core.base.other_words import worded
+from calib.core.base.units import ERROR_UNIT, in_si
+from calib.core.base.words import listed, titled_html
+from calib.core.base.workers import Progress, Workers
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.calibrating.file_robots import with_files
+from calib.core.data.in_memory import MeasurementsLike, as_measurements, with_sigma
+from calib.core.fitting.error_sets import Folds, error_table
+from calib.core.fitting.fit import of_a_part
+from calib.core.fitting.settings import Asked, Settings
+from calib.core.fitting.validation import cross_validate, n_folds
+from calib.core.instruments.kind import Readings
+from calib.core.judging.verdict import JudgedFit
+from calib.core.numerics.losses import checked_loss
+from calib.core.results.loaded_result import CalibratedRobot
+from calib.core.results.report_text import summary, text_report, verdict_lines
+from calib.core.results.result_content import to_dict
+from calib.core.results.results import save
+from calib.core.results.sections.accuracy import error_sets
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.terms import terms_text
 from calib.pictures import Plots
-from calib.planning.studies.study import study
-from calib.planning.studies.study_result import Study
-from calib.reporting.loaded_result import CalibratedRobot
-from calib.reporting.report_text import summary, text_report, verdict_lines
-from calib.reporting.result_content import to_dict
-from calib.reporting.results import save
-from calib.reporting.sections.accuracy import error_sets
-from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Robot
+from calib.studies.study import study
+from calib.studies.study_result import Study
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(JudgedFit, CalibratedRobot):
-    """A finished fit, with verdict, reports and files; `calib.fitting.fitted.Fit` lists what it holds."""
+    """A finished fit, with verdict, reports and files; `calib.core.fitting.fitted.Fit` lists what it holds."""
 
     _made_by = "calib.fit(robot, data)"
 
@@ -162,7 +162,7 @@ class Calibration(JudgedFit, CalibratedRobot):
     def save(
         self, folder: Path | str, *, force: bool = False, pages: bool = True, logo: Path | str | None = None
     ) -> None:
-        """Write the result to a folder, report and viewer with it; see `calib.reporting.results.save`.
+        """Write the result to a folder, report and viewer with it; see `calib.core.results.results.save`.
 
         Args:
             folder: Where to.
@@ -193,7 +193,8 @@ def fit(
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate a robot; see `calib.fitting.fit` for the method, `calib.calibrating.calibrate` for its errors.
+    """Calibrate a robot; see `calib.core.fitting.fit` for the method, `calib.core.calibrating.calibrate` for its
+    errors.
 
     Args:
         robot: The nominal robot; or its description or URDF.

@@ -7,28 +7,28 @@ from importlib import import_module
 import click
 
 from calib import pictures
-from calib.base.version import VERSION
-from calib.commands.program import run_program
+from calib.core.base.version import VERSION
+from calib.core.commands.program import run_program
 
 _COMMANDS = {
-    "init": ("calib.commands.init", "Write a robot description to start from."),
-    "check": ("calib.commands.check", "Say which parameters poses determine, and how well."),
-    "sample": ("calib.commands.sample", "Write poses that a robot can take."),
-    "compare": ("calib.commands.compare", "Show results side by side."),
-    "fleet": ("calib.commands.fleet", "Make a prior for the next robot of a model."),
-    "select": ("calib.commands.select", "Choose the poses to measure."),
-    "simulate": ("calib.commands.simulate", "Simulate measurements."),
-    "study": ("calib.commands.study", "Calibrate many times from simulated measurements."),
-    "fit": ("calib.commands.fit", "Calibrate a robot from measurements."),
-    "predict": ("calib.commands.predict", "Predict where the targets are."),
-    "solve": ("calib.commands.solve", "Find joint values that reach goals."),
-    "compensate": ("calib.commands.compensate", "Correct a program for the real robot."),
-    "verify": ("calib.commands.verify", "Judge a calibrated robot by new measurements."),
-    "export": ("calib.commands.export", "Write the robot in formats of other programs."),
-    "watch": ("calib.commands.watch", "Say while measuring which pose is next, and when to stop."),
-    "detect": ("calib.commands.detect", "Find a printed board in photographs."),
-    "board": ("calib.commands.boards", "Write a board to print."),
-    "hand-eye": ("calib.commands.hand_eye", "Find where a camera is, from photographs of a board."),
+    "init": ("calib.core.commands.init", "Write a robot description to start from."),
+    "check": ("calib.planning.commands.check", "Say which parameters poses determine, and how well."),
+    "sample": ("calib.planning.commands.sample", "Write poses that a robot can take."),
+    "compare": ("calib.core.commands.compare", "Show results side by side."),
+    "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
+    "select": ("calib.planning.commands.select", "Choose the poses to measure."),
+    "simulate": ("calib.core.commands.simulate", "Simulate measurements."),
+    "study": ("calib.studies.command", "Calibrate many times from simulated measurements."),
+    "fit": ("calib.core.commands.fit", "Calibrate a robot from measurements."),
+    "predict": ("calib.core.commands.predict", "Predict where the targets are."),
+    "solve": ("calib.programs.commands.solve", "Find joint values that reach goals."),
+    "compensate": ("calib.programs.commands.compensate", "Correct a program for the real robot."),
+    "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
+    "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
+    "watch": ("calib.planning.commands.watch", "Say while measuring which pose is next, and when to stop."),
+    "detect": ("calib.photographs.commands.detect", "Find a printed board in photographs."),
+    "board": ("calib.photographs.commands.boards", "Write a board to print."),
+    "hand-eye": ("calib.photographs.commands.hand_eye", "Find where a camera is, from photographs of a board."),
 }
 """The module of each command, and what it does, for the list of commands, which imports none of them."""
 

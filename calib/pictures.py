@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from calib.base.errors import InputError
-from calib.base.files import image_address
+from calib.core.base.errors import InputError
+from calib.core.base.files import image_address
 
 if TYPE_CHECKING:
-    from calib.fitting.fitted import Fit
+    from calib.core.fitting.fitted import Fit
+    from calib.core.results.comparison_report import ResultComparison
+    from calib.core.robots.robot import Robot
+    from calib.fleets.fleet import Fleet
     from calib.planning.progress import Progress
-    from calib.reporting.comparison_report import ResultComparison
-    from calib.reporting.fleet import Fleet
-    from calib.robots.robot import Robot
 
 GROUP = "calib.pictures"
 

@@ -22,17 +22,17 @@ from typing import Literal
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import NotIdentifiableError
-from calib.base.threads import one_blas_thread
-from calib.base.workers import in_order
-from calib.data.in_memory import as_measurements
-from calib.data.measurements import Measurements
-from calib.fitting.fit import Nearby, fit_data
-from calib.fitting.settings import Settings
-from calib.joint_terms.term import Context
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import in_order
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.settings import Settings
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
 from calib.planning.selection import select
-from calib.robots.robot import Robot
 from medrue.draws import PoseSet
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3

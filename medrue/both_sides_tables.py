@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.units import millimetres
-from calib.base.words import counted
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
 from medrue.ranking import standard_error
 from medrue.result_tables import Cell, Column, ResultTable

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from calib.base.files import write_folder
-from calib.base.units import metres, millimetres
-from calib.base.words import counted, listed
-from calib.base.workers import Workers
-from calib.commands.common import Output, shared_options
-from calib.commands.program import run_program
-from calib.data.measurement_files import format_positions
-from calib.robots.loading import load
+from calib.core.base.files import write_folder
+from calib.core.base.units import metres, millimetres
+from calib.core.base.words import counted, listed
+from calib.core.base.workers import Workers
+from calib.core.commands.common import Output, shared_options
+from calib.core.commands.program import run_program
+from calib.core.data.measurement_files import format_positions
+from calib.core.robots.loading import load
 from medrue import measurement_file, page_files, robot_file
 from medrue.progress import Silent, TerminalBars
 
@@ -61,8 +61,8 @@ def group() -> None:
 def demo_command(out: str, output: Output) -> None:
     """Calibrate MedRUE from the simulated measurements that come with the program: the main job, start to end."""
     from calib import fit, read_measurements
-    from calib.reporting.result_content import to_dict
-    from calib.reporting.results import RESULT_FILES
+    from calib.core.results.result_content import to_dict
+    from calib.core.results.results import RESULT_FILES
 
     output.check(folders=(out,), names=RESULT_FILES)
     robot = load(robot_file())

@@ -18,15 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import fit
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import NotConvergedError
-from calib.base.threads import one_blas_thread
-from calib.base.workers import in_order
-from calib.data.in_memory import as_measurements
-from calib.data.measurements import Measurements
-from calib.robots.configurations import Configurations
-from calib.robots.robot import Robot
-from calib.rows.jacobian import linearise
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import NotConvergedError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import in_order
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
 
 CHUNK = 10
 """Draws that are done together."""

@@ -23,9 +23,9 @@ from itertools import product
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.units import millimetres
-from calib.numerics.rigid import best_transform
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import millimetres
+from calib.core.numerics.rigid import best_transform
 from medrue.closed_form import base_in_world, forward, name_parameters
 from medrue.closed_form_inverse import WorkingMode, inverse
 from medrue.paper_tables import (

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.threads import one_blas_thread
-from calib.base.workers import in_order
-from calib.fitting.fit import Nearby, fit_data
-from calib.fitting.settings import Settings
-from calib.robots.robot import Robot
+from calib.core.base.arrays import FloatArray
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import in_order
+from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.settings import Settings
+from calib.core.robots.robot import Robot
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
 from medrue.draws import PoseSet, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot

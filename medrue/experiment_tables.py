@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.units import micrometres, millimetres
-from calib.base.words import counted
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.units import micrometres, millimetres
+from calib.core.base.words import counted
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
     both_sides_findings,

@@ -25,11 +25,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.parameter import index_of
-from calib.base.units import micrometres, millimetres
-from calib.joint_terms.term import Context
-from calib.robots.robot import Robot
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.parameter import index_of
+from calib.core.base.units import micrometres, millimetres
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
 STROKE = 0.7

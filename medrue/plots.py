@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.base.arrays import FloatArray
-from calib.base.units import millimetres
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import millimetres
 from calib.planning.selection import Selection
 from medrue.workspace import Workspace
 from viz.svg import styled, svg_file

@@ -1,6 +1,6 @@
 """The 420 poses of the target workspace, with joint values from the general inverse kinematics.
 
-`calib.using.inverse` solves them through the loops in Pinocchio; the closed-form inverse is solved beside
+`calib.programs.reaching.inverse` solves them through the loops in Pinocchio; the closed-form inverse is solved beside
 it, and the two must agree, so that an error in either is seen before anything is measured.
 """
 
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import ComputationError
-from calib.base.units import millimetres
-from calib.data.measurements import Poses
-from calib.robots.robot import Robot
-from calib.using.goals import Goals
-from calib.using.inverse import solve
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError
+from calib.core.base.units import millimetres
+from calib.core.data.measurements import Poses
+from calib.core.robots.robot import Robot
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import solve
 from medrue.closed_form import singularity_sines
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.words import counted
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.words import counted
 from medrue.result_tables import Cell, Column, ResultTable
 
 LUCK = 1e-3

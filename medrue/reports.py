@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.units import millimetres
-from calib.base.words import counted
-from calib.data.measurement_files import format_measurements
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted
+from calib.core.data.measurement_files import format_measurements
 from medrue.both_sides import WAYS, BothSides
 from medrue.both_sides_tables import NOISE, mean_x
 from medrue.experiment import Experiment

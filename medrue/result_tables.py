@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from calib.data.table_writing import format_table
+from calib.core.data.table_writing import format_table
 
 Cell = str | float | None
 

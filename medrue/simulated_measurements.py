@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.base.errors import InputError
-from calib.base.files import write_file
-from calib.base.units import metres, millimetres
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_file
+from calib.core.base.units import metres, millimetres
 from medrue.closed_form import ACTUATED_JOINTS, Array, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

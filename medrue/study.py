@@ -22,11 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Fit, fit
-from calib.base.arrays import FloatArray
-from calib.base.workers import in_order
+from calib.core.base.arrays import FloatArray
+from calib.core.base.workers import in_order
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
 from calib.planning.selection import Selection, select
-from calib.robots.robot import Robot
-from calib.rows.jacobian import linearise
 from medrue.closed_form import forward
 from medrue.draws import Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import table1

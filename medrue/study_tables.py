@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.units import micrometres, millimetres
-from calib.base.words import counted
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import micrometres, millimetres
+from calib.core.base.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable

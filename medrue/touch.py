@@ -27,15 +27,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import NotIdentifiableError
-from calib.base.threads import one_blas_thread
-from calib.base.workers import in_order
-from calib.fitting.fit import Nearby, fit_data
-from calib.fitting.settings import Settings
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import in_order
+from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.settings import Settings
+from calib.core.robots.robot import Robot
 from calib.planning.assessment import Assessment, check
 from calib.planning.selection import Selection, select
-from calib.robots.robot import Robot
 from medrue.error_before import base_placed
 from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
 from medrue.poses import target_poses

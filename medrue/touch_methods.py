@@ -30,14 +30,14 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import ComputationError
-from calib.base.parameter import Parameter
-from calib.data.in_memory import as_measurements
-from calib.data.measurements import Measurements
-from calib.robots.loading import load
-from calib.robots.parameters import Parametrisation
-from calib.robots.robot import Robot
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import ComputationError
+from calib.core.base.parameter import Parameter
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.robots.loading import load
+from calib.core.robots.parameters import Parametrisation
+from calib.core.robots.robot import Robot
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.closed_form_inverse import inverse

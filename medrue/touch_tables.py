@@ -8,9 +8,9 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from calib.base.arrays import FloatArray
-from calib.base.units import micrometres, millimetres
-from calib.base.words import counted
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import micrometres, millimetres
+from calib.core.base.words import counted
 from calib.planning.assessment import Assessment
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import COUNT, SIGMA, STATISTICS, summary

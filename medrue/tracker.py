@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from medrue.world_frame import rigid_fit
 
 SIGMA = 4e-5

@@ -1,6 +1,6 @@
 """The world as a tracker finds it: a rigid fit of nests at known places, how sure it is, and which nests do not fit.
 
-The fit itself is `calib.numerics.rigid.best_transform`: q_i = R p_i + t for nests p_i seen in the tracker's frame.
+The fit itself is `calib.core.numerics.rigid.best_transform`: q_i = R p_i + t for nests p_i seen in the tracker's frame.
 
 Uncertainty. A small change [dt; w], R -> R exp(w), moves point i by J_i [dt; w], J_i = [I  -R [p_i]x]; with noise sigma
 on each component the covariance of [dt; w] is sigma^2 (sum J_i^T J_i)^-1, w in the axes of the first frame.
@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.numerics.rigid import best_transform, cross_matrices
+from calib.core.base.arrays import FloatArray
+from calib.core.numerics.rigid import best_transform, cross_matrices
 
 OUTLIER_PROBABILITY = 0.01
 """How often a set of points without any outlier may be said to have one."""

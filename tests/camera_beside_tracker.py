@@ -22,7 +22,7 @@ import pinocchio as pin
 import scipy
 
 import calib
-from calib.commands.init import command
+from calib.core.commands.init import command
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOTS = {"arm": [str(EXAMPLES / "arm.urdf")], "UR10e": ["--dh", str(EXAMPLES / "ur10e_dh.csv")]}

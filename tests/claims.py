@@ -21,10 +21,10 @@ import yaml
 from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
-from calib.base.errors import CalibrationError
-from calib.base.words import counted
-from calib.data.measurements import Measurements
-from calib.judging.claim import claim_of, elsewhere, unlike_measured
+from calib.core.base.errors import CalibrationError
+from calib.core.base.words import counted
+from calib.core.data.measurements import Measurements
+from calib.core.judging.claim import claim_of, elsewhere, unlike_measured
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)

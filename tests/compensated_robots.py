@@ -30,13 +30,13 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.base.errors import CalibrationError
-from calib.data.in_memory import as_measurements, as_poses
-from calib.judging.acceptance import verify, visible_changes
-from calib.judging.promise import Promise
-from calib.robots.templates import TEMPLATES, loop_files
-from calib.using.programs.correction_grid import correction_grid
-from calib.using.programs.straight_moves import StraightMoves, compensate_moves
+from calib.core.base.errors import CalibrationError
+from calib.core.data.in_memory import as_measurements, as_poses
+from calib.core.judging.acceptance import verify, visible_changes
+from calib.core.judging.promise import Promise
+from calib.core.robots.templates import TEMPLATES, loop_files
+from calib.programs.languages.correction_grid import correction_grid
+from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 from medrue import robot_file
 from medrue.paper_tables import table1
 
@@ -109,7 +109,7 @@ def poses_of(robot, q):
 
 
 class TrueFrame:
-    """The nominal robot in the frame of the true one, from the docstring of `calib.rows.common_motion`."""
+    """The nominal robot in the frame of the true one, from the docstring of `calib.core.rows.common_motion`."""
 
     def __init__(self, truth, nominal, joints):
         self.nominal, self.anywhere = nominal, nominal.description.base.pose == "unknown"

@@ -33,7 +33,7 @@ RunCalib = Callable[..., Run]
 
 def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
     from calib.cli import group  # here, so that tests of the library need no command line
-    from calib.commands.program import run_program
+    from calib.core.commands.program import run_program
 
     out, err, code = io.StringIO(), io.StringIO(), 0
     with contextlib.ExitStack() as stack:
@@ -41,7 +41,9 @@ def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
         stack.enter_context(contextlib.redirect_stderr(err))
         stack.enter_context(mock.patch.object(sys, "argv", ["calib", *map(str, arguments)]))
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
-        stack.enter_context(mock.patch("calib.commands.common._LINE_EVERY", float("inf")))  # however slow the machine
+        stack.enter_context(
+            mock.patch("calib.core.commands.common._LINE_EVERY", float("inf"))
+        )  # however slow the machine
         try:
             run_program(group)
         except SystemExit as end:

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from test_denavit_hartenberg import flange_poses
 
 import calib
+from calib.core.robots.held import Holds
+from calib.core.robots.robot_files import urdf_of_origins, without_terms
 from calib.exporting.held_formats import HELD
-from calib.robots.held import Holds
-from calib.robots.robot_files import urdf_of_origins, without_terms
 
 ENDINGS = {
     "urdf": ".urdf",

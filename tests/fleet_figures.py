@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.robots.fleet_prior import FleetParameter, FleetSection
+from calib.core.robots.fleet_prior import FleetParameter, FleetSection
 
 ROBOT = Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml"
 MEAN, SPREAD = 0.7, 0.05  # over what the description expects: of the mean from nominal, of robots from the mean

@@ -22,12 +22,12 @@ import numpy as np
 from six_axis_arm import FREE, URDF, YAML
 
 import calib
-from calib.joint_terms.term import Context
-from calib.joint_terms.terms import listed_terms
-from calib.robots import kinematics
-from calib.robots.closure import residual
-from calib.robots.configurations import configured
-from calib.robots.joint_errors import term_columns
+from calib.core.robots import kinematics
+from calib.core.robots.closure import residual
+from calib.core.robots.configurations import configured
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.terms.term import Context
+from calib.core.robots.terms.terms import listed_terms
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"

@@ -19,10 +19,10 @@ from claims import positioner
 from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
-from calib.base.arrays import FloatArray, IntArray
-from calib.data.measurements import Measurements
-from calib.data.pose_groups import boxes
-from calib.fitting.regions import BLOCKS
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.data.measurements import Measurements
+from calib.core.data.pose_groups import boxes
+from calib.core.fitting.regions import BLOCKS
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
 _PLACE = re.compile(r"(<!-- begin halves -->\n).*?(<!-- end halves -->)", re.DOTALL)

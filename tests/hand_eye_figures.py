@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from calib.commands.boards import given_board
+from calib.photographs.commands.boards import given_board
 from calib.photographs.detection import detect
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.images import shots

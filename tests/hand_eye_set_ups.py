@@ -22,7 +22,7 @@ from camera_scenes import BOARD, CAMERA, INTRINSICS, SIZE, board_points, pixels_
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest, t
 
-from calib.base.errors import CalibrationError
+from calib.core.base.errors import CalibrationError
 from calib.photographs.estimation import plain
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge

@@ -12,10 +12,11 @@ from six_axis_arm import write_six_axis
 from small_robots import ARM_YAML, write_arm, write_parallelogram
 
 import calib
-from calib.data.in_memory import as_poses
-from calib.judging.acceptance import verify
-from calib.judging.repeatability import iso_figures
-from calib.reporting import acceptance_text, assessment_text, selection_text
+from calib.core.data.in_memory import as_poses
+from calib.core.judging.acceptance import verify
+from calib.core.judging.repeatability import iso_figures
+from calib.core.results import acceptance_text
+from calib.planning import assessment_text, selection_text
 
 SIGMA = 3e-5
 FEW_FREE = (

@@ -25,8 +25,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # a forked process has no threads of i
 
 from interrupted_writing import OF_WRITING, at_line, child, killed, put, state, tree, verdict
 
-import calib.base.replacing
 import calib.cli
+import calib.core.base.replacing
 import medrue
 import medrue.cli
 import medrue.reports
@@ -166,7 +166,7 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
                         command.put_old()
                     seen, code = disturbed(command, way, chance)
                     counted[f"{seen if seen != 'none' or before else 'none, as before'} (exit {code})"] += 1
-                    calib.base.replacing.clear_leftovers(Path(here))
+                    calib.core.base.replacing.clear_leftovers(Path(here))
                     counted["LEFTOVER"] += bool(list(Path(here).rglob(".calib-*")))
                     counted["MIXTURE OR LOST"] += seen == "MIXTURE" or (before and seen == "none")
                     os.chdir("/")

@@ -21,11 +21,11 @@ from types import FrameType
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-import calib.base.files
-import calib.base.replacing
-from calib.base.own_files import MANIFEST, signed
+import calib.core.base.files
+import calib.core.base.replacing
+from calib.core.base.own_files import MANIFEST, signed
 
-OF_WRITING = {calib.base.files.__file__, calib.base.replacing.__file__}
+OF_WRITING = {calib.core.base.files.__file__, calib.core.base.replacing.__file__}
 OLD = {"result.json": b"old", "parameters.csv": b"old", "calibrated.urdf": b"old"}
 NEW = {"result.json": b"new", "parameters.csv": b"new", "report.html": b"new"}
 MINE = {"notes/mine.txt": b"mine", "photo.jpg": b"mine"}
@@ -106,14 +106,14 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
 
             def work(number: int = number, write: Callable[[], None] = write) -> None:
                 if not exchange:
-                    calib.base.replacing.exchange = lambda path, other: False
+                    calib.core.base.replacing.exchange = lambda path, other: False
                 at_line(number, OF_WRITING, act)
                 write()
 
             code = child(work)
             before = state(tree(out) if out.is_dir() else {}, old, new)
-            calib.base.replacing.clear_leftovers(out.parent)
-            calib.base.replacing.clear_leftovers(out)
+            calib.core.base.replacing.clear_leftovers(out.parent)
+            calib.core.base.replacing.clear_leftovers(out)
             after = state(tree(out) if out.is_dir() else {}, old, new)
             if before == "MIXTURE" or (old and after == "none"):
                 counts["MIXTURE OR LOST"] += 1
@@ -127,20 +127,20 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
 
 def _new_folder(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
     out = here / "out"
-    return out, lambda: calib.base.files.write_folder(out, NEW, OBSOLETE), {}, NEW
+    return out, lambda: calib.core.base.files.write_folder(out, NEW, OBSOLETE), {}, NEW
 
 
 def _replaced_folder(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
     out = here / "out"
-    calib.base.files.write_folder(out, OLD)
+    calib.core.base.files.write_folder(out, OLD)
     put(out, MINE)
-    return out, lambda: calib.base.files.write_folder(out, NEW, OBSOLETE), OLD | MINE, NEW | MINE
+    return out, lambda: calib.core.base.files.write_folder(out, NEW, OBSOLETE), OLD | MINE, NEW | MINE
 
 
 def _replaced_file(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
     old, new = {"a.csv": signed(b"old")}, {"a.csv": signed(b"new")}
     put(here / "out", old)
-    return here / "out", lambda: calib.base.files.write_file(here / "out" / "a.csv", b"new"), old, new
+    return here / "out", lambda: calib.core.base.files.write_file(here / "out" / "a.csv", b"new"), old, new
 
 
 _PIECES = {"a new folder": _new_folder, "a folder in place of another": _replaced_folder, "a file": _replaced_file}

@@ -24,7 +24,7 @@ from multiprocessing import get_context
 
 import psutil
 
-from calib.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, in_order
 
 _SIZE, _PIECES = 300_000, 40
 _START = 60.0

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.instruments.position import Position
-from calib.rows.observed import observe, predicted_readings
+from calib.core.instruments.position import Position
+from calib.core.rows.observed import observe, predicted_readings
 
 _STEP = 1e-4
 _DIFFERENCES = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}

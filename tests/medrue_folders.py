@@ -4,7 +4,7 @@ import json
 from html.parser import HTMLParser
 from pathlib import Path
 
-from calib.base.own_files import MANIFEST
+from calib.core.base.own_files import MANIFEST
 
 
 class Checker(HTMLParser):

@@ -21,8 +21,8 @@ import yourdfpy
 from scipy.optimize import least_squares
 
 import calib
-from calib.data.tables import read_table
-from calib.rows.registration import register
+from calib.core.data.tables import read_table
+from calib.core.rows.registration import register
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 ORIGINS = """\

@@ -19,7 +19,7 @@ from scipy.optimize import fsolve, least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.base.units import quantity
+from calib.core.base.units import quantity
 
 Links = Callable[[dict[str, float], str], np.ndarray]
 """Pose of a link in the root link, (4, 4), at values of all joints."""

@@ -17,11 +17,11 @@ import numpy as np
 from public_data import PLACES, from_sockets, masses_of, mukca
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.fitting.terms.candidate_terms import candidates
-from calib.fitting.terms.term_choice import _Search
-from calib.fitting.terms.term_trials import Trials
-from calib.joint_terms.terms import listed_terms
+from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.fitting.terms.term_choice import _Search
+from calib.core.fitting.terms.term_trials import Trials
+from calib.core.robots.terms.terms import listed_terms
 
 KINDS = ("gain", "harmonics", "curve", "compliance", "bending")
 LACKING = 3e-4  # about how far a joint is off by what no term describes [rad]

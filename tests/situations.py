@@ -21,11 +21,11 @@ from small_robots import write_parallelogram
 from test_kind_pose import YAML as POSES
 
 import calib
-from calib.data.measurements import with_points
-from calib.joint_terms.terms import listed_terms
-from calib.judging.reasons import Code, Reason
-from calib.judging.rules_model import not_assembled
-from calib.robots.robot_files import urdf_of_origins
+from calib.core.data.measurements import with_points
+from calib.core.judging.reasons import Code, Reason
+from calib.core.judging.rules_model import not_assembled
+from calib.core.robots.robot_files import urdf_of_origins
+from calib.core.robots.terms.terms import listed_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 4e-5

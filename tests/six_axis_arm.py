@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.data.measurements import Measurements
+from calib.core.data.measurements import Measurements
 
 _JOINTS = (
     ("j1", "0 0 1", "0 0 0.4"),

@@ -16,8 +16,8 @@ import numpy as np
 from simulated_places import lacking
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.joint_terms.terms import listed_terms
+from calib.core.base.threads import one_blas_thread
+from calib.core.robots.terms.terms import listed_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 KINDS = ("nothing", "gain", "harmonics", "curve", "compliance", "bending", "lacking")

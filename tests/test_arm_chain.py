@@ -3,8 +3,8 @@
 import pytest
 from urdf_trees import urdf_of
 
-from calib.robots.urdf.arm_chain import arm_chain
-from calib.robots.urdf.text import parse_urdf
+from calib.core.robots.urdf.arm_chain import arm_chain
+from calib.core.robots.urdf.text import parse_urdf
 
 ARM = (
     ("j1", "revolute", "base", "l1"),

@@ -9,15 +9,15 @@ from six_axis_arm import YAML, joints, write_six_axis
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.data.in_memory import as_poses
-from calib.numerics.null_space import describe_group
-from calib.numerics.observability import raw_columns
+from calib.core.data.in_memory import as_poses
+from calib.core.numerics.null_space import describe_group
+from calib.core.numerics.observability import raw_columns
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.prediction import beside_common_motion
 from calib.planning.assessment import accuracy_by_count, check
+from calib.planning.assessment_text import text_report
 from calib.planning.pose_sampling import sample
-from calib.reporting.assessment_text import text_report
-from calib.reporting.selection_text import text_report as told
-from calib.rows.jacobian import linearise
-from calib.rows.prediction import beside_common_motion
+from calib.planning.selection_text import text_report as told
 from medrue.workspace import target_workspace
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -8,7 +8,7 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_pixel import INTRINSICS
 
 import calib
-from calib.data.measurement_files import format_measurements
+from calib.core.data.measurement_files import format_measurements
 
 KINDS = {
     "position": "{kind: position, target: ball, sigma: 0.02 mm}",

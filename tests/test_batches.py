@@ -7,10 +7,10 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.rows import batches
-from calib.rows.batches import batches_of, observed_in
-from calib.rows.observed import observe
-from calib.rows.whitening import Whitening
+from calib.core.rows import batches
+from calib.core.rows.batches import batches_of, observed_in
+from calib.core.rows.observed import observe
+from calib.core.rows.whitening import Whitening
 
 TWO = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider, xyz: [0, 0.1, 0]}\n") + (
     "instruments:\n  one: {kind: position, target: tip, sigma: 0.1 mm}\n  two: {kind: position, target: elbow}\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.rows.registration import register
+from calib.core.rows.registration import register
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1

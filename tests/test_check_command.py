@@ -8,7 +8,7 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.data.table_writing import format_table
+from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

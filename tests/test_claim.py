@@ -5,7 +5,7 @@ import pytest
 from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.judging.claim import Benefit
+from calib.core.judging.claim import Benefit
 
 SIGMA = 4e-5
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.numerics.clusters import LeftOut, moved_without, scatter
-from calib.numerics.observability import information
-from calib.numerics.prior import Prior
+from calib.core.numerics.clusters import LeftOut, moved_without, scatter
+from calib.core.numerics.observability import information
+from calib.core.numerics.prior import Prior
 
 N_FREE = 7
 

@@ -10,9 +10,9 @@ import pytest
 from signed_files import read_plain
 
 from calib import cli
-from calib.base.errors import ComputationError, InputError, NotConvergedError
-from calib.commands.common import shared_options, sigma_in_metres, with_values
-from calib.commands.program import run_program
+from calib.core.base.errors import ComputationError, InputError, NotConvergedError
+from calib.core.commands.common import shared_options, sigma_in_metres, with_values
+from calib.core.commands.program import run_program
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_long_work_tells_a_file_how_far_it_is_unless_quiet(run, monkeypatch):
             progress(3, 3)
 
     clock = [0.0]
-    monkeypatch.setattr("calib.commands.common.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("calib.core.commands.common.time.monotonic", lambda: clock[0])
     assert run(function, "do") == (0, "", "thinking: 3 of 3\n")
     assert run(function, "do", "--quiet") == (0, "", "")
 

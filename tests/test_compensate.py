@@ -13,14 +13,14 @@ from six_axis_arm import write_six_axis
 from test_denavit_hartenberg import robot_of, write_table
 
 import calib
-from calib.commands.compensate import command
-from calib.rows.frames import program_frame
-from calib.rows.gauge import nearest_to_nominal
-from calib.rows.known_robot import known_robot
-from calib.rows.prediction import PositionUncertainty
-from calib.using.compensation import compensate
-from calib.using.inverse import solve
-from calib.using.reaching import actuated_jacobian
+from calib.core.rows.frames import program_frame
+from calib.core.rows.gauge import nearest_to_nominal
+from calib.core.rows.known_robot import known_robot
+from calib.core.rows.prediction import PositionUncertainty
+from calib.programs.commands.compensate import command
+from calib.programs.reaching.compensation import compensate
+from calib.programs.reaching.inverse import solve
+from calib.programs.reaching.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

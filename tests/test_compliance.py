@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.joint_terms.term import Context
-from calib.robots.joint_errors import actual_joints, commands_for, term_columns
-from calib.rows.jacobian import linearise
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.terms.term import Context
+from calib.core.rows.jacobian import linearise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 G = 9.81

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.robots import acceleration, continuation, kinematics
-from calib.robots.closure import residual
-from calib.using.goals import Goals
-from calib.using.inverse import solve
+from calib.core.robots import acceleration, continuation, kinematics
+from calib.core.robots.closure import residual
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import solve
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -13,11 +13,11 @@ from click.testing import CliRunner
 from six_axis_arm import write_six_axis
 
 import calib
-from calib.base.errors import CalibrationError
-from calib.commands.compensate import command
-from calib.using.programs.controller_program import compensate_program
-from calib.using.programs.languages import read_program
-from calib.using.programs.orientations import numbers_of, pose_of
+from calib.core.base.errors import CalibrationError
+from calib.programs.commands.compensate import command
+from calib.programs.languages.controller_program import compensate_program
+from calib.programs.languages.languages import read_program
+from calib.programs.languages.orientations import numbers_of, pose_of
 
 YAML = """\
 urdf: arm.urdf

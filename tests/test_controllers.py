@@ -17,7 +17,7 @@ from test_denavit_hartenberg import flange_poses
 from urdf_trees import urdf_of
 
 import calib
-from calib.commands.export import command
+from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.held_formats import HELD
 from medrue.paper_tables import table1

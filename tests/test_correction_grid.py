@@ -9,8 +9,8 @@ from scipy.interpolate import interpn
 from six_axis_arm import write_six_axis
 
 import calib
-from calib.using.inverse import solve
-from calib.using.programs.correction_grid import correction_grid
+from calib.programs.languages.correction_grid import correction_grid
+from calib.programs.reaching.inverse import solve
 
 GANTRY = (
     '<robot name="gantry"><link name="l0"/>'

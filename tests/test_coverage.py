@@ -15,7 +15,7 @@ from scipy.stats import binom
 from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 
 import calib
-from calib.numerics.losses import LOSSES
+from calib.core.numerics.losses import LOSSES
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -8,12 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.base.errors import InputError
-from calib.commands.export import command as export_command
-from calib.commands.init import command as init_command
-from calib.data.dh_files import read_dh
-from calib.robots.robot_files import urdf_of_origins
-from calib.robots.urdf.denavit_hartenberg import DhRow, dh_table
+from calib.core.base.errors import InputError
+from calib.core.commands.init import command as init_command
+from calib.core.data.dh_files import read_dh
+from calib.core.robots.robot_files import urdf_of_origins
+from calib.core.robots.urdf.denavit_hartenberg import DhRow, dh_table
+from calib.exporting.command import command as export_command
 
 ROUNDING = 1e-12
 """A few dozen roundings of lengths of 1 m, through rpy angles and decimal degrees."""

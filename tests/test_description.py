@@ -5,8 +5,8 @@ import pytest
 from small_robots import ARM_URDF, ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
-from calib.base.errors import InputError, UrdfError
-from calib.robots.description import read_description
+from calib.core.base.errors import InputError, UrdfError
+from calib.core.robots.description import read_description
 
 
 def complaint(path):

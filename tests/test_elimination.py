@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.numerics.identifiability import TIE, eliminate, numerical_rank
-from calib.rows.jacobian import linearise
+from calib.core.numerics.identifiability import TIE, eliminate, numerical_rank
+from calib.core.rows.jacobian import linearise
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
 

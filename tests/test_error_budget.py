@@ -9,12 +9,12 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.base.words import as_data
-from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
-from calib.reporting.report_text import text_report
-from calib.reporting.result_content import to_dict
-from calib.reporting.sections.budget import budget_table
-from calib.rows.observed import observe
+from calib.core.base.words import as_data
+from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
+from calib.core.results.report_text import text_report
+from calib.core.results.result_content import to_dict
+from calib.core.results.sections.budget import budget_table
+from calib.core.rows.observed import observe
 
 SIGMA = 20e-6
 TERMS = """\

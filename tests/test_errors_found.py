@@ -5,8 +5,8 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.fitting.error_sets import ErrorSet, error_table, format_error
-from calib.instruments.kind import Part
+from calib.core.fitting.error_sets import ErrorSet, error_table, format_error
+from calib.core.instruments.kind import Part
 
 TWO = (
     ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")

@@ -12,8 +12,8 @@ import scipy
 from headline_situations import Commands, derivative, joints, measured, on_one_line, value
 
 import calib
-from calib.commands.next_steps import after_check
-from calib.data.in_memory import as_poses
+from calib.core.commands.next_steps import after_check
+from calib.core.data.in_memory import as_poses
 
 ROOM = Path(calib.__file__).parent
 ALWAYS = {
@@ -226,7 +226,10 @@ def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, 
     text = said("flange.z=0.05 mm")
     assert "Smallest changes that 20 poses of" in text
     (n,) = map(int, numbers_of(r"The first (\d+) poses show flange\.z=0\.05 mm with a chance of 90 %", text))
-    by = {count: calib.judging.acceptance.visible_changes(commands.fit, joints(20, 6)[:count]) for count in (n - 1, n)}
+    by = {
+        count: calib.core.judging.acceptance.visible_changes(commands.fit, joints(20, 6)[:count])
+        for count in (n - 1, n)
+    }
     assert [any(c.name == "flange.z" and c.visible <= 5e-5 for c in by[count]) for count in (n - 1, n)] == [False, True]
     assert "All 20 poses are too few to show flange.z=0.001 mm with a chance of 90 %; add" in said("flange.z=0.001 mm")
     never = said("turn.x=5 mm")

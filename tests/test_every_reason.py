@@ -8,8 +8,8 @@ from situations import SIGMA, SITUATIONS, Shop, rms
 from six_axis_arm import joints, measurements, noisy
 
 import calib
-from calib.judging.next_step import next_step
-from calib.judging.reasons import Code
+from calib.core.judging.next_step import next_step
+from calib.core.judging.reasons import Code
 
 
 @pytest.fixture(scope="module")

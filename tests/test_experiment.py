@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from medrue_folders import check_folder
 
 from calib import load, read_measurements
+from calib.core.robots.robot import Robot
 from calib.planning.selection import select
-from calib.robots.robot import Robot
 from medrue import robot_file
 from medrue.both_sides import QUICK_COUNTS, run_both_sides
 from medrue.cli import group

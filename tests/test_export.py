@@ -14,14 +14,14 @@ from click.testing import CliRunner, Result
 from signed_files import plain, read_plain
 
 import calib
-from calib.base.errors import InputError
-from calib.commands.export import command
+from calib.core.base.errors import InputError
+from calib.core.results.urdf import urdf_bytes
+from calib.core.robots.urdf.text import parse_urdf
 from calib.exporting.closed_model import closed_model, home_values, link_poses
+from calib.exporting.command import command
 from calib.exporting.formats import JOINT_TABLES, export
 from calib.exporting.held_formats import FIRMWARES, HELD
 from calib.exporting.mjcf import mjcf
-from calib.exporting.urdf import urdf_bytes
-from calib.robots.urdf.text import parse_urdf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

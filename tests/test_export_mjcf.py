@@ -12,13 +12,13 @@ import pytest
 import trimesh
 
 import calib
-from calib.base.errors import InputError, UrdfError
+from calib.core.base.errors import InputError, UrdfError
+from calib.core.robots.urdf.links import find_mesh, possible_inertia, read_links
+from calib.core.robots.urdf.text import parse_urdf
 from calib.exporting.closed_model import closed_model
 from calib.exporting.drake import drake_bytes
 from calib.exporting.formats import export
-from calib.exporting.links import find_mesh, possible_inertia, read_links
 from calib.exporting.mjcf import mjcf
-from calib.robots.urdf.text import parse_urdf
 
 ARM = """<?xml version="1.0"{encoding}?>
 <robot name="{name}" xmlns:xacro="x">

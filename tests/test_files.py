@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from signed_files import plain
 
-from calib.base import replacing
-from calib.base.errors import InputError
-from calib.base.files import check_file, check_folder, write_file, write_folder
-from calib.base.own_files import MANIFEST
+from calib.core.base import replacing
+from calib.core.base.errors import InputError
+from calib.core.base.files import check_file, check_folder, write_file, write_folder
+from calib.core.base.own_files import MANIFEST
 
 needs_dev_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 ROOT = Path(__file__).parents[1]
@@ -235,8 +235,8 @@ def test_writing_that_is_ended_before_any_of_its_lines_leaves_the_old_or_the_new
 WRITERS = """
 import sys
 from pathlib import Path
-from calib.base import replacing
-from calib.base.files import write_file, write_folder
+from calib.core.base import replacing
+from calib.core.base.files import write_file, write_folder
 out, word, exchange = Path(sys.argv[1]), sys.argv[2].encode(), sys.argv[3] == "True"
 if not exchange:
     replacing.exchange = lambda one, other: False
@@ -274,8 +274,8 @@ def test_what_a_killed_program_left_is_cleared_by_the_next_but_not_what_a_living
 
 LIMITED = """
 import sys, signal
-from calib.base.errors import InputError
-from calib.base.files import write_file, write_folder
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_file, write_folder
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit is then an error, as on a full disk
 for function, content in ((write_folder, {"a": b"new", "b": b"n" * 100_000}), (write_file, b"n" * 100_000)):
     try:
@@ -298,8 +298,8 @@ def test_a_disk_without_room_leaves_the_old_result_and_nothing_else(tmp_path):
 
 FULL = """
 import sys
-from calib.base.errors import InputError
-from calib.base.files import write_folder
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_folder
 refused, full = 0, b"n" * int(sys.argv[2])
 for size in range(0, 2 * len(full), 3000):
     try:
@@ -331,8 +331,8 @@ def test_a_full_disk_leaves_the_old_result_and_nothing_else(tmp_path):
 
 READ_ONLY = """
 import os, sys
-from calib.base.errors import InputError
-from calib.base.files import check_file, check_folder, write_file, write_folder
+from calib.core.base.errors import InputError
+from calib.core.base.files import check_file, check_folder, write_file, write_folder
 if os.getuid() == 0:
     os.setuid(65534)  # root may write anywhere
 for function, content in ((check_folder, ()), (check_file, ()), (write_folder, ({"a": b"new"},)), (write_file, (b"",))):

@@ -10,14 +10,14 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.fitting.fitted import Convergence
-from calib.fitting.problem import Problem
-from calib.fitting.settings import Settings
-from calib.fitting.solving import convergence_at, place, placed_as, solve_from, uncertainty_at
-from calib.fitting.terms.candidate_terms import missing_terms
-from calib.joint_terms.terms import listed_terms
-from calib.reporting.result_reading import load_calibrated, read_result
-from calib.reporting.results import save
+from calib.core.fitting.fitted import Convergence
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.solving import convergence_at, place, placed_as, solve_from, uncertainty_at
+from calib.core.fitting.terms.candidate_terms import missing_terms
+from calib.core.results.result_reading import load_calibrated, read_result
+from calib.core.results.results import save
+from calib.core.robots.terms.terms import listed_terms
 
 SIGMA = 4e-5
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -11,10 +11,10 @@ from read_back import held_out, in_file, tip_of, urdf_links
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 
 import calib
-from calib.calibrating.file_robots import why_withheld
-from calib.reporting.result_reading import read_result
-from calib.robots.held import Accuracy, Holds, SeenAt
-from calib.robots.robot_files import urdf_of_origins, without_terms
+from calib.core.calibrating.file_robots import why_withheld
+from calib.core.results.result_reading import read_result
+from calib.core.robots.held import Accuracy, Holds, SeenAt
+from calib.core.robots.robot_files import urdf_of_origins, without_terms
 
 ROOT = Path(__file__).resolve().parents[1]
 SIGMA = 2e-5

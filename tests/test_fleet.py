@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 import calib
 from calib.cli import group
-from calib.numerics.hierarchy import Told, learn, learn_without_odd, likeness, told_by
-from calib.numerics.prior import Prior
+from calib.core.numerics.prior import Prior
+from calib.fleets.hierarchy import Told, learn, learn_without_odd, likeness, told_by
 
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]

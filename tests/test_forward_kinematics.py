@@ -11,7 +11,7 @@ from small_robots import small_arm
 from urdf_trees import described, random_tree
 
 import calib
-from calib.base.errors import DescriptionError
+from calib.core.base.errors import DescriptionError
 
 ONE_PICOMETRE = 1e-12
 """Rounding over 20 transforms of lengths up to a few metres stays below 1e-14 m; this leaves room."""
@@ -62,7 +62,7 @@ def test_real_robots_have_the_same_forward_kinematics_as_in_yourdfpy(name, reque
         pytest.skip("the package example-robot-data is not installed")
     path = tmp_path / "robot.urdf"
     path.write_bytes((folder / name).read_bytes())
-    urdf = calib.robots.urdf.text.read_urdf(path)
+    urdf = calib.core.robots.urdf.text.read_urdf(path)
     moving = [j.name for j in urdf.joints if j.type in ("revolute", "continuous", "prismatic") and j.mimic is None]
     if not moving:
         with pytest.raises(DescriptionError, match="no joint moves link"):

@@ -9,11 +9,11 @@ from compensated_robots import FORMS, OF_THREE_AXES, Trial, described, lengths
 from six_axis_arm import write_six_axis
 
 import calib
-from calib.reporting.result_reading import load_known
-from calib.rows.common_motion import CommonMotion, Loose
-from calib.rows.frames import measurement_frame, program_frame
-from calib.rows.known_robot import KnownRobot
-from calib.rows.prediction import ParameterUncertainty
+from calib.core.results.result_reading import load_known
+from calib.core.rows.common_motion import CommonMotion, Loose
+from calib.core.rows.frames import measurement_frame, program_frame
+from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.prediction import ParameterUncertainty
 
 ELSEWHERE = {"base.x": 2.1, "base.y": -0.3, "base.rz": 2.0, "base.rx": 0.1}
 ARM = """urdf: arm.urdf

@@ -11,9 +11,9 @@ from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
 import calib
-from calib.functions.c_text import c_name
-from calib.robots.configurations import configured
-from calib.robots.joint_errors import term_columns
+from calib.core.robots.configurations import configured
+from calib.core.robots.joint_errors import term_columns
+from calib.exporting.functions.c_text import c_name
 
 N = {"six-axis arm, every term": 1000, "example arm": 1000}
 """Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of each."""
@@ -91,7 +91,7 @@ def distance(case):
     known = np.isfinite(at.slope).all(axis=(1, 2))
     values = np.zeros(len(known))
     if known.any():
-        values[known] = calib.robots.closure.singular_values(case.robot.mechanism, at.slope[known])
+        values[known] = calib.core.robots.closure.singular_values(case.robot.mechanism, at.slope[known])
     return values
 
 
@@ -171,7 +171,7 @@ def test_only_what_is_asked_for_must_be_met(cases, language):
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_conditions_that_are_not_given_are_neutral(cases, language):
     case = cases("six-axis arm, every term")
-    neutral = calib.joint_terms.term.Context.neutral(5, 6)
+    neutral = calib.core.robots.terms.term.Context.neutral(5, 6)
     truth = poses_of_engine(case.robot, case.q[:5], neutral)
     functions = case.of(language)
     poses = functions.module.forward(case.q[:5]) if language == "numpy" else functions.forward(case.q[:5], neutral)

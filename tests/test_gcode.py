@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from test_correction_grid import GANTRY
 
 import calib
-from calib.commands.compensate import command
-from calib.commands.init import command as init
-from calib.using.programs.gcode import read_gcode
-from calib.using.programs.straight_moves import StraightMoves, compensate_moves
+from calib.core.commands.init import command as init
+from calib.programs.commands.compensate import command
+from calib.programs.languages.gcode import read_gcode
+from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 
 YAML = """urdf: gantry.urdf
 name_mot: [x, y, z]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csgraph, csr_matrix
 
-from calib.numerics.graphs import connected_parts
-from calib.robots.closure import blocks
+from calib.core.numerics.graphs import connected_parts
+from calib.core.robots.closure import blocks
 
 
 def same_parts(ours, label):

@@ -8,9 +8,9 @@ from function_robots import exported
 from test_compliance import ARM_YAML, HEADER, STEP, G, arm, poses
 
 import calib
-from calib.joint_terms.term import Context
-from calib.robots.joint_errors import term_columns
-from calib.rows.jacobian import linearise
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.terms.term import Context
+from calib.core.rows.jacobian import linearise
 
 DOWN = np.array([0.3, -0.5, 0.6])
 TURN = """\
@@ -128,7 +128,7 @@ def test_a_sensor_on_a_link_that_moves_reads_the_direction_at_each_visit(tmp_pat
     data = calib.read_measurements(tmp_path / "data.csv", robot)
     assert not data.ignored
     assert np.allclose(columns(robot, data.joints, data.conditions), torques(q, down), rtol=0, atol=1e-6)
-    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, data))
+    (tmp_path / "again.csv").write_text(calib.core.data.measurement_files.format_measurements(robot, data))
     again = calib.read_measurements(tmp_path / "again.csv", robot)
     assert np.allclose(columns(robot, q, again.conditions), torques(q, down), rtol=0, atol=1e-6)
 
@@ -377,7 +377,7 @@ def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
     assert not data.ignored
     assert np.allclose(data.joints, q, rtol=0, atol=1e-10)
     assert np.allclose(robot.positions(data.joints)[:, 0], points, rtol=0, atol=1e-9)
-    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, data))
+    (tmp_path / "again.csv").write_text(calib.core.data.measurement_files.format_measurements(robot, data))
     again = calib.read_measurements(tmp_path / "again.csv", robot)  # joint values stand in that file
     assert np.allclose(again.joints, q, rtol=0, atol=1e-10)
 

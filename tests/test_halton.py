@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from calib.numerics.halton import halton
+from calib.core.numerics.halton import halton
 
 
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (64, 6), (1000, 13)])

@@ -10,7 +10,7 @@ from camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, po
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.base.errors import DataError, NotIdentifiableError
+from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.estimation import estimate, solve
 from calib.photographs.hand_eye_calibration import calibrate

@@ -8,13 +8,13 @@ from small_robots import small_arm
 
 import calib
 from calib import fit
-from calib.base.parameter import Parameter
-from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
-from calib.numerics.observability import information
-from calib.numerics.prior import Prior
-from calib.rows.candidates import assumed_sigma
-from calib.rows.determination import determination
-from calib.rows.jacobian import linearise
+from calib.core.base.parameter import Parameter
+from calib.core.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
+from calib.core.numerics.observability import information
+from calib.core.numerics.prior import Prior
+from calib.core.rows.candidates import assumed_sigma
+from calib.core.rows.determination import determination
+from calib.core.rows.jacobian import linearise
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -219,7 +219,7 @@ def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch
     assert "No clear gap" in doubtful.report(verbose=True)
     short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
     monkeypatch.setattr(
-        "calib.fitting.pose_checks.determination",
+        "calib.core.fitting.pose_checks.determination",
         lambda *columns: replace(made.determination, together=short),
     )
     with pytest.raises(calib.NotIdentifiableError, match=r"1 is NOT determined.*no clear gap"):

@@ -12,7 +12,7 @@ from small_robots import ARM_URDF
 from urdf_trees import urdf_of
 
 import calib
-from calib.robots.description import Description, schema_text
+from calib.core.robots.description import Description, schema_text
 
 ODD_NAMES = [
     "a, b",

@@ -10,8 +10,8 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_pixel import FREE
 
 import calib
-from calib.data.plan_files import read_plan
-from calib.data.tables import read_table
+from calib.core.data.plan_files import read_plan
+from calib.core.data.tables import read_table
 from calib.planning.selection import select
 
 YAML = f"""\

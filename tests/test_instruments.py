@@ -7,9 +7,9 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.instruments.kind import Readings
-from calib.rows.jacobian import linearise
-from calib.rows.observed import predicted_readings
+from calib.core.instruments.kind import Readings
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import predicted_readings
 
 FREE = """\
 parametrisation:

@@ -12,13 +12,13 @@ from scipy.optimize import minimize
 from small_robots import ARM_YAML, write_arm
 
 from calib import UnreachablePoseError, compensate, load
-from calib.base.errors import DataError
-from calib.commands.solve import command
-from calib.data.measurement_files import read_poses
-from calib.robots.robot import Robot
-from calib.using.goals import Goals, read_goals
-from calib.using.inverse import solve
-from calib.using.reaching import actuated_jacobian
+from calib.core.base.errors import DataError
+from calib.core.data.measurement_files import read_poses
+from calib.core.robots.robot import Robot
+from calib.programs.commands.solve import command
+from calib.programs.reaching.goals import Goals, read_goals
+from calib.programs.reaching.inverse import solve
+from calib.programs.reaching.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.closed_form_inverse import inverse

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.numerics import iso9283
+from calib.core.numerics import iso9283
 
 RNG = np.random.default_rng
 FOUR = np.array([[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, -1.0, 0.0]])

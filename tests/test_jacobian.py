@@ -8,8 +8,8 @@ import pytest
 from small_robots import write_pose_loop
 
 import calib
-from calib.numerics.identifiability import numerical_rank
-from calib.rows.jacobian import linearise, origin_jacobian
+from calib.core.numerics.identifiability import numerical_rank
+from calib.core.rows.jacobian import linearise, origin_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -10,9 +10,9 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.terms.term import Context
 from calib.exporting.joint_tables import beside_tables, joint_table_files, joint_tables
-from calib.joint_terms.term import Context
-from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 
 TERMS = """\
   - {joint: all, term: gain}

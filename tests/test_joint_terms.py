@@ -8,11 +8,11 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
-from calib.fitting.terms.candidate_terms import candidates
-from calib.joint_terms.term import Context
-from calib.robots.joint_errors import actual_joints, commands_for, term_columns
-from calib.rows.jacobian import linearise
-from calib.rows.observed import observe, predicted_readings
+from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.terms.term import Context
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import observe, predicted_readings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SHARED = Path(__file__).parents[2] / "shared" / "data"
@@ -228,7 +228,7 @@ def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(
         calib.as_measurements(robot, q[:120], measured[:120]),
         validation=calib.as_measurements(robot, q[120:], measured[120:]),
     )
-    from calib.fitting.terms.joint_curves import joint_curves
+    from calib.core.fitting.terms.joint_curves import joint_curves
 
     curves = {curve.joint: curve for curve in joint_curves(fit)}
     assert curves["joint_2"].rms == pytest.approx(4e-4 / np.sqrt(2), rel=0.15)

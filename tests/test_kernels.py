@@ -15,10 +15,10 @@ from small_robots import small_arm, write_parallelogram, write_pose_loop
 from test_kind_joint_reading import five_bar as five_bar_with_encoder
 
 import calib
-from calib.robots.acceleration import compiled, compiled_for, kernels
-from calib.robots.continuation import newton
-from calib.rows.jacobian import linearise, origin_jacobian
-from calib.rows.observed import observe
+from calib.core.robots.acceleration import compiled, compiled_for, kernels
+from calib.core.robots.continuation import newton
+from calib.core.rows.jacobian import linearise, origin_jacobian
+from calib.core.rows.observed import observe
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -119,7 +119,7 @@ def test_poses_that_cannot_close_are_refused_alike():
 @pytest.fixture(scope="module")
 def parts():
     """Functions that are only called by compiled code, as Python calls them."""
-    numba, functions = import_module("numba"), import_module("calib.robots.kernels")
+    numba, functions = import_module("numba"), import_module("calib.core.robots.kernels")
     factor, solve, solve_left, sines = functions._factor, functions._solve, functions._solve_left, functions._sines
 
     @numba.njit
@@ -213,7 +213,7 @@ def test_a_task_of_many_poses_is_worth_loading_it():
 @pytest.mark.parametrize("kept", [True, False])
 def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch, kept):
     mechanism = calib.load(EXAMPLES / "five_bar.yaml").mechanism
-    monkeypatch.setattr("calib.robots.kernels.kept", lambda: kept)
+    monkeypatch.setattr("calib.core.robots.kernels.kept", lambda: kept)
     with compiled_for(20_000):
         assert (kernels(mechanism, 10) is not None) is kept
     assert (kernels(mechanism, 5000) is not None) is kept
@@ -227,7 +227,7 @@ def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch
 
 @pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])
 def test_compiled_code_is_kept_until_the_file_changes(monkeypatch, tmp_path, written, kept):
-    functions = import_module("calib.robots.kernels")
+    functions = import_module("calib.core.robots.kernels")
     monkeypatch.setattr(functions, "motion", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
     assert not functions.kept()
     index = tmp_path / "kernels.motion-324.py311.nbi"
@@ -248,7 +248,7 @@ def test_the_same_poses_are_sampled_by_compiled_code():
 
 FIRST_USE = """
 import numpy as np
-from calib.robots import kernels
+from calib.core.robots import kernels
 
 tree = kernels.Tree(np.zeros(1, dtype=int), np.zeros((1, 12)), np.zeros((1, 6)))
 kernels.poses(tree, np.zeros((2, 1)))

@@ -23,7 +23,7 @@ from test_kind_joint_reading import ZERO, elbows, held, poses
 from test_kind_pixel import BODY, INTRINSICS, POINTS, image
 
 import calib
-from calib.base.threads import one_blas_thread
+from calib.core.base.threads import one_blas_thread
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -9,10 +9,10 @@ from six_axis_arm import joints, write_six_axis
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.instruments.kind import Readings, View
-from calib.numerics.rigid import centre, centre_of_sphere, common_offset
-from calib.rows.observed import predicted_readings
-from calib.rows.registration import register
+from calib.core.instruments.kind import Readings, View
+from calib.core.numerics.rigid import centre, centre_of_sphere, common_offset
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -206,7 +206,7 @@ def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
     assert run.code == 0, run.err
     assert "wire_distance" not in run.err
     fitted = calib.load(tmp_path / "arm.yaml").with_parameters(
-        calib.data.parameter_files.read_parameters(
+        calib.core.data.parameter_files.read_parameters(
             tmp_path / "out" / "parameters.csv", calib.load(tmp_path / "arm.yaml")
         )
     )
@@ -264,7 +264,7 @@ def test_a_target_at_the_fixed_point_is_an_error(arm):
     there = arm.with_parameters({f"beam_end.{axis}": ball[k] for k, axis in enumerate("xyz")})
     data = calib.as_measurements(there, q, read(arm, q))
     with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is within"):
-        calib.rows.observed.observe(there, there.assemble(q), data.readings)
+        calib.core.rows.observed.observe(there, there.assemble(q), data.readings)
 
 
 def test_a_ballbar_does_not_see_where_the_base_stands_and_check_says_so(tmp_path, run_calib):

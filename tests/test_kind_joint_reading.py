@@ -9,8 +9,8 @@ from scipy.stats import binom
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
-from calib.rows.observed import observe, predicted_readings
-from calib.rows.registration import register
+from calib.core.rows.observed import observe, predicted_readings
+from calib.core.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

@@ -8,11 +8,11 @@ from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 
 import calib
-from calib.data.measurement_files import format_measurements, read_measurements
-from calib.instruments.hand_eye import fixed_poses
-from calib.instruments.kind import Readings, View
-from calib.rows.observed import predicted_readings
-from calib.rows.registration import register
+from calib.core.data.measurement_files import format_measurements, read_measurements
+from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.kind import Readings, View
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.registration import register
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

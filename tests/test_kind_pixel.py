@@ -12,12 +12,12 @@ from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 
 import calib
-from calib.data.measurement_files import read_measurements
-from calib.instruments.camera import in_front, project, rays
-from calib.instruments.kind import Readings, View
-from calib.rows.candidates import rows_of_poses
-from calib.rows.observed import predicted_readings
-from calib.rows.registration import register
+from calib.core.data.measurement_files import read_measurements
+from calib.core.instruments.camera import in_front, project, rays
+from calib.core.instruments.kind import Readings, View
+from calib.core.rows.candidates import rows_of_poses
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.registration import register
 
 _GOLDEN = (1 + 5**0.5) / 2
 _THIRD = np.array([[0.0, s, t * _GOLDEN] for s in (1, -1) for t in (1, -1)])
@@ -237,7 +237,7 @@ def coverage(robot, n):
 
 def without_guesses(monkeypatch):
     """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
-    monkeypatch.setattr("calib.instruments.pixel.guesses", lambda result, now, known: [now])
+    monkeypatch.setattr("calib.core.instruments.pixel.guesses", lambda result, now, known: [now])
 
 
 @pytest.mark.amount(15, 40)

@@ -10,12 +10,12 @@ from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 
 import calib
-from calib.data.measurement_files import format_measurements, read_measurements
-from calib.instruments.kind import Readings, View
-from calib.instruments.pose import Pose, PoseSection
-from calib.instruments.rotations import inverse_left_jacobian
-from calib.rows.observed import predicted_readings
-from calib.rows.registration import register
+from calib.core.data.measurement_files import format_measurements, read_measurements
+from calib.core.instruments.kind import Readings, View
+from calib.core.instruments.pose import Pose, PoseSection
+from calib.core.instruments.rotations import inverse_left_jacobian
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.registration import register
 from medrue import robot_file
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -12,11 +12,11 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_distance import FREE
 
 import calib
-from calib.data.measurement_files import format_measurements
-from calib.instruments.kind import Readings, View
+from calib.core.data.measurement_files import format_measurements
+from calib.core.instruments.kind import Readings, View
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.registration import register
 from calib.planning.pose_sampling import sample
-from calib.rows.observed import predicted_readings
-from calib.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

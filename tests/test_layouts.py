@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from calib.base.errors import DataError
-from calib.data import tables
-from calib.data.tables import read_table
+from calib.core.base.errors import DataError
+from calib.core.data import tables
+from calib.core.data.tables import read_table
 
 ROWS = "P1,10.5,20,1793.127\nP2,11.5,21,1790.000\n"
 

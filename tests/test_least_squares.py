@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from calib.base.errors import ComputationError
-from calib.numerics.least_squares import minimise
+from calib.core.base.errors import ComputationError
+from calib.core.numerics.least_squares import minimise
 
 
 def rosenbrock(x):

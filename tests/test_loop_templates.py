@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.measurements import Poses
-from calib.robots.templates import TEMPLATES, loop_files, read_lengths
+from calib.core.data.measurements import Poses
+from calib.core.robots.templates import TEMPLATES, loop_files, read_lengths
 
 TOLERANCE = 1e-9  # loops close to 1e-12 m; far from singular poses that is some 1e-12 rad
 LENGTHS = {  # none of them a default

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.robots.closure import residual
-from calib.robots.loops import smallest_gap
+from calib.core.robots.closure import residual
+from calib.core.robots.loops import smallest_gap
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from calib.base.errors import InputError, NotIdentifiableError
-from calib.numerics.losses import (
+from calib.core.base.errors import InputError, NotIdentifiableError
+from calib.core.numerics.losses import (
     LOSSES,
     checked_loss,
     constant,

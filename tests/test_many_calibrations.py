@@ -16,14 +16,14 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, six_axis_arm, write_six_
 from test_workers import Shared
 
 import calib
-from calib.base.workers import Workers, in_order
-from calib.fitting.problem import Problem
-from calib.fitting.settings import Settings
-from calib.planning.studies.many_calibrations import Repeated
-from calib.planning.studies.study_data import Drawn, Resampled
-from calib.planning.studies.study_result import Draws, DrawSums
-from calib.robots.acceleration import compiled
-from calib.rows.many_robots import ManyRobots
+from calib.core.base.workers import Workers, in_order
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.settings import Settings
+from calib.core.robots.acceleration import compiled
+from calib.core.rows.many_robots import ManyRobots
+from calib.studies.many_calibrations import Repeated
+from calib.studies.study_data import Drawn, Resampled
+from calib.studies.study_result import Draws, DrawSums
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
@@ -187,9 +187,9 @@ def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
     """So that processes find it, instead of compiling it each by itself."""
     pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
     used = []
-    monkeypatch.setattr("calib.planning.studies.study.pays", lambda n_poses: n_poses > 0)
+    monkeypatch.setattr("calib.studies.study.pays", lambda n_poses: n_poses > 0)
     monkeypatch.setattr(
-        "calib.robots.acceleration.import_module", lambda name: used.append(name) or import_module(name)
+        "calib.core.robots.acceleration.import_module", lambda name: used.append(name) or import_module(name)
     )
 
     class Waiting(ThreadPoolExecutor):

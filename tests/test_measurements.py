@@ -8,9 +8,9 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.base.errors import DataError
-from calib.data.measurement_files import format_measurements, format_positions, read_measurements, read_poses
-from calib.data.measurements import with_points
+from calib.core.base.errors import DataError
+from calib.core.data.measurement_files import format_measurements, format_positions, read_measurements, read_poses
+from calib.core.data.measurements import with_points
 
 HEADER = "pose,turn [deg],slide [mm],wrist,tip_x [mm],tip_y,tip_z [um]\n"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.base.errors import UrdfError
-from calib.robots.urdf.mjcf_reading import read_mjcf
-from calib.robots.urdf.text import read_urdf
+from calib.core.base.errors import UrdfError
+from calib.core.robots.urdf.mjcf_reading import read_mjcf
+from calib.core.robots.urdf.text import read_urdf
 
 mujoco = pytest.importorskip("mujoco")
 

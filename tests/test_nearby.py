@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from calib.numerics.nearby import Nearby
+from calib.core.numerics.nearby import Nearby
 
 N_ROWS, N = 40, 4
 RNG = np.random.default_rng(5)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.commands.next_steps import after_check, after_fit, after_select
-from calib.judging.reasons import Answer, Code, Verdict
+from calib.core.commands.next_steps import after_check, after_fit, after_select
+from calib.core.judging.reasons import Answer, Code, Verdict
 
 SMALLER_NOISE = Code.NOISE.says("", answer=Answer.STATE_NOISE)
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -38,7 +38,7 @@ def say(monkeypatch):
 
     def verdict(grade, *codes):
         reasons = tuple(Code(code).says("", grade=grade) for code in codes)
-        for module in ("calib.commands.next_steps", "calib.judging.next_step"):
+        for module in ("calib.core.commands.next_steps", "calib.core.judging.next_step"):
             monkeypatch.setattr(f"{module}.judge", lambda fit: Verdict(grade, reasons))
 
     return verdict
@@ -110,7 +110,7 @@ def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
 
 def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, say, monkeypatch):
     validated = calib.fit(robot, data, validation=0.25)
-    monkeypatch.setattr("calib.judging.next_step.why_no_origins", lambda fit: "its joint terms matter")
+    monkeypatch.setattr("calib.core.judging.next_step.why_no_origins", lambda fit: "its joint terms matter")
     say("PASS")
     assert ": calib compensate out program.csv --out" in after_fit(validated, "a.yaml", ("d.csv",), "out", {})
     assert "urdf" not in after_fit(validated, "a.yaml", ("d.csv",), "out", {})
@@ -157,7 +157,7 @@ def test_what_is_offered_has_the_options_that_were_typed(run_calib, tmp_path):
 
 def test_a_noise_that_the_next_step_is_to_change_is_not_typed_again(fit, say, monkeypatch):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--exclude-outliers": ()}
-    monkeypatch.setattr("calib.judging.next_step.judge", lambda fit: Verdict("CHECK", (SMALLER_NOISE,)))
+    monkeypatch.setattr("calib.core.judging.next_step.judge", lambda fit: Verdict("CHECK", (SMALLER_NOISE,)))
     assert "0.3" not in after_fit(fit, "a.yaml", ("d.csv",), "out", typed)
     say("CHECK", "systematic")
     assert after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(

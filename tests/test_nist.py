@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.numerics.least_squares import minimise
-from calib.numerics.observability import information
-from calib.numerics.prior import Prior
-from calib.numerics.statistics import found_factors, statistics
+from calib.core.numerics.least_squares import minimise
+from calib.core.numerics.observability import information
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.statistics import found_factors, statistics
 
 
 def mgh09(b, x):

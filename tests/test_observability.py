@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.base.parameter import Parameter
-from calib.numerics.observability import INDICES, information, observability, raw_columns, task_index
+from calib.core.base.parameter import Parameter
+from calib.core.numerics.observability import INDICES, information, observability, raw_columns, task_index
 
 
 def indices_of(matrix, n_poses):

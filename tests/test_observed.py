@@ -8,9 +8,9 @@ import pytest
 from small_robots import ARM_YAML, write_arm, write_pose_loop
 
 import calib
-from calib.instruments.kind import Readings
-from calib.rows.jacobian import linearise
-from calib.rows.observed import observe, predicted_readings
+from calib.core.instruments.kind import Readings
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import observe, predicted_readings
 from medrue.workspace import target_workspace
 
 STEP = 1e-6

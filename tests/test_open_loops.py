@@ -9,9 +9,9 @@ import pytest
 from small_robots import write_pose_loop
 
 import calib
-from calib.data.in_memory import as_measurements
-from calib.robots.closure import gap_text, open_by
-from calib.robots.loops import why_open
+from calib.core.data.in_memory import as_measurements
+from calib.core.robots.closure import gap_text, open_by
+from calib.core.robots.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.base.other_words import tables
 from calib.cli import group, main
+from calib.core.base.other_words import tables
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ARM, READ = str(EXAMPLES / "arm.yaml"), str(EXAMPLES / "arm_simulated.csv")

@@ -8,10 +8,10 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_a
 from small_robots import write_arm
 
 import calib
-from calib.data.tables import read_table
-from calib.instruments.kind import Readings
-from calib.judging import findings
-from calib.numerics.losses import Blocks, studentised
+from calib.core.data.tables import read_table
+from calib.core.instruments.kind import Readings
+from calib.core.judging import findings
+from calib.core.numerics.losses import Blocks, studentised
 from viz.reading_errors import of_fit, of_saved
 from viz.saved_readings import read_saved
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import calib
-from calib.base.errors import InputError
-from calib.base.files import write_file, write_files, write_folder
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_file, write_files, write_folder
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 FOREIGN = "# my only measurements\nx,y\n1,2\n"

@@ -14,17 +14,17 @@ import yaml
 from small_robots import write_arm
 
 import calib
-from calib.base.registry import Registry
-from calib.data.measurements import directions_of_motion
+from calib.core.base.registry import Registry
+from calib.core.data.measurements import directions_of_motion
+from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.instruments.kind import Readings, View
+from calib.core.instruments.kinds import KINDS
+from calib.core.judging.verdict import judge
+from calib.core.robots.description import schema_text
+from calib.core.robots.held import Holds
+from calib.core.robots.terms.term import Context, JointTerm
+from calib.core.robots.terms.terms import TERMS, listed_terms
 from calib.exporting.held_formats import formats_that_hold
-from calib.fitting.terms.candidate_terms import candidates
-from calib.instruments.kind import Readings, View
-from calib.instruments.kinds import KINDS
-from calib.joint_terms.term import Context, JointTerm
-from calib.joint_terms.terms import TERMS, listed_terms
-from calib.judging.verdict import judge
-from calib.robots.description import schema_text
-from calib.robots.held import Holds
 from viz.scene import other_errors
 
 ROOT = Path(__file__).parents[1]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from small_robots import small_arm
 
-from calib.base.errors import DataError, ParameterError
-from calib.data.parameter_files import format_parameters, read_parameters
+from calib.core.base.errors import DataError, ParameterError
+from calib.core.data.parameter_files import format_parameters, read_parameters
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from small_robots import ARM_YAML, write_arm, write_parallelogram
 
 import calib
-import calib.robots.parametrisation
-from calib.base.errors import DescriptionError, ParameterError
-from calib.base.parameter import Parameter, index_of
-from calib.robots.parameters import Origin, twist_of_edit
-from calib.rows.jacobian import linearise
+import calib.core.robots.parametrisation
+from calib.core.base.errors import DescriptionError, ParameterError
+from calib.core.base.parameter import Parameter, index_of
+from calib.core.robots.parameters import Origin, twist_of_edit
+from calib.core.rows.jacobian import linearise
 
 EVERYTHING = ARM_YAML.replace(
     "{frame: ground}", "{frame: ground, xyz: [1, -2, 0.5], rpy: [0.3, -0.7, 2], pose: unknown}"
@@ -220,7 +220,7 @@ def install(tmp_path, monkeypatch):
             return factory
 
         entry = SimpleNamespace(name="mine", value="somewhere:Mine", load=loaded)
-        monkeypatch.setattr(calib.robots.parametrisation, "installed", lambda group: [entry])
+        monkeypatch.setattr(calib.core.robots.parametrisation, "installed", lambda group: [entry])
         yaml = ARM_YAML[: ARM_YAML.index("parametrisation:")] + "parametrisation: mine\n"
         return calib.load(write_arm(tmp_path, yaml))
 

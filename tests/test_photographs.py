@@ -6,11 +6,11 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.base.errors import DataError, DescriptionError, InputError
 from calib.cli import group
-from calib.commands.boards import given_board
-from calib.instruments.board import checked_board
+from calib.core.base.errors import DataError, DescriptionError, InputError
+from calib.core.instruments.board import checked_board
 from calib.photographs.camera_files import read_camera
+from calib.photographs.commands.boards import given_board
 from calib.photographs.estimation import turning
 from calib.photographs.tool_poses import read_tool_poses
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.base.errors import DataError
-from calib.numerics.placement import MovingPoint, place
+from calib.core.base.errors import DataError
+from calib.core.numerics.placement import MovingPoint, place
 
 Array = NDArray[np.float64]
 NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.1, 0.0], [0.1, 0.7, 0.2]])

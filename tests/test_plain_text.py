@@ -1,7 +1,7 @@
 import pytest
 from rich.table import Table
 
-from calib.base.words import counted, distinct_names, listed, plain_text
+from calib.core.base.words import counted, distinct_names, listed, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():

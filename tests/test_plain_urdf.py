@@ -6,7 +6,7 @@ from small_robots import ARM_YAML, write_arm
 from urdf_trees import plain, urdf_of
 
 import calib
-from calib.base.errors import DescriptionError, UrdfError
+from calib.core.base.errors import DescriptionError, UrdfError
 
 CHAIN = (("a", "revolute", "w", "1"), ("b", "prismatic", "1", "2"), ("c", "fixed", "2", "3"))
 

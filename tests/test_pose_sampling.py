@@ -85,7 +85,7 @@ def test_more_poses_than_memory_holds_are_an_error(run_calib, tmp_path):
 
 def test_many_poses_are_tried_part_by_part_with_the_same_numbers(arm, monkeypatch):
     whole = calib.sample(arm, 30, seed=4, within={"reflector_z": (0.5, 0.8)}).joints
-    monkeypatch.setattr("calib.robots.joint_sampling._AT_ONCE", 7)
+    monkeypatch.setattr("calib.core.robots.joint_sampling._AT_ONCE", 7)
     np.testing.assert_array_equal(calib.sample(arm, 30, seed=4, within={"reflector_z": (0.5, 0.8)}).joints, whole)
 
 

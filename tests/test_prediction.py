@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.joint_terms.terms import listed_terms
-from calib.reporting.result_reading import load_calibrated, load_uncertainty
-from calib.rows.candidates import rows_of_poses
-from calib.rows.prediction import PositionUncertainty, other_combinations
+from calib.core.results.result_reading import load_calibrated, load_uncertainty
+from calib.core.robots.terms.terms import listed_terms
+from calib.core.rows.candidates import rows_of_poses
+from calib.core.rows.prediction import PositionUncertainty, other_combinations
 
 SIGMA = 4e-5
 

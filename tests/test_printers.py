@@ -9,11 +9,11 @@ from click.testing import CliRunner
 from code_comparison.codes.delta_printer import calibrated, nozzle
 
 import calib
-from calib.base.errors import CalibrationError
 from calib.cli import group
-from calib.data.printer_files import read_printer
-from calib.data.printer_rows import expected_geometry
-from calib.exporting.printers import geometry_of
+from calib.core.base.errors import CalibrationError
+from calib.printers.files import read_printer
+from calib.printers.formats import geometry_of
+from calib.printers.rows import expected_geometry
 
 TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
 STEP = 32 / (200 * 16)

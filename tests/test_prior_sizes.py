@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.numerics.prior import Prior
-from calib.numerics.prior_sizes import FamilyModel, found_with_families, variance_by_sizes
-from calib.numerics.variance_components import LinearModel
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.prior_sizes import FamilyModel, found_with_families, variance_by_sizes
+from calib.core.numerics.variance_components import LinearModel
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4

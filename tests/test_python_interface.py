@@ -15,7 +15,7 @@ from signed_files import read_plain
 
 import calib
 from calib import pictures
-from calib.base.words import table_html
+from calib.core.base.words import table_html
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 

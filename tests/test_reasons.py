@@ -10,9 +10,9 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.judging import rules_model
-from calib.judging.reasons import Code
-from calib.judging.verdict import judge
+from calib.core.judging import rules_model
+from calib.core.judging.reasons import Code
+from calib.core.judging.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[1]
 SIGMA = 4e-5
@@ -43,12 +43,12 @@ def no_reasons(fit):
     [
         ("test_reasons:nothing_that_works", "KeyError: 'no such thing'; mend or uninstall the package"),
         ("test_reasons:not_there", "AttributeError"),
-        ("test_reasons:no_reasons", "yields something other than calib.judging.reasons.Reason"),
+        ("test_reasons:no_reasons", "yields something other than calib.core.judging.reasons.Reason"),
     ],
 )
 def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):
     other = EntryPoint("warmth", value, "calib.reasons")
-    monkeypatch.setattr("calib.judging.verdict.installed", lambda group: [other] if group == other.group else [])
+    monkeypatch.setattr("calib.core.judging.verdict.installed", lambda group: [other] if group == other.group else [])
     with pytest.raises(calib.InputError, match=re.escape(said)) as result:
         judge(dataclasses.replace(good, seconds=0.0))
     assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")

@@ -8,7 +8,7 @@ import pytest
 from small_robots import small_arm
 
 import calib
-from calib.joint_terms.term import Context
+from calib.core.robots.terms.term import Context
 from calib.planning.refinement import refine, region_of
 from calib.planning.selection import select
 from calib.planning.selection_problem import TASK, build_problem

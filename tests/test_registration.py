@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.base.errors import DataError
-from calib.rows.registration import register
+from calib.core.base.errors import DataError
+from calib.core.rows.registration import register
 from medrue import robot_file
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

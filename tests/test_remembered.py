@@ -4,7 +4,7 @@ import pickle
 import threading
 from dataclasses import dataclass, replace
 
-from calib.base.remembered import remembered
+from calib.core.base.remembered import remembered
 
 COMPUTED = []
 

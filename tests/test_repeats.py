@@ -5,10 +5,10 @@ import pytest
 from six_axis_arm import YAML, joints, six_axis_arm, write_six_axis
 
 import calib
-from calib.data.measurement_files import read_measurements
-from calib.fitting.error_sets import ErrorSet
-from calib.judging.repeatability import beyond_repeatability, repeatability, repeats
-from calib.reporting.result_content import to_dict
+from calib.core.data.measurement_files import read_measurements
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.judging.repeatability import beyond_repeatability, repeatability, repeats
+from calib.core.results.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.judging.reasons import Reason, Verdict
+from calib.core.judging.reasons import Reason, Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LINES = 40
@@ -45,7 +45,7 @@ def test_the_answer_has_verdict_errors_and_the_surest_changes(fit):
 
 def test_many_long_reasons_do_not_fill_the_screen(fit, monkeypatch):
     told = Verdict("CHECK", tuple(Reason("CHECK", f"code_{k}", "word " * 50) for k in range(9)), ("limit " * 40,) * 3)
-    monkeypatch.setattr("calib.reporting.report_text.judge", lambda fit: told)
+    monkeypatch.setattr("calib.core.results.report_text.judge", lambda fit: told)
     text = fit.report()
     assert len(text.splitlines()) <= LINES
     assert text.count("  CHECK: word") == 3

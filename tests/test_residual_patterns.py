@@ -7,10 +7,10 @@ from scipy.stats import f
 from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
 
 import calib
-from calib.data.measurements import directions_of_motion
-from calib.judging import findings
-from calib.judging.effect_kinds import Family, Kind
-from calib.judging.residual_patterns import Pattern, describe
+from calib.core.data.measurements import directions_of_motion
+from calib.core.judging import findings
+from calib.core.judging.effect_kinds import Family, Kind
+from calib.core.judging.residual_patterns import Pattern, describe
 
 SIGMA = 4e-5
 N_WAVES = 3 * 6 * 119

@@ -9,7 +9,7 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.reporting.comparing_results import difference_covariance, holm
+from calib.core.results.comparing_results import difference_covariance, holm
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 3e-5

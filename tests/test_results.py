@@ -13,12 +13,12 @@ from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallel
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import calib
-from calib.base.errors import CalibrationError, ComputationError, DataError, InputError
-from calib.base.files import write_folder
-from calib.data.tables import read_table
-from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
-from calib.reporting.results import _covariance_table, save
-from calib.robots.description import description_yaml, read_description
+from calib.core.base.errors import CalibrationError, ComputationError, DataError, InputError
+from calib.core.base.files import write_folder
+from calib.core.data.tables import read_table
+from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.core.results.results import _covariance_table, save
+from calib.core.robots.description import description_yaml, read_description
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip
@@ -307,7 +307,7 @@ def test_results_are_written_with_one_blas_thread(fitted, tmp_path):
         threads.update(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
         return _covariance_table(fit)
 
-    with threadpool_limits(2, user_api="blas"), mock.patch("calib.reporting.results._covariance_table", looking):
+    with threadpool_limits(2, user_api="blas"), mock.patch("calib.core.results.results._covariance_table", looking):
         save(fitted, tmp_path / "out")
     assert threads == {1}
 

@@ -8,8 +8,8 @@ import pytest
 from small_robots import ARM_URDF, ARM_YAML, small_arm, write_arm, write_parallelogram
 
 import calib
-from calib.base.errors import DataError, DescriptionError, UnreachablePoseError
-from calib.robots.configurations import near_singularities
+from calib.core.base.errors import DataError, DescriptionError, UnreachablePoseError
+from calib.core.robots.configurations import near_singularities
 
 
 def snapshot(robot):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data import robot_tables
+from calib.core.data import robot_tables
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 

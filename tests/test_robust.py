@@ -3,7 +3,7 @@ import pytest
 from six_axis_arm import joints, measurements, six_axis_arm
 
 import calib
-from calib.numerics.losses import scale_of, weights
+from calib.core.numerics.losses import scale_of, weights
 
 SIGMA = 4e-5
 

@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.commands.fit import command
-from calib.data.rosbag import is_bag
+from calib.core.commands.fit import command
+from calib.core.data.rosbag import is_bag
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
@@ -230,7 +230,7 @@ def photographs(q, shown, rng, *, joints=True, names=JOINTS):
 
 def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_moment(tmp_path, run_calib):
     pytest.importorskip("cv2")
-    from calib.commands.boards import given_board
+    from calib.photographs.commands.boards import given_board
     from calib.photographs.opencv import read_image
     from calib.photographs.rendering import example
 

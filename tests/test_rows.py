@@ -7,10 +7,10 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.rows.jacobian import linearise
-from calib.rows.observed import observe
-from calib.rows.unknowns import Unknowns
-from calib.rows.whitening import ASSUMED, Whitening
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import observe
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import ASSUMED, Whitening
 
 TWO = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider, xyz: [0, 0.1, 0]}\n")
 SIGMA = 1e-4

@@ -5,11 +5,11 @@ import pytest
 from small_robots import ARM_URDF, ARM_YAML, write_arm
 
 import calib
-from calib.fitting import curvature
-from calib.fitting.fit import minimum_of
-from calib.fitting.problem import Problem
-from calib.fitting.settings import Settings
-from calib.rows.second_derivative import bend_simply, bends
+from calib.core.fitting import curvature
+from calib.core.fitting.fit import minimum_of
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.settings import Settings
+from calib.core.rows.second_derivative import bend_simply, bends
 
 PLACED = ARM_YAML.replace("frame: ground}", "frame: ground, pose: unknown}")
 TOWARDS_THE_ROOT = ARM_YAML.replace("frame: ground}", "frame: hand, pose: unknown}").replace(

@@ -7,9 +7,9 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.base.files import write_file
-from calib.data.table_writing import format_table
-from calib.data.tables import read_table
+from calib.core.base.files import write_file
+from calib.core.data.table_writing import format_table
+from calib.core.data.tables import read_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -8,15 +8,15 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.base.errors import InputError
-from calib.data.measurement_files import read_poses
-from calib.data.measurements import Poses
-from calib.numerics.observability import observability, raw_columns
+from calib.core.base.errors import InputError
+from calib.core.data.measurement_files import read_poses
+from calib.core.data.measurements import Poses
+from calib.core.numerics.observability import observability, raw_columns
+from calib.core.rows.candidates import build_candidates
+from calib.core.rows.jacobian import linearise
 from calib.planning import screening
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select
-from calib.rows.candidates import build_candidates
-from calib.rows.jacobian import linearise
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -242,7 +242,7 @@ def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
 
 def test_poses_next_to_a_singularity_are_named_too(medrue):
     strict = medrue.description.model_copy(update={"singularity_limit": 0.08})
-    careful = calib.robots.robot.replace(medrue, description=strict)
+    careful = calib.core.robots.robot.replace(medrue, description=strict)
     smallest = int(np.argmin(medrue.singular_values(medrue.assemble(Q))))
     with pytest.raises(calib.UnreachablePoseError, match="from a singularity of the loops"):
         select(careful, Q, 84)
@@ -260,7 +260,7 @@ def test_minimal_count_still_determines_everything(medrue):
 @pytest.mark.parametrize("index", ["O1", "task"])
 def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkeypatch, index):
     inside = select(medrue, Q, 40, index)
-    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 1e5)
+    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 1e5)
     monkeypatch.setattr("calib.planning.selection_problem._PART", 50)
     rows = build_candidates(medrue, as_poses(Q)).pose_rows
     assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
@@ -270,22 +270,22 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
 
 
 def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
-    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 1e5)
+    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 1e5)
     with pytest.raises(InputError, match=r"looks at all at once; it needs about .* GB of memory, and .* are free"):
         select(medrue, Q[:100], 20, "O3")
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("calib.base.memory.os.posix_fallocate", full)
+    monkeypatch.setattr("calib.core.base.memory.os.posix_fallocate", full)
     with pytest.raises(InputError, match=r"rows of 100 candidates need .* has only .* free; .* in TMPDIR"):
         select(medrue, Q[:100], 20, "O1")
 
 
 def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
     whole = select(medrue, Q[::4], 30, "task")
-    monkeypatch.setattr("calib.rows.candidates._PART", 20)
-    monkeypatch.setattr("calib.numerics.identifiability._AT_ONCE", 50)
+    monkeypatch.setattr("calib.core.rows.candidates._PART", 20)
+    monkeypatch.setattr("calib.core.numerics.identifiability._AT_ONCE", 50)
     parts = select(medrue, Q[::4], 30, "task")
     assert parts.before == pytest.approx(whole.before, rel=1e-9)
     assert parts.after["task"] == pytest.approx(whole.after["task"], rel=1e-9)
@@ -294,11 +294,11 @@ def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
 def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, monkeypatch):
     """Of three joints, where rows go to a file; 55 were measured, and 345 with names and labels as Python strings."""
     for part, few in {
-        "calib.base.files._PIECE": 1 << 14,
-        "calib.data.tables._PART": 250,
-        "calib.data.table_writing._PART": 250,
-        "calib.rows.candidates._PART": 250,
-        "calib.numerics.identifiability._AT_ONCE": 500,
+        "calib.core.base.files._PIECE": 1 << 14,
+        "calib.core.data.tables._PART": 250,
+        "calib.core.data.table_writing._PART": 250,
+        "calib.core.rows.candidates._PART": 250,
+        "calib.core.numerics.identifiability._AT_ONCE": 500,
         "calib.planning.selection_problem._PART": 250,
         "calib.planning.selection_bound._AT_ONCE": 250,
         "calib.planning.selection_bound._UNCLEAR": 20,
@@ -308,7 +308,7 @@ def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, mon
         monkeypatch.setattr(part, few)
     robot = small_arm(tmp_path)
     joints = robot.sample(4500, seed=1)
-    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
+    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 0.0)
 
     def most(count):
         header = ",".join(("pose", *robot.joint_names))

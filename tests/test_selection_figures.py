@@ -8,8 +8,8 @@ import pytest
 
 import calib
 from calib import fit
+from calib.core.rows.jacobian import linearise
 from calib.planning.selection import select
-from calib.rows.jacobian import linearise
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.in_memory import as_poses
+from calib.core.data.in_memory import as_poses
 from calib.pictures import figures
 from calib.planning.assessment import check
 from calib.planning.selection import select

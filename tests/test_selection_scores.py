@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.numerics.observability import observability
+from calib.core.numerics.observability import observability
 from calib.planning.selection_problem import TASK, build_problem
 from calib.planning.selection_scores import CHOICES, index_of_score, index_values, scores
 

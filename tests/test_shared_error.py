@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, inv, sqrtm
 
-from calib.numerics.variance_components import SharedError
+from calib.core.numerics.variance_components import SharedError
 
 RNG = np.random.default_rng(2)
 BLOCK = np.array([3, 1, 3, 3, 7, 1, 3, 9, 9])  # of unequal length, and not side by side

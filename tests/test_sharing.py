@@ -16,10 +16,10 @@ import psutil
 import pytest
 
 import calib
-from calib.base.arrays import ReadOnlyArrays
-from calib.calibrating.calibrate import calibrate
-from calib.calibrating.file_robots import FitFiles
-from calib.fitting.settings import Settings
+from calib.core.base.arrays import ReadOnlyArrays
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.calibrating.file_robots import FitFiles
+from calib.core.fitting.settings import Settings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOT, DATA = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"

@@ -10,9 +10,9 @@ from small_robots import ARM_YAML, small_arm, write_arm
 from test_kind_pixel import FREE, INTRINSICS, POINTS
 
 import calib
-from calib.base.errors import DataError, UnreachablePoseError
-from calib.data.plan_files import read_plan
-from calib.data.tables import read_table
+from calib.core.base.errors import DataError, UnreachablePoseError
+from calib.core.data.plan_files import read_plan
+from calib.core.data.tables import read_table
 
 
 def some_poses(n):

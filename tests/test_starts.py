@@ -8,14 +8,14 @@ import pytest
 from six_axis_arm import YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.base.errors import ComputationError
-from calib.fitting.problem import Problem
-from calib.fitting.settings import Settings
-from calib.fitting.solving import place, solve_from
-from calib.fitting.starts import explore
-from calib.instruments.kind import Part
-from calib.numerics.least_squares import minimise
-from calib.rows.rows import Group
+from calib.core.base.errors import ComputationError
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.solving import place, solve_from
+from calib.core.fitting.starts import explore
+from calib.core.instruments.kind import Part
+from calib.core.numerics.least_squares import minimise
+from calib.core.rows.rows import Group
 
 SIGMA = 4e-5
 ZEROS = (("j2", "ry"), ("j3", "ry"), ("j4", "rx"), ("j5", "ry"))

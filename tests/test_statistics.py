@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.base.errors import NotIdentifiableError
-from calib.numerics.observability import information
-from calib.numerics.prior import Prior
-from calib.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.numerics.observability import information
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
 
 RNG = np.random.default_rng(7)
 

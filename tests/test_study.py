@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import ttest_rel
 
 from calib import fit, load
-from calib.base.workers import Workers
+from calib.core.base.workers import Workers
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
 from calib.planning.selection import select
-from calib.robots.robot import Robot
-from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1

@@ -8,8 +8,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
-from calib.data.measurements import with_points
-from calib.fitting.likely_mistakes import likely_mistake
+from calib.core.data.measurements import with_points
+from calib.core.fitting.likely_mistakes import likely_mistake
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -236,7 +236,7 @@ def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, mon
     def fails(*_):
         raise calib.ComputationError("the robot cannot be assembled")
 
-    monkeypatch.setattr("calib.calibrating.calibrate.minimum_of", fails)
+    monkeypatch.setattr("calib.core.calibrating.calibrate.minimum_of", fails)
     wrong = data.points(arm).copy()
     wrong[[2, 7]] = 0.0
     dead = with_points(arm, replace(data, joints=data.joints[::-1]), wrong)  # and the rows are other poses'

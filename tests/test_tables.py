@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from calib.base.errors import DataError, InputError
-from calib.data.on_demand import Packed, cells_of, held, picked
-from calib.data.table_writing import format_table
-from calib.data.tables import check_plausible, read_number, read_table
+from calib.core.base.errors import DataError, InputError
+from calib.core.data.on_demand import Packed, cells_of, held, picked
+from calib.core.data.table_writing import format_table
+from calib.core.data.tables import check_plausible, read_number, read_table
 
 
 @pytest.fixture
@@ -257,9 +257,9 @@ def test_files_are_read_alike_in_pieces_of_any_size_and_beyond_memory(tmp_path, 
     """Pieces end between the bytes of a letter and between those of a line's end; rows go to a file."""
     content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
     (tmp_path / "table.csv").write_bytes(content.encode())
-    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
+    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 0.0)
     for size in (1, 2, 3, 1 << 20):
-        monkeypatch.setattr("calib.base.files._PIECE", size)
+        monkeypatch.setattr("calib.core.base.files._PIECE", size)
         table = read_table(tmp_path / "table.csv")
         assert table.comments == ("größer", "Ende")
         assert table.text("pose") == [f"Ü{k}" for k in range(600)] + ["last"]
@@ -273,14 +273,14 @@ def test_rows_without_room_say_where_it_would_have_been(tmp_path, monkeypatch):
         def write(self, _):
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("calib.data.on_demand.scratch", Full)
+    monkeypatch.setattr("calib.core.data.on_demand.scratch", Full)
     (tmp_path / "table.csv").write_text("q1\n1\n")
     with pytest.raises(InputError, match=r"does not fit into the free memory, and .* is full; .* in TMPDIR"):
         read_table(tmp_path / "table.csv")
 
 
 def test_only_candidates_may_be_larger_than_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.base.files._LARGEST", 100)
+    monkeypatch.setattr("calib.core.base.files._LARGEST", 100)
     (tmp_path / "table.csv").write_text("q1\n" + "1\n" * 100)
     assert "is larger than" in complaint(read_table, tmp_path / "table.csv")
     assert len(read_table(tmp_path / "table.csv", any_size=True).rows) == 100

@@ -5,10 +5,10 @@ import pickle
 import numpy as np
 import pytest
 
-from calib.numerics import tall as tall_matrices
-from calib.numerics.identifiability import reduced
-from calib.numerics.prior import Prior
-from calib.numerics.tall import AbovePrior, Multiplied, Span, Tall, in_parts, squares_of_rows
+from calib.core.numerics import tall as tall_matrices
+from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.tall import AbovePrior, Multiplied, Span, Tall, in_parts, squares_of_rows
 
 
 @pytest.fixture

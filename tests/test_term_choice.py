@@ -15,15 +15,15 @@ import pytest
 from test_compliance import arm, torques, upright_five_bar
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.data.pose_groups import boxes
-from calib.fitting.terms.candidate_terms import Candidate, candidates
-from calib.fitting.terms.joint_curves import beyond_learned
-from calib.fitting.terms.term_choice import _Search
-from calib.fitting.terms.term_trials import Trial, Trials
-from calib.fitting.validation import stretches
-from calib.joint_terms.coupling import CouplingSection
-from calib.joint_terms.terms import TERMS, listed_terms
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.pose_groups import boxes
+from calib.core.fitting.terms.candidate_terms import Candidate, candidates
+from calib.core.fitting.terms.joint_curves import beyond_learned
+from calib.core.fitting.terms.term_choice import _Search
+from calib.core.fitting.terms.term_trials import Trial, Trials
+from calib.core.fitting.validation import stretches
+from calib.core.robots.terms.coupling import CouplingSection
+from calib.core.robots.terms.terms import TERMS, listed_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE = 2e-5
@@ -63,7 +63,7 @@ def _measured(robot, true, q, rng):
     data = calib.as_measurements(robot, q, np.zeros((len(q), 3)))
     context = {"time": 120.0 * np.arange(len(q)), "temperature": 20 + 3 * rng.random(len(q))}
     data = replace(data, context=context, approach=np.sign(rng.standard_normal(q.shape)))
-    seen = calib.rows.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
+    seen = calib.core.rows.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
     readings = {
         name: replace(item, values=item.values + NOISE * rng.standard_normal(item.values.shape))
         for name, item in seen.items()
@@ -334,7 +334,7 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
     data = calib.as_measurements(robot, q, np.zeros((60, 3)))
     playing = robot.with_terms(listed_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
     seen = playing.assemble(q, context=data.conditions)
-    points = calib.rows.observed.predicted_readings(playing, seen)["reflector"].values
+    points = calib.core.rows.observed.predicted_readings(playing, seen)["reflector"].values
     points = points + NOISE * np.random.default_rng(10).standard_normal(points.shape)
     fit = calib.fit(robot, calib.as_measurements(robot, q, points), terms="auto")
     told = next(trial for trial in fit.terms.tried if trial.term == "backlash")
@@ -451,7 +451,7 @@ def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
     run = run_calib("predict", arm, folder / "far.csv", "--result", folder / "out", "--out", folder / "predicted.csv")
     assert run.code == 0, run.err
     assert "5 poses lie where no error curve of joint_2 was learned" in " ".join(run.err.split())
-    loaded = calib.reporting.result_reading.load_calibrated(folder / "out", robot)
+    loaded = calib.core.results.result_reading.load_calibrated(folder / "out", robot)
     assert len(loaded.terms) == 1
     assert np.any(loaded.values[loaded.coefficients] != 0)
     assert np.array_equal(calib.load(folder / "out").values, loaded.values)

@@ -9,7 +9,7 @@ import sys
 
 from threadpoolctl import threadpool_info
 
-from calib.base.threads import one_blas_thread
+from calib.core.base.threads import one_blas_thread
 
 
 @one_blas_thread

@@ -10,11 +10,11 @@ from click.testing import CliRunner, Result
 from scipy.stats import chi2
 
 from calib import fit, load
-from calib.base.errors import ComputationError
+from calib.core.base.errors import ComputationError
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import observe
 from calib.planning.assessment import check
-from calib.robots.robot import Robot
-from calib.rows.jacobian import linearise
-from calib.rows.observed import observe
 from medrue import robot_file
 from medrue.cli import group
 from medrue.closed_form import PASSIVE_JOINTS, forward, singularity_sines

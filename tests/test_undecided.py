@@ -8,8 +8,8 @@ import scipy
 from test_term_choice import five_bar, position_errors, simulated
 
 import calib
-from calib.base.errors import DataError
-from calib.numerics.undecided import averaged
+from calib.core.base.errors import DataError
+from calib.core.numerics.undecided import averaged
 
 
 def test_chances_and_mean_squares_are_those_of_dense_likelihoods():
@@ -83,7 +83,7 @@ def test_free_parameters_follow_undecided_terms_as_the_fit_would(drifting):
 
 
 def observed_by(fit):
-    return calib.rows.observed.observe(fit.robot, fit.configurations, fit.identification.data.readings)
+    return calib.core.rows.observed.observe(fit.robot, fit.configurations, fit.identification.data.readings)
 
 
 def test_a_saved_result_predicts_and_corrects_as_the_fit_does(drifting, tmp_path):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.reporting.result_reading import load_uncertainty
+from calib.core.base.threads import one_blas_thread
+from calib.core.results.result_reading import load_uncertainty
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE, SIZE = 3e-5, 1e-4

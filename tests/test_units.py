@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from calib.base.errors import InputError
-from calib.base.units import per_si, quantity, split_column
+from calib.core.base.errors import InputError
+from calib.core.base.units import per_si, quantity, split_column
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.fitting.unseen_errors import accuracy, left_out_one_by_one, limit95
-from calib.robots.held import SeenAt
+from calib.core.fitting.unseen_errors import accuracy, left_out_one_by_one, limit95
+from calib.core.robots.held import SeenAt
 
 SIGMA = 4e-5
 

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.base.errors import UrdfError
-from calib.robots.urdf.text import UrdfText, parse_urdf, read_urdf
+from calib.core.base.errors import UrdfError
+from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
 URDF = Path(__file__).resolve().parents[1] / "urdf" / "medrue.urdf"
 

@@ -5,11 +5,11 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.data.in_memory import measurements as from_readings
-from calib.data.in_memory import plain_readings
-from calib.data.pose_groups import apart, pose_labels
-from calib.fitting.validation import deal
-from calib.judging.claim import elsewhere, unlike_measured
+from calib.core.data.in_memory import measurements as from_readings
+from calib.core.data.in_memory import plain_readings
+from calib.core.data.pose_groups import apart, pose_labels
+from calib.core.fitting.validation import deal
+from calib.core.judging.claim import elsewhere, unlike_measured
 
 RNG = np.random.default_rng(0)
 

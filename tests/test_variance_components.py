@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calib.base.errors import NotIdentifiableError
-from calib.numerics.prior import Prior
-from calib.numerics.prior_sizes import FamilyModel, found_with_families, log_evidence
-from calib.numerics.variance_components import (
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.prior_sizes import FamilyModel, found_with_families, log_evidence
+from calib.core.numerics.variance_components import (
     LinearModel,
     found_components,
     found_scales,

@@ -9,17 +9,17 @@ from scipy.stats import chi2
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.data.measurements import with_points
-from calib.fitting.fitted import Convergence
-from calib.fitting.starts import Minimum, Starts
-from calib.judging import findings
-from calib.judging.better_or_worse import _spread
-from calib.judging.blind_spots import unordered
-from calib.judging.effects import scale
-from calib.judging.next_step import next_step
-from calib.judging.residual_patterns import visible
-from calib.judging.rounded_joint_values import joint_steps, rounding
-from calib.judging.rules_reach import _given
+from calib.core.data.measurements import with_points
+from calib.core.fitting.fitted import Convergence
+from calib.core.fitting.starts import Minimum, Starts
+from calib.core.judging import findings
+from calib.core.judging.better_or_worse import _spread
+from calib.core.judging.blind_spots import unordered
+from calib.core.judging.effects import scale
+from calib.core.judging.next_step import next_step
+from calib.core.judging.residual_patterns import visible
+from calib.core.judging.rounded_joint_values import joint_steps, rounding
+from calib.core.judging.rules_reach import _given
 
 SIGMA = 4e-5
 ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"

@@ -13,15 +13,15 @@ from small_robots import ARM_YAML, write_arm
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import calib
-from calib.commands.verify import command
-from calib.data.measurement_files import format_measurements
-from calib.data.measurements import Measurements, Poses
-from calib.data.table_writing import format_table
-from calib.judging.acceptance import poses_needed, verify, visible_changes
-from calib.judging.promise import Change, Promise, without_outliers
-from calib.judging.repeatability import CONDITIONS, conditions, iso_figures
-from calib.reporting.acceptance_text import plan_report, text_report
-from calib.reporting.result_reading import load_promise
+from calib.core.commands.verify import command
+from calib.core.data.measurement_files import format_measurements
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.data.table_writing import format_table
+from calib.core.judging.acceptance import poses_needed, verify, visible_changes
+from calib.core.judging.promise import Change, Promise, without_outliers
+from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
+from calib.core.results.acceptance_text import plan_report, text_report
+from calib.core.results.result_reading import load_promise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 3e-5
@@ -77,7 +77,7 @@ def test_new_measurements_are_judged_with_one_blas_thread(arm):
         return without_outliers(system)
 
     rng = np.random.default_rng(2)
-    with threadpool_limits(2, user_api="blas"), mock.patch("calib.judging.acceptance.without_outliers", looking):
+    with threadpool_limits(2, user_api="blas"), mock.patch("calib.core.judging.acceptance.without_outliers", looking):
         verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (15, 6)), rng))
     assert threads == {1}
 

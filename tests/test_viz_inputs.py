@@ -8,7 +8,7 @@ import pytest
 from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
-from calib.base.errors import DataError, InputError
+from calib.core.base.errors import DataError, InputError
 from viz.inputs import gather
 from viz.judgement import of_result
 

@@ -11,11 +11,11 @@ from six_axis_arm import FREE, joints, write_six_axis
 from viz_examples import undrawn
 
 import calib
-from calib.data.in_memory import as_poses, measurements
-from calib.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
-from calib.instruments.kinds import KINDS
-from calib.instruments.noise import Noise, PartNoise
-from calib.rows.observed import predicted_readings
+from calib.core.data.in_memory import as_poses, measurements
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
+from calib.core.instruments.kinds import KINDS
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.rows.observed import predicted_readings
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
 from viz.part_plots import part_plots

@@ -12,9 +12,9 @@ from viz_examples import measurements, medrue_fit, medrue_robot
 
 import calib
 import viz
-from calib.base.errors import DataError, UnreachablePoseError
+from calib.core.base.errors import DataError, UnreachablePoseError
+from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
-from calib.rows.prediction import RootMeanSquare
 from viz.drawing import load_meshcat
 
 

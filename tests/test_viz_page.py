@@ -14,7 +14,7 @@ from signed_files import read_plain
 import calib
 import medrue
 import viz
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz import poses

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from calib.instruments.position import POSITION
+from calib.core.instruments.position import POSITION
 from viz.part_plots import PartErrors, draw_histogram, histogram, of_positions, residual_by_joint
 from viz.plots import all_plots, error_by_pose, normal_plot
 from viz.poses import PoseTable

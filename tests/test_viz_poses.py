@@ -5,7 +5,7 @@ import pytest
 from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
-from calib.base.errors import DataError
+from calib.core.base.errors import DataError
 from viz.pose_sources import from_fit, from_measurements, from_saved
 from viz.poses import Calibrated, PoseTable, empty
 from viz.saved_readings import read_saved

@@ -12,7 +12,7 @@ from viz_examples import NOON, measurements, medrue_fit, medrue_robot, spoiled, 
 
 import calib
 import viz
-from calib.base.files import image_address
+from calib.core.base.files import image_address
 from viz.plots import error_map
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, powers, report_page, significant

@@ -2,7 +2,7 @@
 
 import pytest
 
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
 from viz.screenshots import chromium, take
 
 

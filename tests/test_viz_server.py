@@ -14,7 +14,7 @@ import psutil
 import pytest
 from child_programs import start
 
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
 from viz.server import PageServer
 
 

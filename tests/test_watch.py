@@ -14,10 +14,10 @@ import pytest
 from child_programs import start
 
 import calib
+from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning import next_pose as choice
 from calib.planning.progress import LAST, LEAST, unseen_rms
 from calib.planning.watch import GrowingFile
-from calib.rows.prediction import RootMeanSquare, predicted_rms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LINES = (EXAMPLES / "arm_simulated.csv").read_text().splitlines(keepends=True)

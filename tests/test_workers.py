@@ -20,12 +20,12 @@ import pytest
 from child_programs import start
 from killed_workers import outcome
 
-from calib.base.errors import ComputationError
-from calib.base.workers import Workers, in_order
+from calib.core.base.errors import ComputationError
+from calib.core.base.workers import Workers, in_order
 
 PROGRAM = """
 import signal, sys, time
-from calib.base.workers import Workers, in_order
+from calib.core.base.workers import Workers, in_order
 
 if __name__ == "__main__":
     signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
@@ -246,7 +246,7 @@ ALWAYS_SENDING = """
 import sys
 
 try:
-    from calib.base.workers import Workers, in_order
+    from calib.core.base.workers import Workers, in_order
 
     if __name__ == "__main__":
         print(end="1", flush=True)

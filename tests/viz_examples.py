@@ -9,8 +9,8 @@ import numpy as np
 
 import calib
 import medrue
-from calib.data.in_memory import measurements as put_together
-from calib.data.in_memory import plain_readings
+from calib.core.data.in_memory import measurements as put_together
+from calib.core.data.in_memory import plain_readings
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

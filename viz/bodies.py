@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray, IntArray
-from calib.robots.mechanism import Mechanism
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.robots.mechanism import Mechanism
 
 _FLATTEST = 0.05  # directions in which a link's joint origins spread less than this are not stretched
 

@@ -10,8 +10,8 @@ from types import FrameType
 
 import click
 
-from calib.base.errors import InputError
-from calib.commands.common import Output, folder_of_values, loaded, shared_options
+from calib.core.base.errors import InputError
+from calib.core.commands.common import Output, folder_of_values, loaded, shared_options
 
 MAP_POSES = 1000
 """Poses of a map, if no number is given."""
@@ -51,7 +51,7 @@ def view(
     output: Output,
 ) -> None:
     """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
-    from calib.data.measurement_files import read_measurements
+    from calib.core.data.measurement_files import read_measurements
     from viz.inputs import gather
     from viz.live import LiveViewer
     from viz.viewer_page import scene_page

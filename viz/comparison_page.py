@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.base.version import PROGRAM
-from calib.reporting.comparison_report import Difference, ResultComparison, p_text
+from calib.core.base.version import PROGRAM
+from calib.core.results.comparison_report import Difference, ResultComparison, p_text
 from viz.report_page import page_environment
 from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
 from viz.viewer_page import Page

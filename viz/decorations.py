@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from viz.shapes import Colour, Shape, mesh
 
 ENTRY_POINTS = "viz.decorations"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from viz.scene import Scene
 from viz.shapes import Shape
 

@@ -1,8 +1,9 @@
 """What a page needs to move a robot by hand: which values its motors give, and what closes its loops.
 
 The page follows the loops itself, from a pose in which they are closed, in small steps of the motors with Newton's
-method at each (`templates/drive.js`, the same equations as `calib.robots.loops`). It stops where a loop does not close,
-a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode begins.
+method at each (`templates/drive.js`, the same equations as `calib.core.robots.loops`). It stops where a loop does not
+close, a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode
+begins.
 
 What joints of the calibrated robot do beside what they are told is a sum of functions of one motor each, but for what
 gravity bends. The page gets these as tables, and takes cubics between their numbers. Conditions are neutral, as for
@@ -17,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray
-from calib.joint_terms.term import Condition, Context
-from calib.robots.joint_errors import actual_joints, columns_of_terms
-from calib.robots.mechanism import RelativeFrame
+from calib.core.base.arrays import FloatArray
+from calib.core.robots.joint_errors import actual_joints, columns_of_terms
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.robots.terms.term import Condition, Context
 from viz.bodies import Bodies
 
 _TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad

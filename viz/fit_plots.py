@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calib import Fit
-from calib.base.errors import InputError, nearest
-from calib.base.other_words import Worded
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import Worded
 from viz.part_plots import draw_histogram, draw_residuals, of_positions
 from viz.plots import draw_course, draw_normal
 from viz.pose_sources import from_fit

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from calib.base.version import PROGRAM
-from calib.reporting.fleet import Fleet
+from calib.core.base.version import PROGRAM
+from calib.fleets.fleet import Fleet
 from viz.report_page import page_environment
 from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
 from viz.viewer_page import Page

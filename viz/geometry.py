@@ -11,10 +11,10 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray
-from calib.base.errors import UrdfError
-from calib.exporting.links import Link, find_mesh, read_links
-from calib.exporting.links import Shape as Visual
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import UrdfError
+from calib.core.robots.urdf.links import Link, find_mesh, read_links
+from calib.core.robots.urdf.links import Shape as Visual
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow

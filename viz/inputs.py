@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
-from calib.base.errors import InputError
-from calib.base.words import counted
-from calib.reporting.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
-from calib.rows.registration import register
-from calib.rows.told_positions import ToldPositions
-from calib.rows.whitening import Whitening
+from calib.core.base.errors import InputError
+from calib.core.base.words import counted
+from calib.core.results.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
+from calib.core.rows.registration import register
+from calib.core.rows.told_positions import ToldPositions
+from calib.core.rows.whitening import Whitening
 from viz import reading_errors
 from viz.judgement import of_fit as judgement_of_fit
 from viz.judgement import of_result

@@ -12,10 +12,10 @@ import itertools
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray
-from calib.instruments.kind import FrameInstrument, Instrument
-from calib.instruments.pixel import Pixel
-from calib.instruments.touch import Touch
+from calib.core.base.arrays import FloatArray
+from calib.core.instruments.kind import FrameInstrument, Instrument
+from calib.core.instruments.pixel import Pixel
+from calib.core.instruments.touch import Touch
 from viz.bodies import Bodies, PosedRobot
 from viz.shapes import DARK, Colour, Shape, mesh, primitive, rotation_onto_z
 

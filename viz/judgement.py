@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from calib import Fit
-from calib.judging.next_step import next_step
-from calib.judging.reasons import Code
-from calib.judging.verdict import judge
+from calib.core.judging.next_step import next_step
+from calib.core.judging.reasons import Code
+from calib.core.judging.verdict import judge
 
 
 @dataclass(frozen=True)

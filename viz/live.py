@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import Progress
-from calib.base.errors import DataError
-from calib.base.units import millimetres
-from calib.robots.configurations import joint_vector
+from calib.core.base.errors import DataError
+from calib.core.base.units import millimetres
+from calib.core.robots.configurations import joint_vector
 from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown, gather

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
-from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.units import ERROR_UNIT, error_scale
-from calib.fitting.error_sets import ErrorSet
-from calib.instruments.kind import Part
-from calib.instruments.position import POSITION
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.instruments.kind import Part
+from calib.core.instruments.position import POSITION
 from viz.poses import PoseTable
 from viz.scene import Joint
 from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, plain_ticks, styled, thinned

@@ -23,7 +23,7 @@ def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
 
     Args:
         fit: The fit.
-        logo: Image for the report, as `calib.base.files.image_address` gives it.
+        logo: Image for the report, as `calib.core.base.files.image_address` gives it.
     """
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit

@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 
 from calib import Robot
-from calib.base.arrays import BoolArray
-from calib.base.units import ERROR_UNIT, PER_SI, error_scale
-from calib.base.words import counted
-from calib.fitting.error_sets import ErrorSet
+from calib.core.base.arrays import BoolArray
+from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.core.base.words import counted
+from calib.core.fitting.error_sets import ErrorSet
 from viz.part_plots import error_by_axis, histogram, of_positions, residual_by_joint
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint
@@ -45,7 +45,7 @@ def all_plots(table: PoseTable, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
 
 @styled
 def budget_bars(budget: dict[str, Any]) -> Plot:
-    """How much of the error before each cause made, of `calib.reporting.sections.budget.budget_table`."""
+    """How much of the error before each cause made, of `calib.core.results.sections.budget.budget_table`."""
     rows, unit = budget["causes"], budget["unit"]
     largest = max(budget["rms_before"], 1e-12)
     figure, (axes,) = new_figure(1, 1, (8.9, 0.9 + 0.32 * len(rows)))

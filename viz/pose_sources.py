@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from calib import Fit, Measurements, Robot
-from calib.base.arrays import FloatArray, IntArray
-from calib.fitting.error_sets import ErrorSet
-from calib.fitting.outliers import Outlier, numbers_by_instrument
-from calib.instruments.kind import FrameInstrument, Instrument
-from calib.judging import findings
-from calib.rows.observed import predicted_readings
-from calib.rows.prediction import PositionUncertainty
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.outliers import Outlier, numbers_by_instrument
+from calib.core.instruments.kind import FrameInstrument, Instrument
+from calib.core.judging import findings
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.prediction import PositionUncertainty
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
 from viz.saved_readings import Saved
 

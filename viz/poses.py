@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.base.errors import DataError
-from calib.rows.prediction import PositionUncertainty
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError
+from calib.core.rows.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)

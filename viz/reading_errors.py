@@ -2,7 +2,7 @@
 
 A reading tells where the point that it sees is along some directions only. Its error is drawn as the smallest motion of
 that point that explains it. With the residual r (predicted minus read) and its derivative J by the point's motion
-(`calib.instruments.kind`),
+(`calib.core.instruments.kind`),
 
     dp = J^+ r        from where the reading has the point to where the robot has it
 
@@ -22,14 +22,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib import Fit, Measurements, Robot
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.fitting.error_sets import STATES, ErrorSet
-from calib.fitting.outliers import numbers_by_instrument
-from calib.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
-from calib.judging import findings
-from calib.robots import kinematics
-from calib.robots.mechanism import RelativeFrame
-from calib.rows.observed import seen_by
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.fitting.error_sets import STATES, ErrorSet
+from calib.core.fitting.outliers import numbers_by_instrument
+from calib.core.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
+from calib.core.judging import findings
+from calib.core.robots import kinematics
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.rows.observed import seen_by
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, spread_rows
 from viz.saved_readings import Saved
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Fit, Measurements
-from calib.judging.repeatability import CONDITIONS, conditions
+from calib.core.judging.repeatability import CONDITIONS, conditions
 
 _SIGNATURES, _TEMPERATURE, _TOLERANCE = "signatures", "temperature", "tolerance"
 _RECORD = ("serial number", "instrument", "certificate", "operator", "temperature", "load", "speed", "warm-up")

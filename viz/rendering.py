@@ -14,8 +14,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.threads import one_blas_thread
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.threads import one_blas_thread
 from viz.poses import IDENTIFICATION
 from viz.scene import Scene
 from viz.shapes import Shape

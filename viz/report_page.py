@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib import Fit, Robot
-from calib.base.version import PROGRAM
-from calib.base.words import sentence
-from calib.judging.next_step import next_step
-from calib.judging.verdict import judge
-from calib.reporting.sections.accuracy import accuracy
-from calib.reporting.sections.budget import budget_grid, budget_table
-from calib.reporting.sections.details import details
-from calib.reporting.sections.determination import position_uncertainty_table, unsure
-from calib.reporting.sections.files_held import files_grid
-from calib.reporting.sections.grid import GridNumber
-from calib.reporting.sections.noise import noise_found
-from calib.reporting.sections.outliers import outlier_grid
-from calib.reporting.sections.parameters import parameter_grid
+from calib.core.base.version import PROGRAM
+from calib.core.base.words import sentence
+from calib.core.judging.next_step import next_step
+from calib.core.judging.verdict import judge
+from calib.core.results.sections.accuracy import accuracy
+from calib.core.results.sections.budget import budget_grid, budget_table
+from calib.core.results.sections.details import details
+from calib.core.results.sections.determination import position_uncertainty_table, unsure
+from calib.core.results.sections.files_held import files_grid
+from calib.core.results.sections.grid import GridNumber
+from calib.core.results.sections.noise import noise_found
+from calib.core.results.sections.outliers import outlier_grid
+from calib.core.results.sections.parameters import parameter_grid
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars, error_map
 from viz.pose_sources import from_fit
@@ -73,7 +73,7 @@ def report_page(
         command: Command line that made it.
         created: Time to print; now if not given.
         viewer: File beside the page with the viewer, to link to; none if not given.
-        logo: Image to put beside the title, as `calib.base.files.image_address` gives it; none if not given.
+        logo: Image to put beside the title, as `calib.core.base.files.image_address` gives it; none if not given.
         scene: The fit's scene, where it has been made before.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Fit
-from calib.base.arrays import FloatArray
-from calib.base.errors import InputError
-from calib.base.units import error_scale, quantity
-from calib.fitting.error_sets import ErrorSet
-from calib.instruments.kind import Part
-from calib.judging.verdict import judge
-from calib.reporting.sections.accuracy import NAMES, AccuracyLine, AccuracyTable, error_sets
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.units import error_scale, quantity
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.instruments.kind import Part
+from calib.core.judging.verdict import judge
+from calib.core.results.sections.accuracy import NAMES, AccuracyLine, AccuracyTable, error_sets
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 from viz.remarks import tolerance

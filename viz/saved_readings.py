@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import DataError
-from calib.base.units import error_scale
-from calib.data.measurements import Poses, in_setups, measurements
-from calib.data.tables import Table, read_table
-from calib.fitting.error_sets import STATES, ErrorSet
-from calib.instruments.kind import Instrument, Readings
-from calib.reporting.result_reading import read_result
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.units import error_scale
+from calib.core.data.measurements import Poses, in_setups, measurements
+from calib.core.data.tables import Table, read_table
+from calib.core.fitting.error_sets import STATES, ErrorSet
+from calib.core.instruments.kind import Instrument, Readings
+from calib.core.results.result_reading import read_result
 from viz.poses import EXCLUDED, IDENTIFICATION
 
 

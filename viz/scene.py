@@ -10,11 +10,11 @@ import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.units import DISPLAY_UNIT, PER_SI
-from calib.base.words import counted
-from calib.fitting.error_sets import STATES
-from calib.reporting.sections.noise import instrument_blocks
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.words import counted
+from calib.core.fitting.error_sets import STATES
+from calib.core.results.sections.noise import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of

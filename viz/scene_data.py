@@ -10,10 +10,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.units import ERROR_UNIT, PER_SI, error_scale
-from calib.fitting.error_sets import STATES
-from calib.instruments.position import POSITION
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.core.fitting.error_sets import STATES
+from calib.core.instruments.position import POSITION
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, WORST

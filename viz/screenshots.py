@@ -13,9 +13,9 @@ from typing import Any
 
 import click
 
-from calib.base.errors import InputError
-from calib.base.files import write_folder
-from calib.commands.common import Output, shared_options
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_folder
+from calib.core.commands.common import Output, shared_options
 
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}

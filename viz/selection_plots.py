@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.base.units import PER_SI
+from calib.core.base.units import PER_SI
 from calib.planning.assessment import Assessment
 from calib.planning.selection import Selection
 from calib.planning.selection_problem import TASK

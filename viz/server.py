@@ -23,7 +23,7 @@ import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
 
 ADDRESS = "127.0.0.1"
 _WAITING = 4096  # messages that a slow browser may have before it is dropped

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from calib import Robot
-from calib.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 
 Colour = tuple[float, float, float, float]
 GREY: Colour = (0.62, 0.66, 0.7, 1.0)

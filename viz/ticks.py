@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 
 _ROUNDING = 1e-10  # of the length of an axis, by which a tick may lie beyond its end
 _SIDES = {"x": ("bottom", "top"), "y": ("left", "right")}

@@ -15,8 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calib.base.files import write_file
-from calib.base.version import VERSION
+from calib.core.base.files import write_file
+from calib.core.base.version import VERSION
 from viz.scene import Scene
 from viz.scene_data import scene_data
 

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from calib import Robot
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from viz.poses import Calibrated, PoseTable
 
 SEED = 1

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
+from calib.core.results.urdf import with_inserted
+from calib.core.robots.closure import residual
+from calib.core.robots.mechanism import rigid
+from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import urdf_of_origins
+from calib.core.robots.urdf.links import possible_inertia, read_links
+from calib.core.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf, quoted
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
-from calib.exporting.links import possible_inertia, read_links
-from calib.exporting.urdf import with_inserted
-from calib.robots.closure import residual
-from calib.robots.mechanism import rigid
-from calib.robots.robot import Robot
-from calib.robots.robot_files import urdf_of_origins
-from calib.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf, quoted
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""

@@ -14,20 +14,20 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import InputError
-from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
-from calib.base.words import listed
-from calib.data.dh_files import format_dh
-from calib.data.table_writing import format_table
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.words import listed
+from calib.core.data.dh_files import format_dh
+from calib.core.data.table_writing import format_table
+from calib.core.results.urdf import comment, numbers, provenance_lines, source_lines
+from calib.core.robots.held import Holds
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.exporting.held_formats import compared
 from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
-from calib.exporting.urdf import comment, numbers, provenance_lines, source_lines
-from calib.robots.held import Holds
-from calib.robots.robot import Robot
-from calib.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 
 _UR_JOINTS = {
     "shoulder": "shoulder_pan_joint",

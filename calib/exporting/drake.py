@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
+from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
+from calib.core.robots.urdf.links import element_tree
+from calib.core.robots.urdf.text import parse_urdf, quoted
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
-from calib.exporting.links import element_tree
-from calib.exporting.urdf import comment, numbers, provenance_lines, with_inserted
-from calib.robots.urdf.text import parse_urdf, quoted
 
 NAMESPACE = "http://drake.mit.edu"
 

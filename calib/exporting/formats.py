@@ -6,22 +6,22 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from calib.base.errors import InputError, nearest
-from calib.base.files import check_file, check_folder, write_files, write_folder
-from calib.base.other_words import worded
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.files import check_file, check_folder, write_files, write_folder
+from calib.core.base.other_words import worded
+from calib.core.results.urdf import urdf_bytes, with_mesh_prefix
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
+from calib.exporting.functions.languages import COMMENTS, LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
 from calib.exporting.held_formats import FIRMWARES, HELD, held_of, loses, robot_for, said_of
 from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
-from calib.exporting.printers import PRINTER_COMMENTS, printer_lines
 from calib.exporting.toolbox import toolbox_yaml
-from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.functions.languages import COMMENTS, LANGUAGES, function_file
-from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Robot
+from calib.printers.formats import PRINTER_COMMENTS, printer_lines
 
 
 def _printer(firmware: str, robot: Robot, lines: Sequence[str]) -> ControllerFile:
@@ -67,7 +67,7 @@ def export(
     """Write a robot with its current values for another program.
 
     The file gets the best robot that its format holds: if it has no place for joint terms, the robot that a fit found
-    to be best without them (`calib.robots.held`).
+    to be best without them (`calib.core.robots.held`).
 
     Args:
         robot: The robot.
@@ -77,8 +77,8 @@ def export(
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error, with
             the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
-            `duet`: lines to paste into the settings of a delta printer (see `calib.exporting.printers`). `numpy`, `c`,
-            `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
+            `duet`: lines to paste into the settings of a delta printer (see `calib.printers.formats`). `numpy`, `c`,
+            `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as

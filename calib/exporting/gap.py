@@ -22,15 +22,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import InputError
-from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.base.units import ERROR_UNIT, Dimension, error_scale
-from calib.numerics.halton import halton
-from calib.robots import kinematics
-from calib.robots.configurations import joint_vector
-from calib.robots.mechanism import RelativeFrame
-from calib.robots.robot import Robot
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.numerics.halton import halton
+from calib.core.robots import kinematics
+from calib.core.robots.configurations import joint_vector
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.robots.robot import Robot
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""

@@ -1,17 +1,17 @@
 """What each export format holds of a calibrated robot, the robot that it gets for that, and what its file says of it.
 
-The one place that knows what formats hold; `calib.robots.held` says what that means.
+The one place that knows what formats hold; `calib.core.robots.held` says what that means.
 """
 
 from __future__ import annotations
 
-from calib.base.errors import ComputationError
-from calib.base.words import listed
-from calib.functions.languages import LANGUAGES, why_none
-from calib.robots.held import Holds
-from calib.robots.linear_delta import is_linear_delta
-from calib.robots.robot import Robot
-from calib.robots.robot_files import lost_by, without_terms
+from calib.core.base.errors import ComputationError
+from calib.core.base.words import listed
+from calib.core.robots.held import Holds
+from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import lost_by, without_terms
+from calib.exporting.functions.languages import LANGUAGES, why_none
+from calib.printers.linear_delta import is_linear_delta
 
 FIRMWARES = ("klipper", "marlin", "duet")
 """Formats for delta printers."""

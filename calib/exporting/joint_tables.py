@@ -8,8 +8,8 @@ is NaN.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
 bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
-that a fit found to be best without it (`calib.robots.held`); the URDF with these origins lies beside the tables. Tables
-and the origins of another file do not go together.
+that a fit found to be best without it (`calib.core.robots.held`); the URDF with these origins lies beside the tables.
+Tables and the origins of another file do not go together.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.errors import InputError
-from calib.base.units import ERROR_UNIT, Dimension, error_scale
-from calib.base.words import listed
-from calib.data.table_writing import format_table
-from calib.exporting.urdf import urdf_bytes
-from calib.joint_terms.term import Context, JointTerm
-from calib.robots.held import Holds
-from calib.robots.joint_errors import actual_joints, columns_of_terms
-from calib.robots.robot import Robot
-from calib.robots.robot_files import without_terms
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import InputError
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.words import listed
+from calib.core.data.table_writing import format_table
+from calib.core.results.urdf import urdf_bytes
+from calib.core.robots.held import Holds
+from calib.core.robots.joint_errors import actual_joints, columns_of_terms
+from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import without_terms
+from calib.core.robots.terms.term import Context, JointTerm
 
 TOLERANCE = 4e-7
 """What interpolation may be off [rad or m]."""

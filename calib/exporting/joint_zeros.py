@@ -18,10 +18,10 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.robots import kinematics
-from calib.robots.joint_errors import actual_joints, term_columns
-from calib.robots.robot import Robot
+from calib.core.base.arrays import FloatArray
+from calib.core.robots import kinematics
+from calib.core.robots.joint_errors import actual_joints, term_columns
+from calib.core.robots.robot import Robot
 
 _STEP = 1e-5  # of joints, for differences [rad or m]
 _SMALL = 1e-3  # a change of offsets after which their derivatives still hold [m or rad]

@@ -25,13 +25,13 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from calib.base.errors import InputError
+from calib.core.base.errors import InputError
+from calib.core.results.urdf import comment, numbers, provenance_lines
+from calib.core.robots.mechanism import rigid
+from calib.core.robots.urdf.links import Inertial, Link, possible_inertia, read_links
+from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint
 from calib.exporting.closed_model import ClosedModel, joint_motion, servo_gains, tie_lines
-from calib.exporting.links import Inertial, Link, possible_inertia, read_links
 from calib.exporting.mjcf_shapes import Shapes, add_surroundings, placed
-from calib.exporting.urdf import comment, numbers, provenance_lines
-from calib.robots.mechanism import rigid
-from calib.robots.urdf.text import HELD_TYPES, UrdfJoint
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 """MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""

@@ -15,9 +15,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import FloatArray
-from calib.exporting.links import Link, Shape, find_mesh
-from calib.exporting.urdf import numbers
+from calib.core.base.arrays import FloatArray
+from calib.core.results.urdf import numbers
+from calib.core.robots.urdf.links import Link, Shape, find_mesh
 
 _MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)

@@ -13,14 +13,14 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import InputError
-from calib.base.units import error_scale, millimetres
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.units import error_scale, millimetres
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText
 from calib.exporting.closed_model import joint_motion, link_of
 from calib.exporting.gap import joint_ranges, poses_near_home
-from calib.robots.mechanism import Mechanism
-from calib.robots.robot import Robot
-from calib.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText
 
 _SOBOL = 12  # so many doublings: 4096 poses show an RMS error to 0.1 %
 _WITH_LOOPS = 256

@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from calib.core.results.urdf import provenance_lines
+from calib.core.robots.description import Description
+from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import home_values
 from calib.exporting.gap import loop_gaps
-from calib.exporting.urdf import provenance_lines
-from calib.robots.description import Description
-from calib.robots.robot import Robot
 
 
 def calibrated_description(robot: Robot, urdf_name: str) -> Description:

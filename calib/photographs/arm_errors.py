@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 
 _LINK = 5 / 8  # of the largest reach
 

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import DescriptionError, nearest
-from calib.base.files import read_text
-from calib.instruments.camera import NAMES
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.files import read_text
+from calib.core.instruments.camera import NAMES
 
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala-brandt", "omni", "mei", "double_sphere")
 _PLAIN = ("plumb_bob", "rational_polynomial", "radtan", "none", "pinhole", "brown_conrady")

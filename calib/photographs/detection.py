@@ -24,10 +24,10 @@ from itertools import count, islice
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import DescriptionError
-from calib.base.words import counted
-from calib.instruments.board import Board
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DescriptionError
+from calib.core.base.words import counted
+from calib.core.instruments.board import Board
 from calib.photographs.opencv import GreyImage, dictionary, dictionary_families, opencv
 
 FEWEST = 4

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.errors import NotConvergedError, NotIdentifiableError
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
 from calib.photographs.scene import Placed, Scene, linearised

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.photographs.estimation import HandEyeEstimate
 from calib.photographs.images_off import OffImage, OffPoint
 from calib.photographs.left_out import LeftOut, rms

@@ -18,9 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import ComputationError, DataError
-from calib.base.words import counted
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, DataError
+from calib.core.base.words import counted
 from calib.photographs.estimation import estimate
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import named_off, without_images_off, without_points_off

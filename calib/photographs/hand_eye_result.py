@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.base.words import as_data, counted, listed
-from calib.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
+from calib.core.base.arrays import FloatArray
+from calib.core.base.words import as_data, counted, listed
+from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.left_out import rms

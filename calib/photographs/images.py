@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import DataError, InputError
-from calib.base.words import counted, listed
-from calib.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DataError, InputError
+from calib.core.base.words import counted, listed
+from calib.core.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
 from calib.photographs.opencv import GreyImage, decoded, opencv, read_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import ComputationError
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import ComputationError
 from calib.photographs.estimation import plain
 from calib.photographs.left_out import predicted, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.photographs.scene import ImageSums
 from calib.photographs.shared_errors import (
     ErrorSizes,

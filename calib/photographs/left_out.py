@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.photographs.estimation import solve
 from calib.photographs.scene import Placed, Scene, on_board, residuals
 from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import ComputationError, NotIdentifiableError
-from calib.instruments.camera import NAMES
-from calib.numerics.chances import FALSE_ALARM
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, NotIdentifiableError
+from calib.core.instruments.camera import NAMES
+from calib.core.numerics.chances import FALSE_ALARM
 from calib.photographs.estimation import plain
 from calib.photographs.left_out import LeftOut, predicted
 from calib.photographs.scene import Placed, Scene

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import CalibrationError
-from calib.instruments.camera import NAMES
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import CalibrationError
+from calib.core.instruments.camera import NAMES
 from calib.photographs.estimation import HandEyeEstimate, estimate, solve
 from calib.photographs.left_out import predicted, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely

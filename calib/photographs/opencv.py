@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.base.errors import DataError, DescriptionError, InputError, nearest
-from calib.base.files import read_bytes
-from calib.base.version import DISTRIBUTION
+from calib.core.base.errors import DataError, DescriptionError, InputError, nearest
+from calib.core.base.files import read_bytes
+from calib.core.base.version import DISTRIBUTION
 
 GreyImage = NDArray[np.uint8]
 """(height, width)."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.photographs.scene import Mount, Scene
 
 _SHIFTS = (1, -1, 2, -2)

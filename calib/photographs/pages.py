@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.photographs.detection import DetectedImage
 from calib.photographs.opencv import GreyImage, encoded, opencv
 

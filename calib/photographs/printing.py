@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import InputError
-from calib.instruments.board import Board
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import InputError
+from calib.core.instruments.board import Board
 from calib.photographs.detection import opencv_board
 from calib.photographs.opencv import dictionary
 

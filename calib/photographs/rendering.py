@@ -1,9 +1,9 @@
 """Simulated photographs: what a camera would see of a printed board, so that examples and tests need no camera.
 
-Every pixel is a few rays (`calib.instruments.camera.rays`, lens distortion included), each cut with the plane of the
-board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner of
-the board beside its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but a
-slope of brightness, and nothing stands in the way.
+Every pixel is a few rays (`calib.core.instruments.camera.rays`, lens distortion included), each cut with the plane of
+the board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner
+of the board beside its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but
+a slope of brightness, and nothing stands in the way.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.instruments.board import Board
-from calib.instruments.camera import project, rays
+from calib.core.base.arrays import FloatArray
+from calib.core.instruments.board import Board
+from calib.core.instruments.camera import project, rays
 from calib.photographs.opencv import GreyImage, encoded
 from calib.photographs.printing import Paper
 

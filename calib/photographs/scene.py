@@ -6,8 +6,8 @@ The camera is fixed to one end of the robot by C, the board to the other by M, a
                             A_i = L_i^-1 for a camera on the tool (board beside the robot)
 
 with L_i the tool in the robot's base at image i, X a point of the board and p the same in the camera. Pixels follow by
-`calib.instruments.camera`. Sought are C, M and intrinsics. Steps turn and move places in their own axes, C exp(xi), and
-so does an error of the robot at an image, L_i exp(e_i): [d; w], the tool moved by d and turned by w.
+`calib.core.instruments.camera`. Sought are C, M and intrinsics. Steps turn and move places in their own axes, C
+exp(xi), and so does an error of the robot at an image, L_i exp(e_i): [d; w], the tool moved by d and turned by w.
 
 All that solving asks of the points of an image are sums over them: with residuals r, their derivative J by what is
 sought and G by e_i, J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Whatever weighs images by errors that their points
@@ -23,10 +23,10 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.instruments.board import Board
-from calib.instruments.camera import project, rays
-from calib.numerics.rigid import cross_matrices
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.instruments.board import Board
+from calib.core.instruments.camera import project, rays
+from calib.core.numerics.rigid import cross_matrices
 from calib.photographs.detection import DetectedImage
 
 Mount = Literal["tool", "base"]

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.photographs.scene import ImageSums
 
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none

@@ -2,9 +2,9 @@
 
 1. The focal length, if not stated: of a homography H = K [r1 r2 t] from board to pixels, counted from the
    middle of the image, r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
-2. The board in the camera at each image (`calib.instruments.camera.view_poses`), and the hand-eye problem in closed
-   form (`calib.instruments.hand_eye`): from all images; where that leaves much, from four at a time chosen at random,
-   since some may be wrong. The solution with the smallest median error of images is kept.
+2. The board in the camera at each image (`calib.core.instruments.camera.view_poses`), and the hand-eye problem in
+   closed form (`calib.core.instruments.hand_eye`): from all images; where that leaves much, from four at a time chosen
+   at random, since some may be wrong. The solution with the smallest median error of images is kept.
 3. Least squares in which images that lie further off than most count less, again and again.
 
 Both ways to mount the camera are tried where it is not said; the wrong one fits no robot.
@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.base.errors import DataError, NotIdentifiableError
-from calib.instruments.camera import LEAST_POINTS, rays, view_poses
-from calib.instruments.hand_eye import fixed_poses
-from calib.numerics.chances import FALSE_ALARM
-from calib.numerics.losses import median_length
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError, NotIdentifiableError
+from calib.core.instruments.camera import LEAST_POINTS, rays, view_poses
+from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.losses import median_length
 from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes, normal_equations
 
@@ -286,8 +286,8 @@ def points_off(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...]) -> F
 
     The board is placed freely in each image, so that neither the robot nor another image counts. The point that is
     furthest off, over what its image lets it be, is left out, and its image placed again, until none of all points is
-    further off than one in a hundred sets of good points has (`calib.numerics.losses`). An image of which more than
-    half would go, or too few points would stay, keeps all: something is wrong with the image, or with its board.
+    further off than one in a hundred sets of good points has (`calib.core.numerics.losses`). An image of which more
+    than half would go, or too few points would stay, keeps all: something is wrong with the image, or with its board.
 
     Args:
         scene: The images.

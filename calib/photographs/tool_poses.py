@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import DataError, nearest, nearest_column
-from calib.data.tables import Table, read_table
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, nearest, nearest_column
+from calib.core.data.tables import Table, read_table
+from calib.core.robots.robot import Robot
 from calib.photographs.images import SUFFIXES
-from calib.robots.robot import Robot
 
 ANGLES = ("rpy", "rotvec")
 _POSITION = ("x", "y", "z")

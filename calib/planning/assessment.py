@@ -19,30 +19,30 @@ from typing import Any
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.base.errors import DataError, NotIdentifiableError
-from calib.base.other_words import worded
-from calib.base.parameter import Parameter, index_of
-from calib.base.threads import one_blas_thread
-from calib.base.units import in_si, millimetres
-from calib.base.words import counted, data_frame, listed, titled_html
-from calib.data.in_memory import PosesLike, as_poses
-from calib.data.measurements import Measurements, Poses
-from calib.numerics.identifiability import Elimination, Rank, eliminate
-from calib.numerics.null_space import UnseenGroup, null_groups
-from calib.numerics.observability import Information, TaskIndex, information, observability_of, task_index
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError, NotIdentifiableError
+from calib.core.base.other_words import worded
+from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import in_si, millimetres
+from calib.core.base.words import counted, data_frame, listed, titled_html
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.numerics.identifiability import Elimination, Rank, eliminate
+from calib.core.numerics.null_space import UnseenGroup, null_groups
+from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.core.rows.determination import Determination, determination
+from calib.core.rows.observed import looks_at, observe
+from calib.core.rows.prediction import beside_common_motion
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
 from calib.planning.selection_problem import TASK, build_problem
-from calib.robots.configurations import Configurations
-from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Robot
-from calib.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
-from calib.rows.determination import Determination, determination
-from calib.rows.observed import looks_at, observe
-from calib.rows.prediction import beside_common_motion
-from calib.rows.unknowns import Unknowns
-from calib.rows.whitening import Whitening
 
 _SAMPLED = 100
 """Poses that are checked if none are given."""

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.errors import NotIdentifiableError
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import NotIdentifiableError
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_scores import Scores, scores
 

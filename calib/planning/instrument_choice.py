@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.errors import InputError, nearest
-from calib.base.memory import zeros_with_room
-from calib.data.measurements import Measurements, Poses
-from calib.data.plan_files import TOGETHER
-from calib.robots.robot import Robot
-from calib.rows.candidates import PoseRows, near_measured
-from calib.rows.observed import unsaid_touches
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.memory import zeros_with_room
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.data.plan_files import TOGETHER
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import PoseRows, near_measured
+from calib.core.rows.observed import unsaid_touches
 
 ALL, EACH = "all", "each"
 """All instruments read at every chosen pose, which is the choice of poses alone; or each is chosen by itself."""

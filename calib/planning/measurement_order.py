@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 
 _SHORTER = 1e-12
 _LONGEST_PIECE = 3

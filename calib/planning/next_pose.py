@@ -17,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.threads import one_blas_thread
-from calib.data.measurements import Poses
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.measurements import Poses
+from calib.core.robots.robot import Robot
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import ways
 from calib.planning.rank_three_scores import Determinant, Task
 from calib.planning.selection_problem import DETERMINED, TASK
 from calib.planning.selection_setting import Request, prepare
-from calib.robots.robot import Robot
 
 ENOUGH = 0.8
 """Part of the best pose's help that a nearer one must give."""

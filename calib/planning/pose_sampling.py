@@ -5,7 +5,7 @@ place every time. So poses of a robot that touches are brought to what it touche
 is found from where they are.
 
 A camera sees its board from few of the poses that a robot can take. Where nothing but cameras reads, poses are tried
-until enough see something (`calib.instruments.pixel` says when that is).
+until enough see something (`calib.core.instruments.pixel` says when that is).
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import BoolArray, FloatArray, random_numbers
-from calib.base.memory import require_memory
-from calib.base.other_words import worded
-from calib.base.words import counted, listed
-from calib.data.measurements import Poses, of_visits
-from calib.instruments.kind import Readings
-from calib.robots.joint_errors import term_columns
-from calib.robots.joint_sampling import TRIES, Ranges
-from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Robot
-from calib.rows.candidates import configurations_at
-from calib.rows.observed import looks_at, predicted_readings
-from calib.rows.simulate import MET, at_contact
+from calib.core.base.arrays import BoolArray, FloatArray, random_numbers
+from calib.core.base.memory import require_memory
+from calib.core.base.other_words import worded
+from calib.core.base.words import counted, listed
+from calib.core.data.measurements import Poses, of_visits
+from calib.core.instruments.kind import Readings
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.joint_sampling import TRIES, Ranges
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import configurations_at
+from calib.core.rows.observed import looks_at, predicted_readings
+from calib.core.rows.simulate import MET, at_contact
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
 _AT_ONCE = 1_000
@@ -46,8 +46,8 @@ def sample(
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
     If too few poses come to contact with the places in the description, poses are not at contact, and do not say what
-    they touch (`calib.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the others
-    see nothing (`seen_at` tells which).
+    they touch (`calib.core.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the
+    others see nothing (`seen_at` tells which).
 
     Args:
         robot: The robot at its present values.

@@ -29,19 +29,19 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.errors import CalibrationError
-from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
-from calib.base.words import as_data, counted
-from calib.data.measurements import Measurements
-from calib.fitting.fit import errors_on
-from calib.fitting.fitted import Fit
-from calib.instruments.kind import Comparison
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import CalibrationError
+from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.words import as_data, counted
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fit import errors_on
+from calib.core.fitting.fitted import Fit
+from calib.core.instruments.kind import Comparison
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import near_measured
+from calib.core.rows.observed import seen_by
+from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
-from calib.robots.robot import Robot
-from calib.rows.candidates import near_measured
-from calib.rows.observed import seen_by
-from calib.rows.prediction import RootMeanSquare
 
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """Of a distance that nothing has told yet."""

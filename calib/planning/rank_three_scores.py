@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.planning.selection_problem import SelectionProblem, Sparing
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding

@@ -29,17 +29,17 @@ from functools import partial
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.base.threads import one_blas_thread
-from calib.base.workers import Progress, in_order
-from calib.joint_terms.term import Context
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Progress, in_order
+from calib.core.robots.closure import residual
+from calib.core.robots.continuation import closing_tolerance
+from calib.core.robots.joint_errors import actual_joints, term_columns
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.candidates import configurations_at, rows_of_poses
 from calib.planning.selection_problem import SelectionProblem
 from calib.planning.selection_scores import Scores, scores_of
-from calib.robots.closure import residual
-from calib.robots.continuation import closing_tolerance
-from calib.robots.joint_errors import actual_joints, term_columns
-from calib.robots.robot import Robot
-from calib.rows.candidates import configurations_at, rows_of_poses
 
 _FIRST_STEP = 0.1  # of a joint's range
 _LARGEST_STEP = 0.25

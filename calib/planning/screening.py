@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.planning.exchange import Exchange
 from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
 from calib.planning.selection_setting import SelectionSetting

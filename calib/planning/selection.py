@@ -24,14 +24,16 @@ from functools import partial
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray, IntArray, random_numbers
-from calib.base.errors import InputError
-from calib.base.other_words import worded
-from calib.base.threads import one_blas_thread
-from calib.base.units import in_si, millimetres
-from calib.base.workers import Progress, Workers, in_order
-from calib.data.in_memory import PosesLike
-from calib.numerics.observability import observability_of
+from calib.core.base.arrays import FloatArray, IntArray, random_numbers
+from calib.core.base.errors import InputError
+from calib.core.base.other_words import worded
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import in_si, millimetres
+from calib.core.base.workers import Progress, Workers, in_order
+from calib.core.data.in_memory import PosesLike
+from calib.core.numerics.observability import observability_of
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
@@ -42,8 +44,6 @@ from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
 from calib.planning.selection_setting import Request, SelectionSetting, prepare, require_count
-from calib.robots.loading import RobotLike, as_robot
-from calib.rows.candidates import WHITENED
 
 __all__ = ["Run", "Selection", "select"]
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)

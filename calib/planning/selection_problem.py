@@ -1,7 +1,7 @@
 """The problem of choosing poses, in coordinates in which it is well conditioned.
 
 Each candidate k adds A_k^T A_k to the information matrix of the scaled parameters, A_k its rows
-(`calib.numerics.observability`). Poses measured already add theirs, and priors add P. All poses together determine
+(`calib.core.numerics.observability`). Poses measured already add theirs, and priors add P. All poses together determine
 the directions V,
 
     sum_k A_k^T A_k + measured = V S^2 V^T
@@ -37,10 +37,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.memory import zeros_with_room
-from calib.numerics.identifiability import Rank, reduced
-from calib.numerics.observability import OUTSIDE, Information, information
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.memory import zeros_with_room
+from calib.core.numerics.identifiability import Rank, reduced
+from calib.core.numerics.observability import OUTSIDE, Information, information
 
 TASK = "task"
 """Name of the task index where an index is chosen."""

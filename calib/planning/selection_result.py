@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.base.words import titled_html
-from calib.numerics.identifiability import Rank
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.words import titled_html
+from calib.core.numerics.identifiability import Rank
 
 
 @dataclass(frozen=True, eq=False)

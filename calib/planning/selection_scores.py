@@ -22,9 +22,9 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import InputError, nearest
-from calib.numerics.observability import observability
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import InputError, nearest
+from calib.core.numerics.observability import observability
 from calib.planning.rank_three_scores import Determinant, Task
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem, Sparing
 

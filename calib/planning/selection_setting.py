@@ -11,18 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.base.errors import InputError, NotIdentifiableError, nearest
-from calib.base.memory import require_memory
-from calib.data.in_memory import PosesLike, as_poses
-from calib.data.measurements import Poses
-from calib.planning.exchange import Spacing, uniform_start
-from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
-from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
-from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
-from calib.planning.selection_scores import CHOICES
-from calib.robots.robot import Robot
-from calib.rows.candidates import (
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import InputError, NotIdentifiableError, nearest
+from calib.core.base.memory import require_memory
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurements import Poses
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import (
     Candidates,
     assumed_sigma,
     build_candidates,
@@ -30,8 +25,13 @@ from calib.rows.candidates import (
     require_free,
     rows_of_measured,
 )
-from calib.rows.observed import looks_at
-from calib.rows.unknowns import Unknowns
+from calib.core.rows.observed import looks_at
+from calib.core.rows.unknowns import Unknowns
+from calib.planning.exchange import Spacing, uniform_start
+from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
+from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
+from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
+from calib.planning.selection_scores import CHOICES
 
 
 @dataclass(frozen=True)

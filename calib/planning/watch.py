@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
-from calib.base.errors import (
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import (
     CalibrationError,
     DataError,
     InputError,
@@ -29,24 +29,24 @@ from calib.base.errors import (
     NotIdentifiableError,
     UnreachablePoseError,
 )
-from calib.base.files import read_lines
-from calib.base.other_words import worded
-from calib.base.units import quantity
-from calib.calibrating.calibrate import calibrate
-from calib.data.in_memory import PosesLike, as_poses
-from calib.data.measurement_files import read_measurements
-from calib.data.measurements import Measurements
-from calib.fitting.fitted import Fit
-from calib.fitting.settings import Settings
+from calib.core.base.files import read_lines
+from calib.core.base.other_words import worded
+from calib.core.base.units import quantity
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurement_files import read_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.settings import Settings
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import configurations_at, require_free
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
-from calib.robots.joint_errors import term_columns
-from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Robot
-from calib.rows.candidates import configurations_at, require_free
-from calib.rows.jacobian import linearise
-from calib.rows.prediction import RootMeanSquare, predicted_rms
 
 CANDIDATES = 300
 """Poses that are sampled where none are given."""

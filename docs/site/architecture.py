@@ -1,7 +1,7 @@
-"""The rooms of the house: which module is in which, and the picture of them. A test holds them against the imports.
+"""The rooms of the core, the capabilities beside them, and the picture of both. A test holds them against the imports.
 
-A module imports, also inside functions and for type checkers, only from its own room and from rooms of lower floors,
-and no modules import each other in a circle.
+A module of the core imports, also inside functions and for type checkers, only from its own room and from rooms of
+lower floors; a capability, from the core. No modules import each other in a circle.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT = ("calibration", "cli", "pictures")
-"""Files beside the rooms, on the top floor: what users hold, who draws, and the program."""
+FRONT = ("calibration", "pictures")
+"""Files beside the rooms, on the top floor of the core: what users hold, and who draws."""
+PROGRAM = "cli"
+"""The program, above all: it names the commands of core and capabilities."""
 
 _INCHES = 0.08
 """Height of a unit of the picture, in which a line of text is 1.7 high [inch]."""
@@ -26,16 +28,16 @@ _INCHES = 0.08
 
 @dataclass(frozen=True)
 class Room:
-    """One room: folders of `calib`, with the folders in them that are no rooms of their own.
+    """A room of the core, or a capability: folders of `calib`, with the folders in them that are no rooms of their own.
 
     Attributes:
         name: As CONTRIBUTING.md has it.
-        floor: 0 is the lowest; rooms import from lower floors.
+        floor: 0 is the lowest; rooms import from lower floors. None: a capability, beside the core.
         folders: Its folders, dotted.
     """
 
     name: str
-    floor: int
+    floor: int | None
     folders: tuple[str, ...]
 
     @property
@@ -44,32 +46,62 @@ class Room:
         return tuple(
             path.stem
             for module, path in modules().items()
-            if path.stem != "__init__" and module not in FRONT and room_of(module) is self
+            if path.stem != "__init__" and module not in FRONT and module != PROGRAM and room_of(module) is self
         )
 
 
-ROOMS = (
-    Room("Base", 0, ("base",)),
-    Room("Numerics", 1, ("numerics",)),
-    Room("Joint terms", 1, ("joint_terms",)),
-    Room("URDF", 1, ("robots.urdf",)),
-    Room("Instruments", 2, ("instruments",)),
-    Room("Robots", 3, ("robots",)),
-    Room("Data", 4, ("data",)),
-    Room("Rows", 5, ("rows",)),
-    Room("Photographs", 5, ("photographs",)),
-    Room("Functions", 4, ("functions",)),
-    Room("Exporting", 5, ("exporting",)),
-    Room("Fitting", 6, ("fitting",)),
-    Room("Using", 6, ("using",)),
-    Room("Judging", 7, ("judging",)),
-    Room("Programs", 7, ("using.programs",)),
-    Room("Calibrating", 8, ("calibrating",)),
-    Room("Planning", 9, ("planning",)),
-    Room("Studies", 9, ("planning.studies",)),
-    Room("Reporting", 10, ("reporting",)),
-    Room("Commands", 11, ("commands",)),
+CORE = (
+    Room("Base", 0, ("core.base",)),
+    Room("Numerics", 1, ("core.numerics",)),
+    Room("Joint terms", 1, ("core.robots.terms",)),
+    Room("URDF", 1, ("core.robots.urdf",)),
+    Room("Instruments", 2, ("core.instruments",)),
+    Room("Robots", 3, ("core.robots",)),
+    Room("Data", 4, ("core.data",)),
+    Room("Rows", 5, ("core.rows",)),
+    Room("Fitting", 6, ("core.fitting",)),
+    Room("Judging", 7, ("core.judging",)),
+    Room("Calibrating", 8, ("core.calibrating",)),
+    Room("Results", 9, ("core.results",)),
+    Room("Commands", 10, ("core.commands", "core")),
 )
+CAPABILITIES = (
+    Room("Planning", None, ("planning",)),
+    Room("Studies", None, ("studies",)),
+    Room("Fleets", None, ("fleets",)),
+    Room("Programs", None, ("programs",)),
+    Room("Exporting", None, ("exporting",)),
+    Room("Photographs", None, ("photographs",)),
+    Room("Printers", None, ("printers",)),
+)
+ROOMS = (*CORE, *CAPABILITIES)
+DOORS_TO_COME = {
+    ("calibration", "studies.study"),
+    ("calibration", "studies.study_result"),
+    ("core.calibrating.calibrate", "fleets.contradicted"),
+    ("core.commands.init", "photographs.camera_files"),
+    ("core.commands.init", "photographs.commands.boards"),
+    ("core.commands.init", "printers.files"),
+    ("core.commands.init", "printers.linear_delta"),
+    ("core.commands.init", "printers.rows"),
+    ("core.commands.next_steps", "planning.assessment"),
+    ("core.commands.simulate", "photographs.opencv"),
+    ("core.commands.simulate", "photographs.rendering"),
+    ("core.judging.next_step", "printers.linear_delta"),
+    ("core.results.loaded_result", "exporting.formats"),
+    ("core.results.results", "exporting.held_formats"),
+    ("core.results.sections.files_held", "exporting.controllers"),
+    ("core.results.sections.files_held", "exporting.held_formats"),
+    ("core.robots.parametrisation", "printers.linear_delta"),
+    ("pictures", "fleets.fleet"),
+    ("pictures", "planning.progress"),
+    ("exporting.formats", "printers.formats"),
+    ("exporting.held_formats", "printers.linear_delta"),
+    ("printers.formats", "exporting.controllers"),
+    ("printers.formats", "exporting.held_formats"),
+    ("programs.languages.straight_moves", "printers.linear_delta"),
+}
+"""Imports of capabilities by the core, and by each other, that a registration is to replace."""
 
 
 @functools.cache
@@ -90,7 +122,7 @@ def room_of(module: str) -> Room:
     Raises:
         KeyError: Its folder is not a room yet.
     """
-    parts = ["commands"] if module in FRONT else module.split(".")
+    parts = ["core", "commands"] if module in (*FRONT, PROGRAM) else module.split(".")
     for n in range(len(parts), 0, -1):
         for room in ROOMS:
             if ".".join(parts[:n]) in room.folders:
@@ -134,34 +166,46 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 
 def picture() -> Figure:
-    """Draw the rooms, floor above floor, with their modules."""
+    """Draw the rooms of the core, floor above floor, and the capabilities beside them, with their modules."""
     figure = Figure(figsize=(9.5, 6.4))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.axis("off")
-    floors: dict[int, list[Room]] = {}
-    for room in ROOMS:
+    floors: dict[int | None, list[Room]] = {}
+    for room in CORE:
         floors.setdefault(room.floor, []).append(room)
     y = 1.5
     for rooms in floors.values():
-        least = [3.0 + 1.1 * max(len(room.name), 10) for room in rooms]  # the title fits
-        shares = [sum(len(name) + 2 for name in room.modules) for room in rooms]
-        spare = (94.5 - sum(least)) / sum(shares)
-        widths = [low + spare * share for low, share in zip(least, shares, strict=True)]
-        texts = [_wrapped(room.modules, width - 1.0) for room, width in zip(rooms, widths, strict=True)]
-        height = 3.4 + 1.7 * max(text.count("\n") + 1 for text in texts)
-        x = 2.5
-        for room, width, text in zip(rooms, widths, texts, strict=True):
-            _box(axes, x, y, width - 1.0, height, room.name, text, "#e8eef4")
-            x += width
-        y += height + 1.2
-    _box(axes, 2.5, y, 46.0, 5.5, "viz", "viewer, plots, report page", "#fbe9dd")
-    _box(axes, 50.0, y, 46.0, 5.5, "medrue", "this robot and the paper's studies", "#e3f1e5")
-    top = y + 5.5
+        y += _floor(axes, rooms, 2.5, 57.0, y, "#e8eef4") + 1.2
+    top, y = y, 1.5
+    texts = [_wrapped(room.modules, 33.0) for room in CAPABILITIES]
+    natural = [3.4 + 1.7 * (text.count("\n") + 1) for text in texts]
+    spare = (top - 1.5 - sum(natural) - 1.2 * len(natural)) / len(natural)
+    for room, text, height in zip(CAPABILITIES[::-1], texts[::-1], natural[::-1], strict=True):
+        _box(axes, 62.0, y, 34.0, height + spare, room.name, text, "#f4efe0")
+        y += height + spare + 1.2
+    _box(axes, 2.5, top, 46.0, 5.5, "viz", "viewer, plots, report page", "#fbe9dd")
+    _box(axes, 50.0, top, 46.0, 5.5, "medrue", "this robot and the paper's studies", "#e3f1e5")
+    top += 5.5
     axes.set(xlim=(0, 98), ylim=(0, top + 1.5))
     figure.set_figheight(_INCHES * (top + 1.5))
     axes.annotate("", (1.6, 1.5), (1.6, top), arrowprops={"arrowstyle": "->", "color": "#767676"})
+    axes.annotate("", (59.3, top / 2), (61.8, top / 2), arrowprops={"arrowstyle": "->", "color": "#767676"})
     axes.text(1.4, top / 2, "imports", rotation=90, ha="right", va="center", color="#767676", fontsize=8)
     return figure
+
+
+def _floor(axes: Axes, rooms: list[Room], x: float, width: float, y: float, colour: str) -> float:
+    """Draw rooms side by side, and return their height."""
+    least = [3.0 + 1.1 * max(len(room.name), 10) for room in rooms]  # the title fits
+    shares = [sum(len(name) + 2 for name in room.modules) for room in rooms]
+    spare = (width - sum(least)) / sum(shares)
+    widths = [low + spare * share for low, share in zip(least, shares, strict=True)]
+    texts = [_wrapped(room.modules, own - 1.0) for room, own in zip(rooms, widths, strict=True)]
+    height = 3.4 + 1.7 * max(text.count("\n") + 1 for text in texts)
+    for room, own, text in zip(rooms, widths, texts, strict=True):
+        _box(axes, x, y, own - 1.0, height, room.name, text, colour)
+        x += own
+    return height
 
 
 def _box(axes: Axes, x: float, y: float, width: float, height: float, title: str, text: str, colour: str) -> None:

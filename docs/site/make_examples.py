@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
-from calib.base.units import DISPLAY_UNIT, PER_SI
-from calib.data.dh_files import read_dh
-from calib.data.measurements import Poses
-from calib.data.parameter_files import format_parameters
-from calib.data.table_writing import format_table
-from calib.robots.templates import loop_files, read_lengths
-from calib.robots.urdf.denavit_hartenberg import urdf_text
+from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.data.dh_files import read_dh
+from calib.core.data.measurements import Poses
+from calib.core.data.parameter_files import format_parameters
+from calib.core.data.table_writing import format_table
+from calib.core.robots.templates import loop_files, read_lengths
+from calib.core.robots.urdf.denavit_hartenberg import urdf_text
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]

@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib
-from calib.base.arrays import FloatArray
-from calib.numerics.identifiability import numerical_rank
-from calib.robots.kinematics import sweep
-from calib.robots.mechanism import RelativeFrame
-from calib.rows.jacobian import linearise
+from calib.core.base.arrays import FloatArray
+from calib.core.numerics.identifiability import numerical_rank
+from calib.core.robots.kinematics import sweep
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.rows.jacobian import linearise
 from viz.svg import BLUE, GREY, ORANGE, plain_ticks, styled, svg_file
 
 ROOT = Path(__file__).resolve().parents[2]

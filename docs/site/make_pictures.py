@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.base.files import write_folder
+from calib.core.base.files import write_folder
 from viz.report_page import report_page
 from viz.scene import scene_of_fit
 from viz.screenshots import PAPER, small, take

@@ -22,8 +22,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 import calib
-from calib.base.arrays import FloatArray
-from calib.data.tables import read_table
+from calib.core.base.arrays import FloatArray
+from calib.core.data.tables import read_table
 from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.base.other_words import tables
+from calib.core.base.other_words import tables
 
 PAGE = Path(__file__).resolve().parents[1] / "howto" / "other_words.md"
 _INTRODUCTION = """# Words of other packages

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from verdict_lab import Lab, Scenario, Trial
 
-from calib.data.measurements import Measurements
+from calib.core.data.measurements import Measurements
 
 
 def joint_sign(lab: Lab) -> Measurements:

@@ -8,8 +8,8 @@ import numpy as np
 from verdict_lab import Lab, Scenario, Trial, placed
 
 import calib
-from calib.data.measurements import Measurements
-from calib.instruments.kind import Readings
+from calib.core.data.measurements import Measurements
+from calib.core.instruments.kind import Readings
 
 
 def as_drawn(lab: Lab) -> Measurements:

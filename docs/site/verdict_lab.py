@@ -14,9 +14,9 @@ from make_examples import ARM_BASE, EXAMPLES
 from numpy.typing import NDArray
 
 import calib
-from calib.data.in_memory import as_measurements
-from calib.data.measurements import Measurements
-from calib.robots.templates import TEMPLATES, loop_files
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.robots.templates import TEMPLATES, loop_files
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

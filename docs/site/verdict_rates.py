@@ -25,11 +25,11 @@ from make_examples import EXAMPLES
 from verdict_scenarios import SCENARIOS, Trial, open_lab
 
 import calib
-from calib.base.errors import CalibrationError
-from calib.base.files import write_file
-from calib.base.workers import Workers, in_order
-from calib.data.table_writing import format_table
-from calib.robots.described_instruments import instruments_of
+from calib.core.base.errors import CalibrationError
+from calib.core.base.files import write_file
+from calib.core.base.workers import Workers, in_order
+from calib.core.data.table_writing import format_table
+from calib.core.robots.described_instruments import instruments_of
 
 PAGE = EXAMPLES.parent / "verdict.md"
 EACH = 1

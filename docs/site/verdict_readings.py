@@ -8,7 +8,7 @@ import numpy as np
 from verdict_lab import Array, Lab, Scenario, Trial
 
 import calib
-from calib.data.measurements import Measurements
+from calib.core.data.measurements import Measurements
 
 
 def outliers(lab: Lab) -> Measurements:

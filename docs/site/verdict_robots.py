@@ -9,7 +9,7 @@ import numpy as np
 from verdict_lab import Array, Lab, Scenario, Trial
 
 import calib
-from calib.data.measurements import Measurements, directions_of_motion
+from calib.core.data.measurements import Measurements, directions_of_motion
 
 
 def _joint_error(lab: Lab, error: Callable[[Array, Array], Array], count: int = 1) -> Measurements:

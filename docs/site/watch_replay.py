@@ -21,9 +21,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import calib
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.units import millimetres
-from calib.data.tables import read_table
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import millimetres
+from calib.core.data.tables import read_table
 from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
 FIGURE = Path(__file__).resolve().parents[1] / "figures" / "watch_replay.svg"

@@ -26,14 +26,14 @@ import scipy
 from motoman_choice import load as motoman
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.fitting.fit import fit_data
-from calib.fitting.problem import Problem
-from calib.fitting.settings import Settings
-from calib.fitting.solving import place, solve_from
-from calib.joint_terms.term import Context
-from calib.numerics.least_squares import TOLERANCE, minimise
-from calib.numerics.tall import Tall
+from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.fit import fit_data
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.solving import place, solve_from
+from calib.core.numerics.least_squares import TOLERANCE, minimise
+from calib.core.numerics.tall import Tall
+from calib.core.robots.terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
@@ -157,7 +157,7 @@ def against_minpack(robot, data):
             last[:] = [ours.evaluations, theirs.nfev, ours.cost, 2.0 * theirs.cost, ours.converged]
         return ours
 
-    with mock.patch("calib.fitting.problem.minimise", both):
+    with mock.patch("calib.core.fitting.problem.minimise", both):
         try:
             fit_data(robot, Settings(), data)
         except calib.NotIdentifiableError:  # said before anything is fitted
@@ -197,7 +197,7 @@ def lowest_costs(robot, data):
             )
         return path_of("fit", lambda seen: minimise(seen, jacobian, start, **options))
 
-    with mock.patch("calib.fitting.problem.minimise", all_of_them):
+    with mock.patch("calib.core.fitting.problem.minimise", all_of_them):
         fit_data(robot, Settings(), data)
     return paths
 

@@ -18,7 +18,7 @@ import numpy as np
 from timing import least
 
 import calib
-from calib.robots.acceleration import compiled
+from calib.core.robots.acceleration import compiled
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.numerics.observability import information
+from calib.core.base.threads import one_blas_thread
+from calib.core.numerics.observability import information
+from calib.core.rows.candidates import rows_of_poses
+from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
-from calib.rows.candidates import rows_of_poses
-from calib.rows.unknowns import Unknowns
 
 COUNT = 53
 DESCRIPTION = Path(__file__).resolve().parents[2] / "docs" / "examples" / "motoman_right.yaml"

@@ -23,8 +23,8 @@ from hand_written import Arm, fit
 from timing import fast, least
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.rows.jacobian import linearise
+from calib.core.base.threads import one_blas_thread
+from calib.core.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -175,8 +175,8 @@ without reading the result.
 
 With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
-once use it, and so does code under `with calib.robots.acceleration.compiled():`. Where nothing is compiled yet, only
-work that takes longer than compiling does: a study of 3600 draws of 84 poses, a fit of 75 000.
+once use it, and so does code under `with calib.core.robots.acceleration.compiled():`. Where nothing is compiled yet,
+only work that takes longer than compiling does: a study of 3600 draws of 84 poses, a fit of 75 000.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.using.goals import Goals
-from calib.using.inverse import solve
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import solve
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.robots import kinematics
-from calib.robots.closure import residual
-from calib.rows.jacobian import linearise, origin_jacobian
+from calib.core.robots import kinematics
+from calib.core.robots.closure import residual
+from calib.core.rows.jacobian import linearise, origin_jacobian
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

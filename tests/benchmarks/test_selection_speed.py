@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.in_memory import as_poses
+from calib.core.data.in_memory import as_poses
 from calib.planning.assessment import check
 from calib.planning.selection import select
 from medrue import robot_file

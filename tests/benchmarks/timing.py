@@ -2,8 +2,8 @@
 
 import time
 
-from calib.base.threads import one_blas_thread
-from calib.robots.acceleration import compiled
+from calib.core.base.threads import one_blas_thread
+from calib.core.robots.acceleration import compiled
 
 QUICK = 0.02
 """Seconds of work that the next one finds its data in the processor's cache after, as the next step of a fit does."""

@@ -18,15 +18,15 @@ import numpy as np
 from timing import fast
 
 import calib
-from calib.base.threads import one_blas_thread
-from calib.calibrating import file_robots
-from calib.fitting import curvature, fit, regions, solving
-from calib.fitting.terms import term_choice
-from calib.judging import claim, error_budget, residual_patterns, verdict
-from calib.numerics import nearby
-from calib.planning.studies import draw_statistics, many_calibrations, study_data
-from calib.robots import continuation, kinematics
-from calib.rows import jacobian, many_robots
+from calib.core.base.threads import one_blas_thread
+from calib.core.calibrating import file_robots
+from calib.core.fitting import curvature, fit, regions, solving
+from calib.core.fitting.terms import term_choice
+from calib.core.judging import claim, error_budget, residual_patterns, verdict
+from calib.core.numerics import nearby
+from calib.core.robots import continuation, kinematics
+from calib.core.rows import jacobian, many_robots
+from calib.studies import draw_statistics, many_calibrations, study_data
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from viz import pictures, report_page, scene, svg, viewer_page

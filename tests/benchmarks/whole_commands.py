@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.base.units import PER_SI, millimetres
-from calib.data.table_writing import format_table
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -29,7 +29,7 @@ MANY = 100_000
 MOST = 1_000_000
 COMPILE = """
 import sys, calib
-from calib.robots.acceleration import compiled
+from calib.core.robots.acceleration import compiled
 with compiled():
     calib.fit(*sys.argv[1:])
 """

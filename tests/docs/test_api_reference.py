@@ -29,7 +29,7 @@ def test_names_stand_in_the_order_of_use_each_once():
 
 def test_what_pages_cite_has_its_derivation():
     made = pages()
-    assert "calib.numerics.statistics" in cited()
+    assert "calib.core.numerics.statistics" in cited()
     for name in cited():
         assert made[f"reference/api/{name}.md"].endswith("members: false\n")
         assert api_reference.summary(name)

@@ -8,7 +8,7 @@ import pytest
 from snippets import DOCS
 
 import calib
-from calib.data.parameter_files import read_parameters
+from calib.core.data.parameter_files import read_parameters
 
 EXAMPLES = DOCS / "examples"
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:e[-+]?\d+)?")

@@ -4,7 +4,7 @@ import re
 
 from snippets import DOCS
 
-from calib.robots.description import BaseSection, Description, OriginSection, TargetSection
+from calib.core.robots.description import BaseSection, Description, OriginSection, TargetSection
 
 
 def test_every_key_is_on_the_page():

@@ -14,11 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.commands.init import command as init
-from calib.data.measurements import Poses
+from calib.core.commands.init import command as init
+from calib.core.data.measurements import Poses
+from calib.core.robots.urdf.arm_chain import arm_chain
+from calib.core.robots.urdf.text import read_urdf
 from calib.exporting.formats import export
-from calib.robots.urdf.arm_chain import arm_chain
-from calib.robots.urdf.text import read_urdf
 
 SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point

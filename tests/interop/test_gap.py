@@ -7,11 +7,11 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.base.errors import InputError, UnreachablePoseError
+from calib.core.base.errors import InputError, UnreachablePoseError
+from calib.core.results.urdf import urdf_bytes
 from calib.exporting.closed_model import closed_model
 from calib.exporting.formats import export
 from calib.exporting.gap import free_directions, free_joints, loop_gaps, poses_near_home
-from calib.exporting.urdf import urdf_bytes
 
 
 def test_the_papers_parameters_keep_the_five_bars_planar(case) -> None:

@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.base.errors import InputError
-from calib.commands.predict import command as predict
-from calib.data.measurement_files import read_measurements
-from calib.data.parameter_files import format_parameters
+from calib.core.base.errors import InputError
+from calib.core.commands.predict import command as predict
+from calib.core.data.measurement_files import read_measurements
+from calib.core.data.parameter_files import format_parameters
 from calib.exporting.formats import export
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (in a checkout: pip install -e '.[interop]')")

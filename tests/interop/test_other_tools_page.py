@@ -11,7 +11,8 @@ from click.testing import CliRunner
 from signed_files import read_plain
 
 import calib
-from calib.commands import export, fit
+from calib.core.commands import fit
+from calib.exporting import command as export
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "other_tools.md").read_text(encoding="utf-8")

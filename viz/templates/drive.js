@@ -1,5 +1,5 @@
 // Moving the robot by hand: motors from sliders, passive joints from the loops, which are followed in small steps.
-// Equations and names are those of viz/drive.py and calib/robots/loops.py.
+// Equations and names are those of viz/drive.py and calib/core/robots/loops.py.
 "use strict";
 
 const LARGEST_STEP = 0.02; // of motors, in radians or characteristic lengths, between two solutions

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.parameter import Parameter
-from calib.joint_terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
+from calib.core.base.parameter import Parameter
+from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.fitting.fitted import Fit
-from calib.judging.reasons import Reason
+from calib.core.fitting.fitted import Fit
+from calib.core.judging.reasons import Reason
 
 MOST = 5.0
 """Largest change of the temperature that is no reason [K]."""

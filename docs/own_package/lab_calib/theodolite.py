@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.errors import ComputationError, DataError
-from calib.base.sections import FrameSection, PositiveAngle, PositiveLength
-from calib.instruments.kind import (
+from calib.core.base.errors import ComputationError, DataError
+from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength
+from calib.core.instruments.kind import (
     Column,
     Comparison,
     FrameInstrument,
@@ -25,7 +25,7 @@ from calib.instruments.kind import (
     Scene,
     View,
 )
-from calib.instruments.noise import Noise, PartNoise
+from calib.core.instruments.noise import Noise, PartNoise
 
 
 class TheodoliteSection(InstrumentSection):

@@ -9,7 +9,7 @@ import yaml
 from exchange import Answer, Problem, fit_time, main
 
 import calib
-from calib.base.errors import CalibrationError
+from calib.core.base.errors import CalibrationError
 
 
 def write_table(problem: Problem, path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.commands.boards import given_board
+from calib.photographs.commands.boards import given_board
 from calib.photographs.detection import detect
 from calib.photographs.images import shots
 

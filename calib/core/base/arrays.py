@@ -1,0 +1,185 @@
+"""Names of array types, frozen dataclasses whose arrays are frozen too, and random numbers from a seed."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from dataclasses import fields
+from functools import cache
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import Worded
+
+FloatArray = NDArray[np.floating[Any]]
+IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+
+
+def as_slice(chosen: IntArray) -> IntArray | slice:
+    """Return indices (n,) that follow each other as a slice: what it selects is changed in place, not copied."""
+    first = int(chosen[0]) if len(chosen) else 0
+    span = slice(first, first + len(chosen))
+    return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array itself if it is read-only, else a read-only copy."""
+    if not array.flags.writeable and array.base is None:
+        return array
+    copied = array.copy()
+    copied.flags.writeable = False
+    return copied
+
+
+def hold(*arrays: NDArray[Any]) -> None:
+    """Make new arrays read-only, so that who keeps them needs no copies."""
+    for array in arrays:
+        array.flags.writeable = False
+
+
+_HOLDING = (np.ndarray, tuple, dict)
+
+
+def _held_fast(value: Any) -> Any:
+    """Return an array, or a tuple or dictionary of arrays, that is read-only; anything else as it is."""
+    if isinstance(value, np.ndarray):
+        return read_only(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+        return tuple(read_only(array) for array in value)
+    if isinstance(value, dict) and any(isinstance(array, np.ndarray) for array in value.values()):
+        return {key: _held_fast(array) for key, array in value.items()}
+    return value
+
+
+def _short(value: object) -> str:
+    """One value, or how many."""
+    if isinstance(value, np.ndarray):
+        return str(value.shape)
+    return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
+
+
+@cache
+def _names_of_fields(of: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(of))
+
+
+def numbers_in(given: ArrayLike, what: str) -> FloatArray:
+    """Return an array of numbers; an `InputError` where there are others, such as text.
+
+    Args:
+        given: The numbers, (..., n).
+        what: What they are, in the message.
+
+    Returns:
+        The numbers, (..., n) as they were given.
+    """
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{what}: expected numbers, not {given!r:.60}") from None
+
+
+class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
+    """A read-only array whose rows also have names: `limits["elbow"]` is `limits[1]`; what is taken of it is plain."""
+
+    _names: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(array: FloatArray, names: tuple[str, ...]) -> NamedRows:
+        """Return the array (n, ...) with names of its rows; taking a row of another name is an `InputError`."""
+        result = read_only(array).view(NamedRows)
+        result._names = names
+        return result
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a row by its name, or what an array has there.
+
+        Raises:
+            InputError: No row has this name.
+        """
+        if isinstance(key, str) and key not in self._names:
+            raise InputError(f"no row '{key}'{nearest(key, self._names)}")
+        return np.asarray(self)[self._names.index(key) if isinstance(key, str) else key]
+
+    def __repr__(self) -> str:
+        return repr(np.asarray(self))
+
+
+class ReadOnlyArrays(Worded):
+    """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
+
+    They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.
+    """
+
+    def __init_subclass__(cls) -> None:
+        if cls.__repr__ is ReadOnlyArrays.__repr__:
+            cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # its own, so dataclass keeps it
+
+    def __repr__(self) -> str:
+        told = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        shown = (
+            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}" for name, value in told
+        )
+        return f"<{type(self).__name__}: {', '.join(shown)}>"
+
+    def __post_init__(self) -> None:
+        kept = self.__dict__
+        for name in _names_of_fields(type(self)):
+            value = kept[name]
+            if isinstance(value, _HOLDING):
+                kept[name] = _held_fast(value)
+
+    def _with(self, forgotten: tuple[str, ...] = (), **values: Any) -> Self:
+        """Return a copy in which some fields differ; what was computed of the others stays, but what is forgotten."""
+        changed = object.__new__(type(self))
+        changed.__dict__.update(self.__dict__)
+        for name in forgotten:
+            changed.__dict__.pop(name, None)
+        changed.__dict__.update({name: _held_fast(value) for name, value in values.items()})
+        return changed
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
+
+
+class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):
+    """Base of what is read as one array wherever NumPy takes arrays: `1e3 * residuals`, `predicted - measured`.
+
+    A subclass says by `__array__` which array that is.
+    """
+
+    @abstractmethod
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the array."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Compute with the arrays; where each of them would be repeated along the other, that is an `InputError`."""
+        plain = [np.asarray(given) if isinstance(given, ReadAsArray) else given for given in inputs]
+        shapes = [np.shape(given) for given in plain]
+        with suppress(ValueError):  # shapes that do not fit: the function says so
+            if method == "__call__" and np.broadcast_shapes(*shapes) not in shapes:
+                raise InputError(
+                    f"{type(self).__name__}: shapes {' and '.join(map(str, shapes))} would repeat each along the other;"
+                    f" give an array of shape {np.shape(self)}"
+                )
+        return getattr(ufunc, method)(*plain, **options)
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+    def __len__(self) -> int:
+        return len(np.asarray(self))
+
+
+def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:
+    """Return where random numbers come from; a negative seed is an `InputError`."""
+    if isinstance(seed, int) and seed < 0:
+        raise InputError(f"seed {seed}: must be zero or positive")
+    return np.random.default_rng(seed)

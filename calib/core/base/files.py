@@ -1,0 +1,293 @@
+"""Files: read up to a size that memory holds; written beside and then renamed, so that none is half overwritten."""
+
+from __future__ import annotations
+
+import base64
+import codecs
+import errno
+import io
+import math
+import os
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
+from pathlib import Path
+
+from calib.core.base.errors import CalibrationError, InputError
+from calib.core.base.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
+from calib.core.base.replacing import clear_leftovers, new_file, new_folder, replace_folder
+
+_FILE_ENDINGS = (
+    *(".csv", ".html", ".json", ".pdf", ".urdf", ".xml", ".yaml", ".yml"),
+    *(".pkl", ".pickle", ".joblib", ".npz", ".npy", ".h5", ".mat", ".txt", ".zip"),
+)
+_STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
+_LARGEST = 2**28  # bytes: a million rows and more, and less than memory
+_PIECE = 2**20  # bytes of a large file at once
+_LARGEST_IMAGE = 2**19  # bytes: it stands in every report
+_IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
+
+
+def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -> bytes:
+    """Return what a file holds.
+
+    Args:
+        path: The file; also a pipe.
+        expected: What it should be, such as `a CSV file`.
+        error: What to raise.
+
+    Raises:
+        CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
+    """
+    return b"".join(_pieces(path, expected, error))
+
+
+def _pieces(
+    path: Path | str, expected: str, error: type[CalibrationError], largest: float = _LARGEST
+) -> Iterator[bytes]:
+    """What a file holds, a piece after the other; see `read_bytes`."""
+    size = 0
+    try:
+        with Path(path).open("rb") as stream:
+            note_input(os.fstat(stream.fileno()))
+            while piece := stream.read(_PIECE):
+                size += len(piece)
+                if size > largest:
+                    raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {expected}?")
+                yield piece
+    except FileNotFoundError:
+        raise error(f"{path}: no such file; give {expected}") from None
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
+    except ValueError as problem:  # a name with a zero byte, which YAML can spell
+        raise error(f"{str(path)!r}: cannot be read ({problem})") from None
+
+
+def read_text(path: Path | str, expected: str, error: type[CalibrationError]) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+    return "\n".join(chain.from_iterable(read_lines(path, expected, error)))
+
+
+def read_lines(
+    path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False, any_size: bool = False
+) -> Iterator[list[str]]:
+    """Yield the lines of a text file without their ends, those of a piece at a time; see `read_text`.
+
+    Args:
+        path: The file.
+        expected: What it should be, for the error.
+        error: What to raise.
+        growing: Whether the file is still written: a last line without its end is left out.
+        any_size: Whether a file on a disk may be as large as it is.
+    """
+    largest = math.inf if any_size and Path(path).is_file() else _LARGEST
+    decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
+    begun: list[str] = []  # of the last line
+    try:
+        for piece in _pieces(path, expected, error, largest):
+            begun.append(decoder.decode(piece))
+            if "\n" in begun[-1]:
+                lines = "".join(begun).split("\n")
+                begun = [lines.pop()]
+                yield lines
+        yield [""] if growing else "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not UTF-8 text; give {expected} in UTF-8") from None
+
+
+def image_address(path: Path | str) -> str:
+    """Return a PNG, JPEG or SVG image as an address that holds it, for a page that loads nothing else.
+
+    Raises:
+        InputError: It is missing, none of these, or larger than 512 kB.
+    """
+    expected = "a PNG, JPEG or SVG image"
+    content = read_bytes(path, expected, InputError)
+    if len(content) > _LARGEST_IMAGE:
+        raise InputError(f"{path}: has {len(content) >> 10} kB; give {expected} of at most {_LARGEST_IMAGE >> 10} kB")
+    start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
+    kind = next((kind for mark, kind in _IMAGES if start.startswith(mark)), None)
+    if kind is None or (kind == "svg+xml" and b"<svg" not in content):
+        raise InputError(f"{path}: is not an image that a page can show; give {expected}")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def write_file(
+    path: Path | str,
+    content: bytes | str,
+    *,
+    comment: str = "",
+    inputs: Iterable[Path | str] = (),
+    force: bool = False,
+) -> None:
+    """Write a whole file, or leave what was there untouched; see `write_files`."""
+    text = content.encode("utf-8") if isinstance(content, str) else content
+    write_files({Path(path): text}, comment=comment, inputs=inputs, force=force)
+
+
+def write_files(
+    files: Mapping[Path, bytes], *, comment: str | None = "", inputs: Iterable[Path | str] = (), force: bool = False
+) -> None:
+    """Write files that belong together: each as a whole, and none takes its place before all are complete.
+
+    Each ends in a line that says who wrote it. Pipes and devices are written to as they are.
+
+    Args:
+        files: Content by path.
+        comment: How comments of these files begin, if not as in tables or XML; see `calib.core.base.own_files.signed`.
+            None: they get no line; a manifest in their folder says who wrote them.
+        inputs: What they were made from.
+        force: Replace what this program did not write, or has read, all the same.
+
+    Raises:
+        InputError: A folder does not exist or cannot be written to, or a file should not be replaced; nothing was
+            written.
+    """
+    if comment is None:
+        files = {**files, **_manifests(files)}
+    with ExitStack() as stack:
+        complete = []
+        for path, plain in files.items():
+            with _explained(path):
+                if path.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, "is a folder")
+                if _is_stream(path):
+                    with path.open("ab") as stream:  # appending: standard output may be a file that holds something
+                        stream.write(plain)
+                    continue
+                content = plain if comment is None else signed(plain, comment)
+                require_replaceable(path, content, inputs=inputs, force=force)
+                target = path.resolve()  # a symbolic link stays one
+                clear_leftovers(target.parent)
+                temporary, handle = stack.enter_context(new_file(target.parent))
+                with os.fdopen(os.dup(handle), "wb") as stream:  # closing it says what could not be written
+                    stream.write(content)
+                os.fchmod(handle, _permissions(target, 0o666))
+                complete.append((temporary, target))
+        for temporary, target in complete:
+            with _explained(target):
+                temporary.replace(target)
+
+
+def _manifests(files: Mapping[Path, bytes]) -> dict[Path, bytes]:
+    """The manifests of the folders of files, pipes and devices not among them."""
+    named: dict[Path, dict[str, bytes]] = {}
+    for path, content in files.items():
+        if not _is_stream(path) and path.parent.is_dir():
+            named.setdefault(path.parent, {})[path.name] = content
+    return {folder / MANIFEST: manifest_of(folder, contents, ()) for folder, contents in named.items()}
+
+
+def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool = False) -> None:
+    """Raise `InputError` now if a result could not be written to the folder `path` later.
+
+    Args:
+        path: The folder.
+        names: What will be written, as far as it is known.
+        force: See `write_folder`.
+    """
+    path = Path(path)
+    with _explained(path):
+        _check_replaceable(path.resolve())
+        for name in names:
+            require_replaceable(path / name, force=force)
+        parent = path.resolve().parent
+        while not parent.exists():
+            parent = parent.parent
+        for folder in (parent, path) if path.exists() else (parent,):
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+
+
+def check_file(path: Path | str, *, inputs: Iterable[Path | str] = (), force: bool = False) -> None:
+    """Raise `InputError` now if the file `path` could not be written later; see `write_files`."""
+    path = Path(path)
+    with _explained(path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        if _is_stream(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, "permission denied")
+            return
+        require_replaceable(path, inputs=inputs, force=force)
+        with tempfile.TemporaryFile(dir=path.resolve().parent):
+            pass
+
+
+def write_folder(
+    path: Path | str,
+    files: Mapping[str, bytes],
+    obsolete: Collection[str] = (),
+    *,
+    inputs: Iterable[Path | str] = (),
+    force: bool = False,
+) -> None:
+    """Write a folder of files in one go; files of other names that were in it stay.
+
+    The new folder is completed beside the old one and takes its place in one step; see `calib.core.base.replacing`. A
+    manifest in it says what was written (`calib.core.base.own_files`).
+
+    Args:
+        path: The folder.
+        files: Content by name.
+        obsolete: Names of files that do not stay if they were there.
+        inputs: What the files were made from.
+        force: Replace what this program did not write, or has read, all the same.
+
+    Raises:
+        InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.
+    """
+    path = Path(path).resolve()
+    with _explained(path):
+        _check_replaceable(path)
+        for name in (*files, *obsolete):
+            if (path / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"{name} in it is a folder")
+            require_replaceable(path / name, files.get(name), inputs=inputs, force=force)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        clear_leftovers(path.parent)
+        with new_folder(path.parent) as staging:
+            for name, content in {**files, MANIFEST: manifest_of(path, files, obsolete)}.items():
+                (staging / name).write_bytes(content)
+            staging.chmod(_permissions(path, 0o777))
+            replace_folder(staging, path, obsolete)
+
+
+def _check_replaceable(path: Path) -> None:
+    """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
+    if path.is_file():
+        raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
+    if path.suffix.lower() in _FILE_ENDINGS and not path.exists():
+        raise InputError(f"{path}: the output is a folder of several files; leave the ending out: '{path.stem}'")
+    above = next(folder for folder in path.parents if folder.exists())
+    if not above.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "a part of the path is a file, not a folder")
+    here = Path.cwd()
+    if path == here or path in here.parents:
+        raise OSError(errno.EBUSY, "it holds the current folder; a result needs a folder of its own")
+    if os.path.ismount(path):  # Path.is_mount fails where another program replaces it meanwhile
+        raise OSError(errno.EBUSY, "it is a mount point; a result needs a folder inside it")
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether it is a pipe, a device or another program's open file, which no other file can replace."""
+    folder = path.absolute().parent
+    return path.exists() and (not path.is_file() or folder in _STREAM_FOLDERS or folder.parts[1:2] == ("proc",))
+
+
+def _permissions(path: Path, default: int) -> int:
+    with suppress(FileNotFoundError):
+        return path.stat().st_mode & 0o777
+    mask = os.umask(0)
+    os.umask(mask)
+    return default & ~mask
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path}: cannot be written ({reason}); choose another place for the output") from None

@@ -1,0 +1,152 @@
+"""Which files may be replaced: those that this program wrote and that are unchanged since, but none that it has read.
+
+What is written alone ends in a line that names the program and the beginning of the digest of all other lines, in the
+comments of its format, or as the last entry of JSON. What is written as a folder has a file beside it with the digest
+of each (`MANIFEST`). So a file tells by itself, on any machine, whether this program wrote it, and whether it was
+changed since: a plan into which measurements were filled, a description that was edited.
+
+Other files belong to others: replacing them is an `InputError` unless it is forced, as is replacing what the same
+command has read, under whatever name. Files that are empty, and such as would not change, may always be replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+
+from calib.core.base.errors import InputError
+from calib.core.base.version import PROGRAM
+
+MANIFEST = ".written-by-calib.json"
+"""File of a folder that says what this program wrote into it."""
+GCODE_COMMENT = ";"
+_MARK = re.compile(rb"written by \S+ \S+ \(sha256 of the rest begins ([0-9a-f]{16})\)")
+_OLD_LINES = re.compile(rb"^[#; <!-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
+_END_OF_JSON = b"\n}\n"
+_LOOKS = 10  # at a folder that another program replaces meanwhile
+_inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
+"""Device and number of each file that the present command has read; None where no command runs."""
+
+
+@contextmanager
+def inputs_noted() -> Iterator[None]:
+    """Within the block, a command runs: what it reads, it will not replace."""
+    token = _inputs.set(set())
+    try:
+        yield
+    finally:
+        _inputs.reset(token)
+
+
+def note_input(state: os.stat_result) -> None:
+    """Say that the present command, if one runs, reads a file."""
+    noted = _inputs.get()
+    if noted is not None:
+        noted.add((state.st_dev, state.st_ino))
+
+
+def signed(content: bytes, comment: str = "") -> bytes:
+    """Return a file with the line that says who wrote it.
+
+    Args:
+        content: The file: JSON, XML of any kind, or lines.
+        comment: How a comment begins; of XML and of tables if not given. JSON has none.
+    """
+    text = _OLD_LINES.sub(b"", content)
+    if not text.endswith(b"\n"):
+        text += b"\n"
+    before, after = b"", b""
+    if text.startswith(b"{") and text.endswith(_END_OF_JSON):
+        text, before, after = text.removesuffix(_END_OF_JSON) + b",\n", b' "written_by": "', b'"\n' + _END_OF_JSON[1:]
+        digest = _digest(text + after[2:])
+        return text + before + _mark(digest) + after
+    before, after = (b"<!-- ", b" -->\n") if text.lstrip().startswith(b"<") else (b"# ", b"\n")
+    if comment:
+        before, after = f"{comment} ".encode(), b"\n"
+    return text + before + _mark(_digest(text)) + after
+
+
+def is_mark(line: str) -> bool:
+    """Whether a line of a file is the one that says who wrote it."""
+    return _MARK.search(line.encode()) is not None
+
+
+def _mark(digest: str) -> bytes:
+    return f"written by {PROGRAM} (sha256 of the rest begins {digest[:16]})".encode()
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def is_own(path: Path) -> bool:
+    """Whether this program wrote a file, alone or into its folder, as it is now."""
+    if path.name == MANIFEST:
+        return True
+    manifest = read_manifest(path.parent)
+    for _ in range(_LOOKS):
+        content, before, manifest = path.read_bytes(), manifest, read_manifest(path.parent)
+        if manifest.get(path.name) == _digest(content):
+            return True
+        if manifest == before:
+            break
+    for mark in _MARK.finditer(content):
+        start = content.rfind(b"\n", 0, mark.start()) + 1
+        end = content.find(b"\n", mark.end()) + 1
+        if end and _digest(content[:start] + content[end:])[:16] == mark[1].decode():
+            return True
+    return False
+
+
+def read_manifest(folder: Path) -> dict[str, str]:
+    """Return the digest of each file that this program wrote into a folder; nothing where it does not say."""
+    with suppress(OSError, ValueError, RecursionError):
+        content = json.loads((folder / MANIFEST).read_bytes())
+        if isinstance(content, dict) and isinstance(content.get("sha256"), dict):
+            return {str(name): str(digest) for name, digest in content["sha256"].items()}
+    return {}
+
+
+def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[str]) -> bytes:
+    """Return the manifest of a folder once these files are in it, beside what else this program wrote there."""
+    others = {name: digest for name, digest in read_manifest(folder).items() if (folder / name).is_file()}
+    digests = {name: digest for name, digest in others.items() if name not in obsolete}
+    digests |= {name: _digest(content) for name, content in files.items()}
+    content = {"written_by": PROGRAM, "sha256": dict(sorted(digests.items()))}
+    return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def require_replaceable(
+    path: Path, content: bytes | None = None, *, inputs: Iterable[Path | str] = (), force: bool = False
+) -> None:
+    """Raise `InputError` if a file should not be replaced.
+
+    Args:
+        path: The file, which may be missing.
+        content: What shall be in it, if that is known.
+        inputs: Files that what is written was made from, beside those that the present command has read.
+        force: Replace it all the same.
+    """
+    if force or not path.is_file():
+        return
+    noted = {*(_inputs.get() or ()), *_numbers(inputs)}
+    choose = "choose another place for the output (--force, in Python force=True, replaces it)"
+    with suppress(FileNotFoundError):  # another program replaces the folder just now
+        state = path.stat()
+        if (state.st_dev, state.st_ino) in noted:
+            raise InputError(f"{path}: is read here, and would be replaced by what is made from it; {choose}")
+        if state.st_size and not is_own(path) and (content is None or path.read_bytes() != content):
+            raise InputError(f"{path}: was not written by this program, or was changed since; {choose}")
+
+
+def _numbers(inputs: Iterable[Path | str]) -> Iterator[tuple[int, int]]:
+    for path in inputs:
+        with suppress(OSError, ValueError):
+            state = Path(path).stat()
+            yield state.st_dev, state.st_ino

@@ -1,0 +1,172 @@
+"""Classes by name: those of this package, and those of other packages.
+
+Another package names its classes in its `pyproject.toml`, in the registry's group of entry points; a notebook or script
+calls `register`. Names are looked up when they are asked for, so that nothing of another package is imported before.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
+from typing import Any, Generic, TypeVar
+
+from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, ValidationInfo
+
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.sections import Section
+
+Class = TypeVar("Class")
+
+
+def installed(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group, in the order of their names.
+
+    All installed packages are looked through, once for each search path of modules: that takes longer than many fits.
+    """
+    return _installed(group, tuple(sys.path))
+
+
+@lru_cache(maxsize=32)
+def _installed(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=group), key=lambda entry: entry.name))
+
+
+class Registry(Mapping[str, type[Class]], Generic[Class]):
+    """Classes by name; first this package's in their order, then those that were registered, then other packages'.
+
+    Args:
+        what: What such a class is, in words, such as `joint term`.
+        group: Group of the entry points.
+        base: What each derives from.
+        built_in: This package's.
+        either: Methods of `base`, of which a class must define one.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        group: str,
+        base: type[Class],
+        built_in: Mapping[str, type[Class]],
+        either: tuple[str, ...] = (),
+    ) -> None:
+        self.what, self.group, self._either = what, group, either
+        self._base, self._built_in = base, dict(built_in)
+        self._given: dict[str, type[Class]] = {}  # registered, or loaded before
+
+    def register(self, name: str, given: type[Class]) -> None:
+        """Add a class under a name; one that was registered before under this name is replaced.
+
+        A class that worker processes need registers itself where it is defined: they import its module.
+
+        Raises:
+            DescriptionError: This package or another installed one has the name, or the class is not complete.
+        """
+        if name in self._built_in or name in self._entries():
+            raise DescriptionError(f"{self.what} '{name}': there is one already; give another name")
+        self._given[name] = self._checked(name, given, f"({given!r})")
+
+    def __getitem__(self, name: str) -> type[Class]:
+        """Return the class of a name.
+
+        Raises:
+            KeyError: There is none.
+            DescriptionError: Another package's cannot be loaded, or is not complete.
+        """
+        known = self._built_in.get(name) or self._given.get(name)
+        if known is None:
+            entry = self._entries()[name]
+            known = self._given[name] = self._checked(name, self._loaded(entry), f"({entry.value})")
+        return known
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a class of this name; loads none."""
+        return name in self._built_in or name in self._given or name in self._entries()
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(dict.fromkeys([*self._built_in, *self._given, *sorted(self._entries())]))
+
+    def __len__(self) -> int:
+        """Return how many names there are."""
+        return sum(1 for _ in self)
+
+    def _entries(self) -> dict[str, EntryPoint]:
+        """Entry points of other packages by name.
+
+        Raises:
+            DescriptionError: Two packages give one name, or one gives that of a class of this package.
+        """
+        entries: dict[str, EntryPoint] = {}
+        for entry in installed(self.group):
+            other = entries.setdefault(entry.name, entry)
+            if entry.name in self._built_in or other.value != entry.value:
+                known = f" ({other.value})" if other.value != entry.value else ""
+                raise DescriptionError(
+                    f"{self.what} '{entry.name}' ({entry.value}): another package has the same name{known}; uninstall"
+                    " one of the packages, or have it renamed"
+                )
+        return entries
+
+    def _loaded(self, entry: EntryPoint) -> object:
+        try:
+            return entry.load()
+        except Exception as error:  # whatever another package does while it is imported
+            raise DescriptionError(
+                f"{self.what} '{entry.name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error};"
+                " install its package again, or uninstall it"
+            ) from None
+
+    def _checked(self, name: str, given: object, where: str) -> type[Class]:
+        if not (isinstance(given, type) and issubclass(given, self._base)):
+            raise DescriptionError(f"{self.what} '{name}' {where}: is not derived from {self._base.__qualname__}")
+        if isabstract(given):
+            missing = ", ".join(sorted(getattr(given, "__abstractmethods__", ())))
+            raise DescriptionError(f"{self.what} '{name}' {where}: does not define {missing}")
+        if self._either and all(getattr(given, method) is getattr(self._base, method) for method in self._either):
+            raise DescriptionError(f"{self.what} '{name}' {where}: defines neither {' nor '.join(self._either)}")
+        return given
+
+
+def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
+    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`.
+
+    Reading raises `ValueError` where the key names none.
+    """
+
+    def read(value: Any, info: ValidationInfo) -> Section:
+        if not isinstance(value, (dict, Section)):
+            such = f"{{{key}: {next(iter(registry))}}}"
+            raise ValueError(f"should be keys and values, such as {such} (given: {value!r:.60})")
+        name = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
+        if name is None:
+            raise ValueError(f"needs a key '{key}', one of {', '.join(registry)}")
+        try:
+            if str(name) not in registry:
+                raise ValueError(f"unknown {key} '{name}'{nearest(str(name), registry)}")
+            section = registry[str(name)].section
+        except DescriptionError as error:
+            raise ValueError(str(error)) from None
+        return value if isinstance(value, section) else section.model_validate(value, context=info.context)
+
+    return PlainValidator(read), SerializeAsAny(), _Schema(key, registry)  # type: ignore[type-arg]
+
+
+class _Schema:
+    """The JSON schema of an entry: that of each section, with the names that mean it."""
+
+    def __init__(self, key: str, registry: Registry[Any]) -> None:
+        self._key, self._registry = key, registry
+
+    def __get_pydantic_json_schema__(self, _: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schemas = []
+        for name in self._registry:
+            section = self._registry[name].section
+            section.model_rebuild()
+            schema = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
+            schema["properties"] = schema["properties"] | {self._key: {"const": name}}
+            schemas.append(schema)
+        return {"anyOf": schemas}

@@ -1,0 +1,225 @@
+"""What the sections of a robot description are made of: components of an origin, quantities with units.
+
+Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And how the YAML
+is read, so that a mistake is an error with its line, and a key given twice is a mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
+
+from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.files import read_text
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import Dimension, quantity
+
+Component = Literal["x", "y", "z", "rx", "ry", "rz"]
+LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
+ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
+COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
+_SCALE = 0.01  # by which an unknown length without any expectation is scaled [m]
+_KEYS = ("value", "sigma")
+_MERGE = "tag:yaml.org,2002:merge"
+
+
+def _reader(dimension: Dimension) -> BeforeValidator:
+    def read(value: Any) -> float:
+        try:
+            return quantity(value, dimension, "value")
+        except InputError as error:
+            raise ValueError(str(error).removeprefix("value: ")) from None
+
+    return BeforeValidator(read, json_schema_input_type=float | str)
+
+
+def _number_or_text(value: Any) -> float | str:
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
+    return value
+
+
+Length = Annotated[float, _reader("length")]
+Angle = Annotated[float, _reader("angle")]
+PositiveLength = Annotated[Length, Field(gt=0)]
+PositiveAngle = Annotated[Angle, Field(gt=0)]
+Quantity = Annotated[float | str, PlainValidator(_number_or_text, json_schema_input_type=float | str)]
+"""A number, or text with a unit, whose dimension is known only later."""
+
+
+class Section(BaseModel):
+    """A mapping of keys in a robot description; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+class FrameSection(Section):
+    """A frame on a link.
+
+    Attributes:
+        frame: The link.
+        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
+    """
+
+    frame: str
+    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+
+class PlaceSection(FrameSection):
+    """A frame on a link, of which position and orientation are known or not.
+
+    Attributes:
+        position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        orientation: The same for `rpy`.
+        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma_angle: The same for an unknown orientation [rad].
+    """
+
+    what: ClassVar[str]
+    position: Literal["known", "unknown"] = "known"
+    orientation: Literal["known", "unknown"] = "known"
+    sigma: PositiveLength | None = None
+    sigma_angle: PositiveAngle | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> Self:
+        if self.sigma is not None and self.position == "known":
+            raise ValueError(f"sigma is for a {self.what} whose position is unknown")
+        if self.sigma_angle is not None and self.orientation == "known":
+            raise ValueError(f"sigma_angle is for a {self.what} whose orientation is unknown")
+        return self
+
+
+class PosedSection(FrameSection):
+    """A frame on a link, of which the whole pose is known or not.
+
+    Attributes:
+        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
+        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; left out, the
+            numbers say nothing.
+    """
+
+    what: ClassVar[str]
+    pose: Literal["known", "unknown"] = "known"
+    sigma: PositiveLength | None = None
+    sigma_angle: PositiveAngle | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> Self:
+        if self.pose == "known" and (self.sigma is not None or self.sigma_angle is not None):
+            raise ValueError(f"sigma and sigma_angle are for {self.what} whose pose is unknown")
+        return self
+
+
+@dataclass(frozen=True)
+class OwnLength:
+    """A length that belongs to an instrument.
+
+    Attributes:
+        value: What it is, or is expected to be [m].
+        unknown: Whether the measurements must find it.
+        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
+    """
+
+    value: float = 0.0
+    unknown: bool = False
+    sigma: float | None = None
+
+    def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
+        """Return it as an unknown of an instrument; nothing if it is known.
+
+        Args:
+            name: Of the parameter.
+            start: Nominal value where nothing is expected [m].
+        """
+        if not self.unknown:
+            return ()
+        nominal = self.value if self.sigma is not None or start is None else start
+        sigma = _SCALE if self.sigma is None else self.sigma
+        return (Parameter(name, "length", nominal, sigma, "mm", self.sigma is not None, True),)
+
+
+KNOWN_ZERO = OwnLength()
+
+
+def _read(value: Any) -> OwnLength:
+    try:
+        if isinstance(value, OwnLength):
+            return value
+        if value == "unknown":
+            return OwnLength(unknown=True)
+        if not isinstance(value, dict):
+            return OwnLength(quantity(value, "length", "value"))
+        strange = next((str(key) for key in value if key not in _KEYS), None)
+        if strange is not None:
+            raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
+        if set(value) != set(_KEYS):
+            raise ValueError("give {value: ..., sigma: ...}; or a number alone if it is exact, or 'unknown'")
+        sigma = quantity(value["sigma"], "length", "sigma")
+        if sigma <= 0:
+            raise ValueError("sigma must be positive; give a number alone if it is exact")
+        return OwnLength(quantity(value["value"], "length", "value"), True, sigma)
+    except InputError as error:
+        raise ValueError(str(error).removeprefix("value: ")) from None
+
+
+def _written(length: OwnLength) -> float | str | dict[str, float]:
+    if not length.unknown:
+        return length.value
+    return "unknown" if length.sigma is None else {"value": length.value, "sigma": length.sigma}
+
+
+LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_written)]
+"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML silently keeps the last of two equal keys; here that is an error."""
+
+
+def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        if key_node.tag == _MERGE:
+            continue
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, Hashable):
+            raise yaml.constructor.ConstructorError(None, None, "a key is a list or a mapping", key_node.start_mark)
+        if key in seen:
+            raise yaml.constructor.ConstructorError(None, None, f"key '{key}' is given twice", key_node.start_mark)
+        seen.add(key)
+    return loader.construct_mapping(node, deep=True)
+
+
+# No, Yes, On and Off are words, such as names of columns; true and false alone are truth values
+_UniqueKeyLoader.yaml_implicit_resolvers = {
+    first: [kind for kind in kinds if kind[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
+    for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+
+
+def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
+    """Read a YAML file.
+
+    Args:
+        path: The file.
+        what: It should be, for messages.
+
+    Raises:
+        DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
+    """
+    text = read_text(path, what, DescriptionError)
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+        raise DescriptionError(f"{path}{line}: not valid YAML ({problem})") from None

@@ -1,0 +1,152 @@
+"""Units at the edges: files and reports speak mm and degrees, everything inside is SI (m, rad).
+
+The tables hold how many of a unit make one SI unit, so that `178 mm` becomes the float nearest to 0.178
+(a division rounds once; multiplying by the inexact 1e-3 would not).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Literal, TypeVar
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError, nearest
+
+Lengths = TypeVar("Lengths", float, FloatArray)
+Number = TypeVar("Number")
+Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "acceleration", "number"]
+
+PER_SI: dict[Dimension, dict[str, float]] = {
+    "length": {"m": 1.0, "mm": 1e3, "um": 1e6},
+    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3, "urad": 1e6},
+    "pixel": {"px": 1.0},
+    "time": {"s": 1.0, "min": 1.0 / 60.0, "h": 1.0 / 3600.0},
+    "temperature": {"degC": 1.0},
+    "mass": {"kg": 1.0},
+    "acceleration": {"m/s^2": 1.0},
+    "number": {"1": 1.0},
+}
+_SIGNS = {"°": "deg", "°C": "degC", "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
+DISPLAY_UNIT: dict[Dimension, str] = {
+    "length": "mm",
+    "angle": "deg",
+    "pixel": "px",
+    "time": "s",
+    "temperature": "degC",
+    "mass": "kg",
+    "acceleration": "m/s^2",
+    "number": "1",
+}
+"""Units of values in files and tables."""
+ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
+"""Units of errors."""
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
+_COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
+_IN_ROUND = re.compile(r"^(?P<name>.*?\S)\s*\(\s*(?P<unit>[^()]*?)\s*\)$", re.DOTALL)
+_UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
+_SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
+
+
+def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
+    """Return how many of `unit` make one SI unit; divide by it to get SI.
+
+    Args:
+        unit: Unit name; None or "" means SI.
+        dimension: What is expected.
+        where: What the unit belongs to, for the error message.
+
+    Raises:
+        InputError: The unit is not known, or belongs to the other dimension.
+    """
+    units = PER_SI[dimension]
+    if not unit:
+        return 1.0
+    unit = _SIGNS.get(unit, unit)
+    if unit in units:
+        return units[unit]
+    other = next((name for name, of_other in PER_SI.items() if unit in of_other), None)
+    if other is not None:
+        raise InputError(
+            f"{where}: unit '{unit}' is for {_article(other)}; {_article(dimension)} is expected ({', '.join(units)})"
+        )
+    raise InputError(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def quantity(value: object, dimension: Dimension, where: str) -> float:
+    """Read `0.04 mm`, `1.5 deg` or a bare SI number, and return it in SI.
+
+    >>> quantity("178 mm", "length", "a link")
+    0.178
+
+    Raises:
+        InputError: It is not a finite number with an optional unit of this dimension, or one whose square no
+            computation would survive.
+    """
+    number, unit = math.nan, None
+    if isinstance(value, int) and not isinstance(value, bool):
+        number = float(value) if abs(value) < 10**300 else math.inf
+    elif isinstance(value, float):
+        number = value
+    elif isinstance(value, str) and (match := _QUANTITY.match(value)):
+        number, unit = float(match.group(1)), match.group(2)
+    if not math.isfinite(number):
+        example = "0.04 mm" if dimension == "length" else "1.5 deg"
+        raise InputError(f"{where}: {value!r:.60} is not a finite number with a unit, such as '{example}'")
+    si = number / per_si(unit, dimension, where)
+    if si != 0 and not _SMALLEST <= abs(si) <= _LARGEST:
+        size = "large" if abs(si) > 1 else "small"
+        raise InputError(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
+    return si
+
+
+def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | float:
+    """Return a number as it is [SI], and text with a unit, such as `0.04 mm`, as `quantity` reads it."""
+    return quantity(value, dimension, where) if isinstance(value, str) else value
+
+
+def split_column(header: str) -> tuple[str, str | None]:
+    """Split the column header `name [unit]` into name and unit (None where there is none).
+
+    The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`. Round ones
+    count where there is a unit in them, as other programs write it.
+
+    >>> split_column("tool_x [mm]"), split_column("tool_x (mm)"), split_column("joint (left)")
+    (('tool_x', 'mm'), ('tool_x', 'mm'), ('joint (left)', None))
+    """
+    match = _COLUMN.match(header)
+    assert match is not None  # the pattern takes any text
+    name, unit = match.group("name"), match.group("unit")
+    round_ones = _IN_ROUND.match(name) if unit is None else None
+    if round_ones is not None and round_ones.group("unit") in _UNITS:
+        return round_ones.group("name"), round_ones.group("unit")
+    return name, unit
+
+
+def error_scale(dimension: Dimension) -> float:
+    """Return by what an SI error is multiplied for tables: 1000 for lengths and angles, in mm and mrad."""
+    return PER_SI[dimension][ERROR_UNIT[dimension]]
+
+
+def display_scale(dimension: Dimension) -> float:
+    """Return by what an SI value is multiplied for files and tables: mm and degrees."""
+    return PER_SI[dimension][DISPLAY_UNIT[dimension]]
+
+
+def millimetres(length: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [m] in mm."""
+    return length * PER_SI["length"]["mm"]
+
+
+def micrometres(length: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [m] in um."""
+    return length * PER_SI["length"]["um"]
+
+
+def metres(length_in_mm: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [mm] in m."""
+    return length_in_mm / PER_SI["length"]["mm"]

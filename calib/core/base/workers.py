@@ -1,0 +1,223 @@
+"""Independent work shared over workers: the same results, in the same order, however many there are.
+
+Workers are any `concurrent.futures` executor: threads, processes of this machine (a number), or those of a cluster
+(docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
+to `in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing: its
+worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because losing
+a worker has broken it, the rest is done here. What all pieces of work share, such as the first fit of a study, goes to
+each worker once, if the executor can hold it (processes of `Workers`, and those of Dask); otherwise with every piece.
+
+The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
+are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
+itself. SIGTERM and SIGHUP end the program from within the handler.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future
+from functools import partial
+from types import FrameType, TracebackType
+from typing import Any, TypeVar, cast
+
+from calib.core.base.errors import ComputationError, InputError
+from calib.core.base.processes import Processes
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Progress = Callable[[int, int], None]
+"""Called with how many pieces of work are done, and of how many."""
+
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
+_AHEAD = 256  # pieces of work sent at a time: each carries what it needs, and its result waits for those before it
+_LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
+
+
+def in_order(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    executor: Executor | None,
+    progress: Progress | None = None,
+) -> Iterator[Result]:
+    """Yield the function's results, first item first.
+
+    At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
+    function is what the pieces share.
+
+    Args:
+        function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
+        items: What to call it with.
+        executor: Who works; this process if not given.
+        progress: Told after each item.
+
+    Raises:
+        ComputationError: The same piece of work was lost several times.
+    """
+    futures = dict[int, _Sent]()
+    send = None if executor is None else _sender(executor, function)
+    try:
+        for k in range(len(items)):
+            if executor is None or send is None:
+                result = function(items[k])
+            else:
+                for more in range(k + len(futures), min(k + _AHEAD, len(items))):
+                    futures[more] = _sent(send, items[more])
+                result = _result(k, function, items, executor, futures)
+                del futures[k]  # what came out of it is not kept twice
+            if progress is not None:
+                progress(k + 1, len(items))
+            yield result
+    finally:
+        for left in futures.values():
+            if left is not None:
+                left.cancel()
+
+
+_Answer = tuple[bool, Any]
+_Sent = Future[_Answer] | None
+_Send = Callable[[Item], Future[_Answer]]
+
+
+def _result(
+    k: int, function: Callable[[Item], Result], items: Sequence[Item], executor: Executor, futures: dict[int, _Sent]
+) -> Result:
+    """Wait for item k; send what was lost meanwhile again."""
+    for losses in range(1, _LOSSES + 1):
+        future = futures[k]
+        if future is None:
+            return function(items[k])
+        try:
+            succeeded, result = future.result()
+        except Exception as lost:
+            if losses == _LOSSES:
+                raise ComputationError(
+                    f"workers were lost {losses} times at the same work ({type(lost).__name__}: {lost}); is there"
+                    " enough memory for each of them, are functions of your own in a module, and does a program that"
+                    " starts processes do so under `if __name__ == '__main__':`?"
+                ) from lost
+            for other, sent in futures.items():
+                if _is_lost(sent):
+                    futures[other] = _sent(_plainly(executor, function), items[other])
+            continue
+        if succeeded:
+            return cast(Result, result)
+        raise result
+    raise AssertionError("the last loss raises")
+
+
+def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
+    """How an item is sent: without the function, where the workers hold it."""
+    if isinstance(executor, Processes):
+        return executor.holding(partial(_answer, function))
+    client = getattr(executor, "_client", None)  # of Dask
+    if hasattr(client, "scatter"):
+        return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
+    return _plainly(executor, function)
+
+
+def _plainly(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
+    return lambda item: executor.submit(_answer, function, item)
+
+
+def _sent(send: _Send[Item], item: Item) -> _Sent:
+    """A future, or None where the executor takes no more work."""
+    try:
+        return send(item)
+    except RuntimeError:  # a broken executor, or one that was shut down
+        return None
+
+
+def _answer(function: Callable[[Item], Result], item: Item) -> tuple[bool, Any]:
+    """The result, or the error as a value."""
+    try:
+        return True, function(item)
+    except Exception as error:
+        return False, error
+
+
+def _is_lost(future: _Sent) -> bool:
+    return future is not None and future.done() and (future.cancelled() or future.exception() is not None)
+
+
+class Steps:
+    """Tells how many steps of a long call are done, and of how many: of those known by now.
+
+    Args:
+        progress: Who is told after each step; no call if not given.
+    """
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress = progress
+        self._done = self._total = 0
+
+    def expect(self, count: int) -> None:
+        """Count further steps among those to do."""
+        self._total += count
+
+    def done(self, *_: int) -> None:
+        """Count one more as done; called like a `Progress`, so that it can be the one of a part of the steps."""
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self._total)
+
+
+class Workers:
+    """Who works inside a `with` block, which gives the executor; None where this process does the work.
+
+    Processes of its own live as long as the block. They start at once, so that they are ready when the work is.
+    Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.
+
+    Args:
+        executor: An executor, which is given as it is; or a number of processes, with 1 everything runs in this one;
+            None: in this one, too.
+        pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
+
+    Raises:
+        InputError: It is neither.
+    """
+
+    def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:
+        jobs = executor if isinstance(executor, int) else 1
+        if jobs < 1 or not isinstance(executor, Executor | int | None):
+            raise InputError(
+                f"executor {executor!r:.60}: must be an executor of concurrent.futures, or a number of processes,"
+                " 1 or more"
+            )
+        self._given = executor if isinstance(executor, Executor) else None
+        jobs = jobs if pieces is None else min(jobs, pieces)
+        self._processes = Processes(jobs) if jobs > 1 else None
+        self._handlers: dict[signal.Signals, object] = {}
+
+    def __enter__(self) -> Executor | None:
+        if self._processes is not None:
+            if threading.current_thread() is threading.main_thread():
+                # what is ignored, as SIGHUP under nohup, stays ignored
+                heard = [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
+                self._handlers = {number: signal.signal(number, self._end) for number in heard}
+            try:
+                self._processes.start()
+            except BaseException:
+                self.__exit__(*sys.exc_info())
+                raise
+        return self._given if self._processes is None else self._processes
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._processes is not None:
+            self._processes.shutdown()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]  # what signal.signal gave
+
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        """Stop the processes, and end the program as the signal does by itself."""
+        if self._processes is not None:
+            self._processes.kill()
+        if sys.stderr.isatty():
+            os.write(sys.stderr.fileno(), b"\x1b[?25h")  # show the cursor, which a progress display hides
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)

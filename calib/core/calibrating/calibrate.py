@@ -1,0 +1,198 @@
+"""Calibration: a fit, judged, and fitted again where the judgement asks for it.
+
+Order of work: (1) joint terms, if asked for: those that earn their place (`calib.core.fitting.terms.term_choice`); what
+a fleet says is left out where the readings contradict it (`calib.fleets.contradicted`); (2) the fit
+(`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again,
+if asked for; (4) poses left out in turn for cross-validation, if asked for; also where noise is so far above its
+statement that nothing else can prove the result.
+
+Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A reading
+goes by itself where the others of its visit agree, and its visit as a whole where they are off together
+(`calib.core.fitting.outliers`). After each fit the rest is judged again, up to five times: what a gross error hid may
+show then. Both results stay: that of all readings, and that without outliers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.core.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Progress, Steps, Workers
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fit import Minimum, Nearby, fit_at, fit_data, minimum_of, of_a_part, unseen
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.likely_mistakes import likely_mistake, zeros_in_words
+from calib.core.fitting.outliers import Outlier, left_out_with
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.terms.candidate_terms import TermChoice, missing_terms
+from calib.core.fitting.terms.term_choice import choose_terms
+from calib.core.fitting.validation import cross_validate, n_folds
+from calib.core.judging import findings
+from calib.core.judging.rules_noise import unproven
+from calib.core.judging.verdict import JudgedFit
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.terms import listed_terms
+
+PROVING = 5
+"""Folds if none are asked for, and only poses left out can prove the result."""
+_OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
+_EXCLUSION_ROUNDS = 5
+
+
+@one_blas_thread
+def calibrate(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> JudgedFit:
+    """Calibrate a robot.
+
+    Args:
+        robot: The nominal robot.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        settings: How.
+        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
+            targets placed, the minimum found, its uncertainty and errors known; the choice of terms, with a fit of its
+            own; each further start; each fold; each fit without outliers.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Too few measurements, or measurements that are not finite.
+        InputError: An unknown term, a number of folds that makes no sense, or data that are no measurements.
+        NotIdentifiableError: The poses do not determine the free parameters.
+        NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
+    """
+    started = time.perf_counter()
+    _require_measurements(data, validation)
+    with Workers(executor, max(settings.starts - 1, n_folds(data, settings.folds))) as workers:
+        fit = _calibrated(robot, data, validation, settings, workers, Steps(progress))
+    return JudgedFit.of(replace(fit, seconds=time.perf_counter() - started))
+
+
+def _calibrated(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    workers: Executor | None,
+    steps: Steps,
+) -> Fit:
+    """Do the steps of the module docstring."""
+    of_each = _OF_ONE_FIT + settings.starts - 1
+    steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
+    try:
+        robot, choice, minimum, nearby = _with_terms(robot, data, settings, steps)
+        if robot.description.fleet is not None:
+            # here: most robots have no fleet
+            from calib.fleets.contradicted import without_contradicted_fleet
+
+            robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
+        if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
+            minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
+        else:  # what was found without further terms is the minimum
+            steps.done()
+            steps.done()
+        fit = fit_at(minimum, settings, validation, steps)
+    except (UnreachablePoseError, ComputationError) as error:
+        mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
+        raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
+    plain = replace(settings, starts=1)
+    if settings.exclude_outliers:
+
+        def fit_again(kept: Measurements, how: Settings) -> Fit:
+            steps.expect(_OF_ONE_FIT + how.starts - 1)
+            return fit_data(robot, how, kept, validation, workers, steps)
+
+        fit = _without_outliers(
+            fit,
+            robust=lambda: fit_again(data, replace(plain, loss="tukey")),
+            again=lambda kept: fit_again(kept, settings),
+        )
+    leave_out = partial(
+        cross_validate, fit.identification.data, seed=settings.seed, fit=of_a_part(fit, plain), executor=workers
+    )
+    if settings.folds:
+        fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
+    elif unproven(fit):
+        steps.expect(PROVING)
+        with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
+            fit = replace(fit, folds=leave_out(PROVING, progress=steps.done))
+    return replace(fit, terms=choice)
+
+
+def _with_terms(
+    robot: Robot, data: Measurements, settings: Settings, steps: Steps
+) -> tuple[Robot, TermChoice | None, Minimum | None, Nearby | None]:
+    """The robot with the joint terms that were asked for; its minimum, or what is left to its fit, if known."""
+    described, terms, nearby = robot.description.terms, settings.terms, None
+    if terms is None:
+        return robot, None, None, None
+    if terms == "none":
+        choice = TermChoice(terms, ())
+    elif terms == "auto":
+        first = replace(settings, starts=1)
+        minimum = minimum_of(robot, first, data, steps=steps)
+        choice = choose_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
+        steps.done()
+        if choice.sections == described:
+            return robot, choice, minimum, None
+        nearby = Nearby(placed=(minimum.start.robot, minimum.start.residuals))
+    else:
+        choice = TermChoice(terms, (*described, *missing_terms(robot, listed_terms(terms))))
+    return robot.with_terms(choice.sections), choice, None, nearby
+
+
+def _require_measurements(data: object, validation: object) -> None:
+    """Say what was expected of a caller whose types were not checked."""
+    for name, given in (("data", data), ("validation", validation)):
+        if not isinstance(given, Measurements) and not (given is None and name == "validation"):
+            raise InputError(
+                f"{name}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
+                " or calib.as_measurements"
+            )
+
+
+def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:
+    """Return the fit without outliers; `first` itself if there are none.
+
+    Args:
+        first: The fit of all readings.
+        robust: Fits all readings with a robust loss.
+        again: Fits some of the readings as asked.
+    """
+    data = first.identification.data
+    layout = first.rows.layout
+    kept = {name: np.arange(len(readings)) for name, readings in data.readings.items()}
+    excluded: list[Outlier] = []
+    current = first if first.loss == "tukey" else robust()
+    for _ in range(_EXCLUSION_ROUNDS):
+        outliers = findings.outliers(current)
+        if not outliers:
+            break
+        now = current.rows.layout
+        for outlier in outliers:
+            number = kept[outlier.target][outlier.reading - now.readings_of(outlier.target).start]
+            own = data.readings[outlier.target].visits
+            reading = layout.readings_of(outlier.target).start + int(number)
+            excluded.append(replace(outlier, reading=reading, pose=int(own[number])))
+        for name, gone in left_out_with(outliers, now).items():
+            left = np.delete(kept[name], gone)
+            kept[name] = left[np.argsort(data.readings[name].visits[left], kind="stable")]  # as a subset has them
+        current = again(data.of_readings(kept))
+    if not excluded:
+        return first
+    return replace(current, excluded=tuple(excluded), with_all=first)

@@ -1,0 +1,236 @@
+"""The robots that files of a fit get: for each kind of file the best that it can hold (`calib.core.robots.held`).
+
+A file that loses joint terms gets the robot that the same measurements give without them: fitted again, from
+the nominal robot, to the same visits (without those that were left out as outliers), with the same noise, loss, starts
+and folds. So its origins carry what they can of what the terms explain, and its covariance counts the rest as noise.
+
+So do the others: the nominal robot with joint zeros alone, base and targets placed with them; and the robot with all
+that lies behind the last axis as it is nominally.
+
+Withheld is a robot whose fit did not converge, or one that is worse than the nominal robot, base and targets placed
+alone, at the poses that judge it (`calib.core.fitting.unseen_errors`). A larger root mean square error is enough,
+beyond chance or not: the nominal robot is there already and costs nothing, so that chance speaks against the new one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import CalibrationError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Workers
+from calib.core.calibrating.calibrate import PROVING
+from calib.core.fitting.fit import Nearby, fit_data, of_a_part
+from calib.core.fitting.fitted import COMPUTED, Fit
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.unseen_errors import accuracy
+from calib.core.fitting.validation import cross_validate, n_folds
+from calib.core.judging.verdict import JudgedFit
+from calib.core.robots.held import Accuracy, FileRobot, Holds
+from calib.core.robots.joint_errors import actual_joints
+from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import lost_by, without_terms
+from calib.core.robots.terms.one_coefficient import Zero
+from calib.core.robots.terms.term import Joint, TermSection
+
+_NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
+_SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: where rounding would decide
+
+
+@one_blas_thread
+def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> JudgedFit:
+    """Return a fit that knows the robots which files of it get.
+
+    Fits without joint terms are done at once; what else a file may need is found when it is first asked for.
+
+    Args:
+        fit: The fit.
+        settings: How it was done.
+        executor: Who does the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
+    """
+    started, reduced = time.perf_counter(), dict[Holds, Fit]()
+    kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if lost_by(fit.robot, holds)]
+    n_tasks = max(settings.starts - 1, n_folds(fit.identification.data, settings.folds))
+    with Workers(executor if kinds else None, n_tasks) as workers:
+        for holds in kinds:
+            robot = start_of(fit, holds)
+            if robot.terms or holds is Holds.ORIGINS:
+                with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
+                    reduced[holds] = _fitted_again(fit, robot, settings, workers)
+    fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
+    return JudgedFit.of(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
+
+
+def start_of(fit: Fit, holds: Holds) -> Robot:
+    """Return the robot that a fit began with, without the joint terms that files lose which hold so much.
+
+    The nominal one, where its values belong to these terms, as those of an earlier result.
+    """
+    robot = without_terms(fit.nominal, holds)
+    return robot.at_nominal() if lost_by(fit.nominal, holds) else robot
+
+
+def _fitted_again(
+    fit: Fit,
+    robot: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    signs: FloatArray | None = None,
+    *,
+    intervals: bool = True,
+) -> Fit:
+    """Fit another robot to the measurements of a fit, in the same way.
+
+    Args:
+        fit: The fit.
+        robot: The robot.
+        settings: How the fit was done.
+        workers: Who does the fits of other starts and of folds.
+        signs: With which sign joints count, (n_actuated,).
+        intervals: Whether anybody reads its intervals.
+    """
+    data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
+    nearby = Nearby.of(fit) if intervals else Nearby.no_intervals(robot, fit)
+    if signs is not None and np.any(signs < 0):
+        data = replace(data, joints=signs * data.joints)
+        validation = None if validation is None else replace(validation, joints=signs * validation.joints)
+    else:
+        nearby = replace(nearby, whitening=fit.whitening)
+    again = fit_data(robot, settings, data, validation, workers, nearby=nearby)
+    if fit.folds is None:
+        return again
+    count = settings.folds or PROVING
+    return replace(again, folds=cross_validate(data, count, settings.seed, of_a_part(again, settings), workers))
+
+
+class FitFiles(Mapping[Holds, FileRobot]):
+    """The robots that files of a fit get, each found when it is first asked for; those that there are.
+
+    Args:
+        fit: The fit.
+        settings: How it was done.
+    """
+
+    def __init__(self, fit: Fit, settings: Settings) -> None:
+        self._fit, self._settings = fit, settings
+        self._known: dict[Holds, FileRobot | None] = {}
+
+    def __getitem__(self, holds: Holds) -> FileRobot:
+        if holds not in self._known:
+            self._known[holds] = None
+            with suppress(CalibrationError):
+                self._known[holds] = self._robot_of(holds)
+        robot = self._known[holds]
+        if robot is None:
+            raise KeyError(holds)
+        return robot
+
+    def __iter__(self) -> Iterator[Holds]:
+        return (holds for holds in Holds if self.get(holds) is not None)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[Holds, FileRobot]]]:
+        return dict, (dict(self),)  # a robot that goes to other processes takes no measurements along
+
+    @one_blas_thread
+    def _robot_of(self, holds: Holds) -> FileRobot | None:
+        if holds is Holds.ZEROS:
+            return self._zeros()
+        if holds is Holds.TO_LAST_AXIS:
+            return self._to_last_axis()
+        if not lost_by(self._fit.robot, holds):
+            return replace(file_robot(self._fit), values=_values(without_terms(self._fit.robot, holds)))
+        fitted = (self._fit.reduced or {}).get(holds)
+        return None if fitted is None else file_robot(fitted)
+
+    def _again(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
+        return _fitted_again(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
+
+    def _to_last_axis(self) -> FileRobot | None:
+        """The robot with what lies behind the last axis as it is nominally."""
+        start = start_of(self._fit, Holds.ORIGINS)
+        behind = behind_last_axis(start)
+        nominal = {
+            p.name: p.nominal_si
+            for p in start.parameters
+            if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
+        }
+        return (
+            file_robot(self._again(start.with_parameters(nominal).fix(*nominal)))
+            if nominal
+            else self.get(Holds.ORIGINS)
+        )
+
+    def _zeros(self) -> FileRobot:
+        """The nominal robot with joint zeros."""
+        nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).at_nominal(), self._signs()
+        fitted = self._again(with_zeros(nominal), signs)
+        offsets = fitted.robot.values[fitted.robot.coefficients]
+        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
+        return replace(file_robot(fitted), values={}, signs=signs, offsets=offsets)
+
+    def _signs(self) -> FloatArray:
+        """With which sign joints count, (n_actuated,): -1 where one moves against its commands."""
+        fit, commands = self._fit, self._fit.identification.data.joints
+        actual = actual_joints(fit.robot, commands, fit.configurations.term_columns)[:, : commands.shape[1]]
+        moved, errors = commands - commands.mean(axis=0), actual - commands
+        return np.where(np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING, -1.0, 1.0)
+
+
+def with_zeros(nominal: Robot) -> Robot:
+    """Return a robot of which a fit may change the joints' zeros, base, targets and instruments, and nothing else."""
+    origins = nominal.parameters[: nominal.n_origin_parameters]
+    terms = []
+    for name in nominal.joint_names:
+        dimension = nominal.mechanism.dimensions[name]
+        expected = max((p.sigma_si for p in origins if p.dimension == dimension and not p.placement), default=None)
+        section = TermSection(joint=name, term=Zero.word)
+        terms.append(Zero.of(Joint(name, dimension, nominal.joint_names), section, expected))
+    robot = replace(nominal, terms=tuple(terms), values=np.append(nominal.values, np.zeros(len(terms))))
+    return robot.fix(*(p.name for p in origins if not p.placement))
+
+
+def file_robot(fit: Fit) -> FileRobot:
+    """Return the robot of a fit as files get it that hold all of that.
+
+    If only places were sought, it is the nominal robot, and no worse than that.
+    """
+    reached = accuracy(fit)
+    why = "" if np.all(fit.unknowns.placement) else why_withheld(reached)
+    if not fit.converged:
+        why = f"its fit did not converge: {fit.message}"
+    return FileRobot(_values(fit.robot), reached, why)
+
+
+def why_withheld(reached: Accuracy) -> str:
+    """Return why a robot so accurate is not to be used in place of the nominal one; nothing if it may be."""
+    if reached.rms <= _SAME * reached.before + COMPUTED:
+        return ""
+    return (
+        f"it is worse than the nominal robot: {reached.shown(reached.rms)} RMS, and"
+        f" {reached.shown(reached.before)} for the nominal one ({reached.where})"
+    )
+
+
+def behind_last_axis(robot: Robot) -> frozenset[str]:
+    """Return the names of the joint origins between the last joint with a motor and the first target that one moves."""
+    target = (*robot.mechanism.moved_targets, robot.mechanism.targets[0])[0]
+    parent = {joint.child: joint for joint in robot.urdf.joints}
+    link, names = robot.description.targets[target.name].frame, set[str]()
+    while link in parent and parent[link].name not in robot.joint_names:
+        names.add(parent[link].name)
+        link = parent[link].parent
+    return frozenset(names)
+
+
+def _values(robot: Robot) -> dict[str, float]:
+    return dict(zip((parameter.name for parameter in robot.parameters), map(float, robot.values), strict=True))

@@ -1,0 +1,339 @@
+"""What all commands share: options, one-line errors with exit codes, JSON output, progress, files of poses."""
+
+from __future__ import annotations
+
+import functools
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+
+from calib.core.base.arrays import BoolArray, IntArray
+from calib.core.base.errors import CalibrationError, InputError
+from calib.core.base.files import check_file, check_folder, write_file
+from calib.core.base.own_files import inputs_noted
+from calib.core.base.units import quantity
+from calib.core.base.words import as_data
+from calib.core.base.workers import Progress
+from calib.core.commands.program import OneLineError
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.data.parameter_files import read_parameters
+from calib.core.instruments.kind import Readings
+from calib.core.numerics.losses import LOSSES
+from calib.core.results.result_reading import forced_lines, load, load_calibrated
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.arm_chain import arm_chain
+from calib.core.rows.registration import register
+
+SIGMA_HELP = (
+    "Noise of one position reading: one standard deviation along each axis [mm]. Default: as the description states"
+    " it. The description also has the noise of other instruments"
+)
+"""What --sigma-mm means, in every command that takes it."""
+FORCED = "Also replace files that this program did not write, or that this command reads."
+"""What --force does, in every command."""
+_REMARKS = 5
+_LINE_EVERY = 60.0  # [s] between lines on how far long work is, where no terminal shows it
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command prints, and what it may write.
+
+    Attributes:
+        quiet: Print nothing but errors.
+        json_target: File for JSON, `-` for standard output (then nothing else goes there), or None.
+        force: Whether files may be replaced that this program did not write, or that the command reads.
+    """
+
+    quiet: bool
+    json_target: str | None
+    force: bool
+
+    def say(self, text: str) -> None:
+        """Print text for people."""
+        if not self.quiet and self.json_target != "-":
+            click.echo(text)
+
+    def note(self, text: str) -> None:
+        """Print a warning or remark to standard error."""
+        if not self.quiet:
+            click.echo(text, err=True)
+
+    def remarks(self, remarks: Sequence[str]) -> None:
+        """Print remarks on single poses to standard error, the first few of them."""
+        for remark in remarks[:_REMARKS]:
+            self.note(f"note: {remark}")
+        if len(remarks) > _REMARKS:
+            self.note(f"note: and {len(remarks) - _REMARKS} more")
+
+    def json(self, content: object) -> None:
+        """Write JSON if it was asked for; null for numbers that are not known."""
+        if self.json_target is None:
+            return
+        text = json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        if self.json_target == "-":
+            click.echo(text, nl=False)
+        else:
+            self.write(self.json_target, text)
+
+    def write(self, path: str, content: bytes | str, comment: str = "") -> None:
+        """Write a file; see `calib.core.base.files.write_files`."""
+        write_file(path, content, comment=comment, force=self.force)
+
+    def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:
+        """Raise `InputError` now if something could not be written later. All that is read has been read by then.
+
+        Args:
+            files: Files to write, beside that of --json.
+            folders: Folders to write.
+            names: What will be in them, as far as it is known.
+        """
+        targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
+        for file in targets:
+            check_file(str(file), force=self.force)
+        given = [folder for folder in folders if folder is not None]
+        for folder in given:
+            check_folder(folder, names, force=self.force)
+        places = [Path(str(file)).resolve() for file in targets]
+        places += [Path(folder, name).resolve() for folder in given for name in names]
+        for place in places:
+            if places.count(place) > 1 and (place.is_file() or not place.exists()):
+                raise InputError(f"{place}: is to be written twice; give each output a place of its own")
+
+    @contextmanager
+    def working(self, what: str) -> Iterator[Progress]:
+        """Show a spinner on a terminal while something takes its time; tell what is given how far it is.
+
+        Where standard error is a file, it gets a line a minute.
+        """
+        console = Console(stderr=True)
+        if self.quiet:
+            yield lambda done, total: None
+            return
+        if not console.is_terminal:
+            yield _line_now_and_then(what)
+            return
+        with console.status(what) as status:
+            yield lambda done, total: status.update(f"{what}: {done} of {total}")
+
+
+def _line_now_and_then(what: str) -> Progress:
+    """Return what tells standard error how far the work is, once in a while."""
+    last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY:
+            last = time.monotonic()
+            click.echo(f"{what}: {done} of {total}", err=True)
+
+    return tell
+
+
+def shared_options(
+    *, json_output: bool = False, forced: str = FORCED
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command --quiet, --debug, --force (and --json), pass it an `output: Output`, and errors a single line.
+
+    Args:
+        json_output: Whether the command prints a table, and so takes --json FILE.
+        forced: What --force does.
+
+    Returns:
+        A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(
+            *args: Any, quiet: bool, debug: bool, force: bool, json_target: str | None = None, **options: Any
+        ) -> None:
+            output = Output(quiet, json_target, force)
+            _tell_warnings(quiet)
+            try:
+                with inputs_noted():
+                    output.check()
+                    function(*args, output=output, **options)
+            except (click.ClickException, click.exceptions.Exit, click.Abort):
+                raise
+            except BrokenPipeError:
+                raise  # the reader, `head` for instance, has seen enough: click ends in silence
+            except CalibrationError as error:
+                if debug:
+                    raise
+                raise OneLineError(str(error), error.exit_code) from None
+            except OSError as error:
+                if debug:
+                    raise
+                what = error.filename or "output"
+                raise OneLineError(f"{what}: {(error.strerror or str(error)).lower()}", InputError.exit_code) from None
+            except Exception as error:
+                if debug:
+                    raise
+                raise OneLineError(
+                    f"unexpected {type(error).__name__}: {error}; this is a defect of the program; --debug shows where",
+                    1,
+                ) from None
+
+        run = click.option("-f", "--force", is_flag=True, help=forced)(run)
+        run = click.option("--debug", is_flag=True, help="Show the traceback of an error.")(run)
+        run = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")(run)
+        if json_output:
+            run = click.option(
+                "--json",
+                "json_target",
+                metavar="FILE",
+                is_flag=False,
+                flag_value="-",
+                help="Write the result as JSON; without FILE, or with '-', to standard output, and nothing else there.",
+            )(run)
+        return run
+
+    return decorate
+
+
+class _ToStandardError(logging.Handler):
+    """Prints what the library warns of, in one line, as other notes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print it."""
+        click.echo(f"note: {record.getMessage()}", err=True)
+
+
+def _tell_warnings(quiet: bool) -> None:
+    """Print warnings of the library to standard error, unless nothing but errors is to be printed."""
+    log = logging.getLogger("calib")
+    log.handlers = [logging.NullHandler() if quiet else _ToStandardError(logging.WARNING)]
+    log.propagate = False
+
+
+def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the option --jobs.
+
+    Args:
+        shared: The work that they share.
+        default: How many of them, if not told.
+    """
+    return click.option(
+        "-j",
+        "--jobs",
+        type=click.IntRange(min=1),
+        default=default,
+        show_default="all cores" if default > 1 else True,
+        help=f"Number of processes for {shared}; results do not depend on it.",
+    )
+
+
+def values_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --parameters and --result: with which values ROBOT is taken (`with_values`)."""
+    help_text = "Parameter values (CSV parameter,value,unit); nominal if not given."
+    with_result = click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+    return click.option("--parameters", metavar="FILE", help=help_text)(with_result(function))
+
+
+def loss_option(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --loss."""
+    losses, help_text = click.Choice(LOSSES), "Robust loss: gives outliers less weight."
+    return click.option("--loss", type=losses, default="none", show_default=True, help=help_text)(function)
+
+
+def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
+    """Return the --sigma-mm option in m; one that cannot be is an `InputError`.
+
+    Args:
+        sigma_mm: As given.
+        zero: Whether no noise at all is an answer.
+    """
+    if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
+        raise InputError(f"--sigma-mm {sigma_mm:g}: must be {'zero or ' if zero else ''}a positive number")
+    return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
+
+
+def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
+    """Return what a file made from the result folder must say if that fit failed and was forced, and print a note.
+
+    Raises:
+        DataError: The folder holds no result.
+    """
+    lines = forced_lines(result) if result else []
+    if lines:
+        output.note(f"note: the fit in {result} failed; {out} says so inside")
+    return lines
+
+
+def loaded(path: str, output: Output) -> Robot:
+    """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
+    robot = load(path)
+    remark = arm_chain(robot.urdf).remark if robot.path == robot.urdf.path else ""
+    if remark:
+        output.note(f"note: {remark}")
+    return robot
+
+
+def folder_of_values(robot: str, parameters: str | None, result: str | None) -> str | None:
+    """Return the result folder whose values count: that of --result, or ROBOT where it is one."""
+    return robot if result is None and parameters is None and Path(robot).is_dir() else result
+
+
+def result_folder(robot: str, result: str | None) -> str:
+    """Return the result folder of a command that needs one: --result, or ROBOT; neither is an `InputError`."""
+    folder = folder_of_values(robot, None, result)
+    if folder is None:
+        raise InputError(f"{robot}: is not a result folder; give that as ROBOT, or with --result DIR")
+    return folder
+
+
+def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
+    """Return the robot with the values of a parameter file or of a result folder, if one is given.
+
+    Raises:
+        InputError: Both are given, or a file cannot be read.
+        ComputationError: The verdict of the result is FAIL.
+    """
+    if parameters and result:
+        raise InputError("give --parameters or --result, not both")
+    if parameters:
+        return robot.with_parameters(read_parameters(parameters, robot))
+    return load_calibrated(result, robot) if result else robot
+
+
+def different_poses(poses: Poses) -> Poses:
+    """Return each pose once, as it was visited first, with all that is to be read there in that setup."""
+    numbers = poses.pose_numbers
+    if poses.n_poses == len(poses):
+        return poses
+    first = np.unique(numbers, return_index=True)[1]
+    setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
+    same_setup = setups == setups[first][numbers]
+    plan = {name: _once(readings, numbers, same_setup) for name, readings in poses.planned.items()}
+    return replace(poses.subset(first), planned=plan)
+
+
+def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
+    """What is to be read at poses, of whose visits (n,) these are the numbers, once each; of visits that count."""
+    looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
+    kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
+    kept = kept[counts[readings.visits[kept]]]
+    return Readings(
+        numbers[readings.visits[kept]], readings.pairs[kept], readings.values[kept], None, readings.details[kept]
+    )
+
+
+def placed(robot: Robot, *files: Poses | None) -> Robot:
+    """Place a base or targets that are not known beforehand, by the first file with measured positions, if any.
+
+    Where the targets are decides what poses can tell about them.
+    """
+    if not any(parameter.placement for parameter in robot.parameters):
+        return robot
+    data = next((poses for poses in files if isinstance(poses, Measurements)), None)
+    return robot if data is None else register(robot, data)

@@ -1,0 +1,98 @@
+"""`calib predict`: where the targets are at given joint values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from calib.core.base.words import counted
+from calib.core.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    said_of_failure,
+    shared_options,
+    values_options,
+    with_values,
+)
+from calib.core.data.measurement_files import format_positions, read_poses
+from calib.core.data.measurements import Poses
+from calib.core.judging.claim import ErrorElsewhere
+from calib.core.results.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
+from calib.core.robots.configurations import near_singularities
+from calib.core.rows.told_positions import ToldPositions
+
+_FURTHER = 1.05
+"""Errors expected at the poses asked for, over those at poses like those measured, from which both are told apart."""
+
+
+@click.command("predict")
+@click.argument("robot")
+@click.argument("joints")
+@values_options
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
+@shared_options(json_output=True)
+def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:
+    """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed.
+
+    With --result, the output also has the standard deviation of each predicted coordinate, and says how far off the
+    real tool is expected to be there.
+    """
+    model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
+    poses = read_poses(joints, model)
+    output.check(out)
+    configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
+    remarks = near_singularities(model, configurations, poses.labels)
+    source = parameters or result or "nominal values"
+    comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
+    content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
+    content["near_singular"] = remarks
+    if result:
+        known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
+        text, summary, remark = _with_uncertainty(known, poses, comment)
+        content["position_uncertainty"] = summary
+        content["claim"] = claim = read_result(result)["verdict"].get("claim")
+        content["expected"], expected = _expected(claim, summary)
+        content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
+        remarks = remarks + beyond
+    else:
+        text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
+    output.write(out, text)
+    output.remarks(remarks)
+    output.say(f"{counted(len(poses), 'pose')} written to {out}")
+    if result:
+        if expected:
+            output.say(expected)
+        output.say(
+            f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
+            f" (pose {summary['worst_pose']}), {known.uncertainty.counted}{remark}"
+        )
+    output.json(content)
+
+
+def _expected(claim: dict[str, Any] | None, known: dict[str, Any]) -> tuple[dict[str, float] | None, str]:
+    """Return how far off the tool is at these poses, as data and in words; None, and nothing, where that is not known.
+
+    Args:
+        claim: What the fit claims, as in `result.json`.
+        known: Summary of how well positions are known at these poses [mm].
+    """
+    if not claim or not claim.get("is_position") or None in (claim["limit95"], claim.get("known")):
+        return None, ""
+    here = ErrorElsewhere.of(claim["rms"], claim["limit95"], claim["known"], known["rms"])
+    words = f"The real tool is within {here.limit95:.3g} {claim['unit']} of these positions, 95 % of the time"
+    if here.times < _FURTHER:
+        words += f", {claim['region']}"
+    else:
+        words += f". This is {here.times:.2g} times as far as {claim['region']}"
+    return {"rms": here.rms, "limit95": here.limit95, "times": here.times}, words
+
+
+def _with_uncertainty(known: ToldPositions, poses: Poses, comment: tuple[str, ...]) -> tuple[str, dict[str, Any], str]:
+    """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
+    predicted = known.at(poses.joints, poses.conditions)
+    measured = predicted.measured or predicted  # what is written is where the instruments see it
+    text = format_positions(known.robot, poses, measured.positions, comment, measured.std)
+    return text, predicted.table() | {"worst_pose": poses.names[predicted.worst]}, predicted.remark()

@@ -1,0 +1,177 @@
+"""Denavit-Hartenberg tables as CSV files.
+
+One row for each joint, in the order of the chain: `joint`, `type` (revolute, prismatic or fixed), `theta`, `d`, `a`,
+`alpha` and, where it is needed, `beta`, with units in the header; `offset` (added to theta or d), `sign` (1 or -1),
+`lower`, `upper`. Cells of `offset`, `lower` and `upper` may carry their own unit, such as `250 mm`, because they are
+lengths in one row and angles in another. A comment `# convention: standard` or `# convention: modified` says how the
+rows are meant, because nothing else in a table does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
+from calib.core.data.table_writing import format_table
+from calib.core.data.tables import Table, check_plausible, read_number, read_table
+from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
+
+_NUMBERS: dict[str, Dimension] = {"theta": "angle", "d": "length", "a": "length", "alpha": "angle", "beta": "angle"}
+_NEEDED = ("theta", "d", "a", "alpha")
+_COLUMNS = ("joint", "type", *_NUMBERS, "offset", "sign", "lower", "upper")
+_SHORT: Mapping[str, Kind] = {"r": "revolute", "p": "prismatic", "f": "fixed"}
+_MARK = "convention:"
+
+
+def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
+    """Read a table.
+
+    Args:
+        path: The file.
+        convention: `standard` or `modified`; if not given, the file must say it.
+
+    Raises:
+        DataError: A column, a cell or the convention is missing or wrong; the message names line and column.
+    """
+    table = read_table(path)
+    for name in table.names:
+        if name not in _COLUMNS:
+            raise DataError(f"{path}: unknown column '{name}'{nearest(name, _COLUMNS)}")
+    for name in _NEEDED:
+        if name not in table.names:
+            raise DataError(
+                f"{path}: no column '{name}'; a Denavit-Hartenberg table has {', '.join(_NEEDED)}, with units"
+            )
+    meant = _convention(table, convention)
+    rows = _rows(table)
+    names = [row.name for row in rows]
+    again = next((k for k, name in enumerate(names) if name in names[:k]), None)
+    if again is not None:
+        raise DataError(
+            f"{path}, line {table.lines[again]}: joint '{names[again]}' appears twice; names must be unique"
+        )
+    if all(row.kind == "fixed" for row in rows):
+        raise DataError(f"{path}: every row is fixed; there is no joint that moves")
+    return DhTable(meant, rows)
+
+
+def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
+    """Return CSV text in mm and degrees, behind comments; reading it gives the same table to all digits."""
+    columns: list[tuple[str, Sequence[object]]] = [
+        ("joint", [row.name for row in table.rows]),
+        ("type", [row.kind for row in table.rows]),
+    ]
+    for name, dimension in _NUMBERS.items():
+        unit = DISPLAY_UNIT[dimension]
+        values = [getattr(row, name) * PER_SI[dimension][unit] for row in table.rows]
+        columns.append((f"{name} [{unit}]", values))
+    columns.append(("sign", [f"{row.sign:.0f}" for row in table.rows]))
+    for name in ("lower", "upper"):
+        columns.append((name, [_limit(row, getattr(row, name)) for row in table.rows]))
+    return format_table(columns, [f"{_MARK} {table.convention}", *comments])
+
+
+def _convention(table: Table, given: str | None) -> Convention:
+    said = [text.removeprefix(_MARK).strip() for text in table.comments if text.startswith(_MARK)]
+    for word in [*said, *([given] if given else [])]:
+        if word not in CONVENTIONS:
+            raise DataError(f"{table.path}: unknown convention '{word}'{nearest(word, CONVENTIONS)}")
+        if given and word != given:
+            raise DataError(
+                f"{table.path}: says 'convention: {word}', but --convention is {given}; correct one of them"
+            )
+    stated = given or (said[0] if said else "")
+    for convention in CONVENTIONS:
+        if convention == stated:
+            return convention
+    raise DataError(
+        f"{table.path}: nothing says which convention it follows; add --convention standard (Denavit and Hartenberg,"
+        " Paul), --convention modified (Craig, Khalil), or a line '# convention: ...'"
+    )
+
+
+def _rows(table: Table) -> tuple[DhRow, ...]:
+    given = {
+        name: table.column(name, dimension, gaps=True) for name, dimension in _NUMBERS.items() if name in table.names
+    }
+    rows = []
+    for k, line in enumerate(table.lines):
+        kind = _kind(table, k)
+        variable = {"revolute": "theta", "prismatic": "d", "fixed": ""}[kind]
+        values = {}
+        for name, column in given.items():
+            if math.isnan(column[k]) and name not in (variable, "beta"):
+                raise DataError(
+                    f"{table.path}, line {line}, column '{name}': is empty; fill it in, with 0 if there is no such"
+                    " length or angle"
+                )
+            values[name] = 0.0 if math.isnan(column[k]) else float(column[k])
+        dimension = _NUMBERS[variable] if variable else None
+        offset, lower, upper = (_cell(table, name, k, dimension) for name in ("offset", "lower", "upper"))
+        if variable and offset is not None:
+            values[variable] += offset
+        if (lower is None) != (upper is None) or (lower is not None and upper is not None and lower >= upper):
+            raise DataError(f"{table.path}, line {line}: the limits need a lower and a larger upper value")
+        if kind == "prismatic" and lower is None:
+            raise DataError(
+                f"{table.path}, line {line}: a prismatic joint needs limits, without which no URDF is valid; add"
+                " columns lower and upper, such as '0 mm' and '250 mm'"
+            )
+        limits = {} if lower is None or upper is None else {"lower": lower, "upper": upper}
+        rows.append(DhRow(_text(table, "joint", k, f"joint_{k + 1}"), kind, **values, sign=_sign(table, k), **limits))
+    return tuple(rows)
+
+
+def _text(table: Table, name: str, k: int, default: str) -> str:
+    """A cell as text; the default where there is no such column."""
+    if name not in table.names:
+        return default
+    text = table.text(name)[k]
+    if not text:
+        raise DataError(f"{table.path}, line {table.lines[k]}, column '{name}': is empty; fill it in")
+    return text
+
+
+def _kind(table: Table, k: int) -> Kind:
+    text = _text(table, "type", k, "revolute").lower()
+    for kind in KINDS:
+        if _SHORT.get(text, text) == kind:
+            return kind
+    raise DataError(f"{table.path}, line {table.lines[k]}: unknown type '{text}'{nearest(text, KINDS)}")
+
+
+def _sign(table: Table, k: int) -> float:
+    text = _text(table, "sign", k, "1")
+    if text not in ("1", "+1", "-1", "1.0", "-1.0"):
+        raise DataError(f"{table.path}, line {table.lines[k]}: sign '{text}'; must be 1 or -1")
+    return float(text)
+
+
+def _cell(table: Table, name: str, k: int, dimension: Dimension | None) -> float | None:
+    """A number with the unit of its cell or else of its column, in SI; None if there is none."""
+    if name not in table.names or not table.text(name)[k]:
+        return None
+    text, where = table.text(name)[k], f"{table.path}, line {table.lines[k]}, column '{name}'"
+    if dimension is None:
+        raise DataError(f"{where}: the row is fixed and has no {name}; leave the cell empty")
+    try:
+        if text[-1].isalpha():
+            return quantity(text, dimension, where)
+        unit = table.units[table.names.index(name)]
+        number = read_number(text, where, table.separator)
+        if unit is None:
+            check_plausible(number, dimension, where, f"behind the number, such as '{text} {DISPLAY_UNIT[dimension]}'")
+        return number / per_si(unit, dimension, where)
+    except InputError as error:
+        raise DataError(str(error)) from None
+
+
+def _limit(row: DhRow, value: float) -> str:
+    if not math.isfinite(value):
+        return ""
+    dimension = _NUMBERS["d" if row.kind == "prismatic" else "theta"]
+    unit = DISPLAY_UNIT[dimension]
+    return f"{value * PER_SI[dimension][unit]!r} {unit}"

@@ -1,0 +1,223 @@
+"""Poses and measurements as callers give them: in memory already, in data frames, or in files; checked alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.other_words import worded
+from calib.core.data.joining import joined
+from calib.core.data.measurement_files import read_measurements, sources
+from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
+from calib.core.data.on_demand import Numbered
+from calib.core.data.plan_files import read_pose_files
+from calib.core.data.tables import Source, is_columns
+from calib.core.instruments.kind import Instrument, Readings
+from calib.core.robots.configurations import joint_vector
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+
+PosesLike = Poses | Source | ArrayLike
+"""Poses as callers give them: with names; in a file or a data frame; or joint values alone [m or rad]."""
+MeasurementsLike = Measurements | Source | Sequence[Source | Measurements]
+"""Measurements as callers give them: read; in files or data frames; one or several."""
+_SOURCE = "arrays"
+
+
+@worded
+def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
+    """Return joint values as `Poses`, named by their row if they have no names.
+
+    Args:
+        robot: Whose joints they are; loaded, or its description or URDF.
+        poses: Poses with names; a file or a data frame, with headers as in files; or actuated joints alone,
+            (n_poses, n_actuated) [m or rad].
+        names: Pose names of joint values, n_poses of them.
+
+    Raises:
+        DataError: Wrong shape, values that are not finite, or a wrong number of names.
+    """
+    if isinstance(poses, Poses):
+        return poses
+    robot = as_robot(robot)
+    if _is_table(poses):
+        return read_pose_files([cast(Source, poses)], robot)
+    joints = joint_vector(robot, cast(ArrayLike, poses))
+    if names is not None and len(names) != len(joints):
+        raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
+    if names is None:
+        numbers = range(len(joints))
+        return Poses(joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, (), robot=robot)
+    called = tuple(str(name) for name in names)
+    return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, (), robot=robot)
+
+
+def _is_table(given: object) -> bool:
+    return isinstance(given, (str, Path)) or is_columns(given)
+
+
+@worded
+def as_measurements(
+    robot: RobotLike,
+    poses: PosesLike | Sequence[Source | Measurements],
+    readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
+    names: Sequence[str] | None = None,
+) -> Measurements:
+    """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
+
+    Args:
+        robot: Whose joints and instruments they are.
+        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
+            which are returned as they are; or a file or a data frame of them (`read_measurements`); or several.
+        readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.
+            `Readings`, if an instrument reads several things at a pose. Words, as in a file, for an instrument that
+            reads no numbers, empty where there is none. If all instruments measure positions: the positions,
+            (n, n_targets, 3), or (n, 3) for one target [m].
+        names: Pose name of each row; without names, every row is a pose of its own.
+
+    Raises:
+        DataError: Wrong shape, values that are not finite, an unknown instrument, or rows of one pose whose joint
+            values differ.
+    """
+    robot = as_robot(robot)
+    if readings is None:
+        return _measured(robot, poses)
+    poses = as_poses(robot, cast(ArrayLike, poses), names)
+    if not isinstance(readings, Mapping):
+        readings = _positions_by_instrument(robot, len(poses), readings)
+    readings_by_name: dict[str, Readings] = {}
+    for name, given in readings.items():
+        if name not in [instrument.name for instrument in robot.instruments]:
+            raise DataError(
+                f"no instrument '{name}'{nearest(name, [instrument.name for instrument in robot.instruments])}"
+            )
+        instrument = robot.instrument(name)
+        if isinstance(given, Readings):
+            readings_by_name[name] = given
+            continue
+        if instrument.touches:
+            readings_by_name[name] = _words(instrument, poses, np.asarray(given))
+            continue
+        readings_by_name[name] = _readings(instrument, poses, np.asarray(given, dtype=float))
+    data = measurements(poses, readings_by_name)
+    check_repeats(data, robot)
+    return data
+
+
+def _measured(robot: Robot, given: object) -> Measurements:
+    """Measurements as they are, or read."""
+    if isinstance(given, Measurements):
+        return given
+    if isinstance(given, (list, tuple)) and any(isinstance(part, Measurements) for part in given):
+        return joined([_measured(robot, part) for part in given], robot)
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(source) for source in given)
+    if not _is_table(given) and not several:
+        raise InputError(
+            f"measurements: expected a file, a data frame or Measurements, not {type(given).__name__}; arrays become"
+            " measurements with calib.as_measurements(robot, q, xyz)"
+        )
+    return read_measurements(sources(cast(Source, given)), robot)
+
+
+def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measurements:
+    """Return measurements of which every row states the noise of its positions.
+
+    Args:
+        robot: Its instruments say what else is read, and how well that is known.
+        data: The measurements.
+        sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
+
+    Raises:
+        DataError: Not one for each row, or not positive.
+        InputError: Nothing measures positions, or what is read beside them states no noise.
+    """
+    values = np.asarray(sigma, dtype=float)
+    if values.shape not in ((len(data),), (len(data), 3)):
+        raise DataError(f"sigma of shape {values.shape}: expected ({len(data)},) or ({len(data)}, 3), one for each row")
+    if not np.all(np.isfinite(values) & (values > 0)):
+        raise DataError("sigma: must be positive numbers [m]; leave out rows that the fit should not use")
+    stds = np.broadcast_to(values[:, None] if values.ndim == 1 else values, (len(data), 3))
+    changed = dict(data.readings)
+    for name, readings in data.readings.items():
+        instrument = robot.instrument(name)
+        if not any(part.is_position for part in instrument.parts):
+            continue
+        others = [
+            noise for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True) if not part.is_position
+        ]
+        if readings.covariance is None and not all(noise.stated for noise in others):
+            raise InputError(
+                f"sigma: '{name}' reads more than positions, and the noise of the rest is not stated; state it in the"
+                " robot description"
+            )
+        covariance = readings.covariance
+        if covariance is None:
+            widths = [len(part.axes) for part in instrument.parts]
+            covariance = instrument.noise.covariance(instrument.points(readings.values), len(readings), widths)
+        rows = np.flatnonzero([instrument.parts[k].is_position for k in instrument.part_of_row])
+        covariance = covariance.copy()
+        covariance[:, rows, :] = covariance[:, :, rows] = 0.0
+        covariance[:, rows, rows] = stds[readings.visits] ** 2
+        changed[name] = replace(readings, covariance=covariance)
+    if all(changed[name] is data.readings[name] for name in changed):
+        raise InputError("sigma: no instrument measures positions; the others state theirs in the robot description")
+    return replace(data, readings=changed)
+
+
+def plain_readings(values: FloatArray) -> Readings:
+    """Return values (n, n_values) of n visits in a row as readings, without those that are NaN throughout."""
+    visits = np.flatnonzero(~np.all(np.isnan(values), axis=1))
+    return Readings(visits, np.zeros(len(visits), dtype=np.intp), values[visits], None, np.zeros((len(visits), 0)))
+
+
+def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str, FloatArray]:
+    if not all(instrument.reads_positions for instrument in robot.instruments):
+        names = ", ".join(instrument.name for instrument in robot.instruments)
+        raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
+    values = np.asarray(given, dtype=float)
+    n_instruments = len(robot.instruments)
+    if n_instruments == 1 and values.shape == (n, 3):
+        values = values[:, None]
+    if values.shape != (n, n_instruments, 3):
+        raise DataError(
+            f"positions of shape {np.shape(given)}; expected ({n}, {n_instruments}, 3): a row for each pose,"
+            f" the targets in the order {', '.join(instrument.name for instrument in robot.instruments)}"
+        )
+    return {instrument.name: values[:, k] for k, instrument in enumerate(robot.instruments)}
+
+
+def _words(instrument: Instrument, poses: Poses, given: ArrayLike) -> Readings:
+    """Readings of an instrument that says in one column of words what it looked at, and reads no numbers."""
+    texts = [str(text).strip() for text in np.atleast_1d(np.asarray(given))]
+    if np.shape(given) != (len(poses),) or not all(isinstance(text, str) for text in np.asarray(given, dtype=object)):
+        raise DataError(
+            f"{instrument.name}: expected {len(poses)} words, one for each pose; empty where it read nothing"
+        )
+    (column,) = instrument.text_columns()
+    belongs, pairs, details = instrument.looked_at({column: texts}, poses.labels)
+    visits = np.flatnonzero(belongs)
+    return Readings(visits, pairs[visits], np.repeat(instrument.values({}), len(visits), axis=0), None, details[visits])
+
+
+def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readings:
+    if instrument.looks()[1].shape[1]:
+        raise DataError(
+            f"{instrument.name}: an array does not say what each reading is about; give Readings with its details"
+        )
+    width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]
+    if values.shape != (len(poses), width):
+        raise DataError(f"{instrument.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
+    whole = np.all(np.isnan(values), axis=1)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1) & ~whole)
+    if len(bad):
+        raise DataError(
+            f"{poses.labels[bad[0]]}: readings of '{instrument.name}' are not finite; correct them, or leave them out"
+        )
+    return plain_readings(values)

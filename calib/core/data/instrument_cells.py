@@ -1,0 +1,155 @@
+"""What one instrument reads in the rows of a table: numbers, words, standard deviations, correlations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DataError, nearest, nearest_column
+from calib.core.base.units import Dimension
+from calib.core.data.measurement_columns import correlation_columns, std_columns
+from calib.core.data.measurements import in_setups
+from calib.core.data.on_demand import Numbered, picked
+from calib.core.data.robot_tables import odd_unit
+from calib.core.data.tables import Table
+from calib.core.instruments.kind import Instrument, Readings
+from calib.core.robots.robot import Robot
+
+
+def named_columns(instrument: Instrument) -> list[str]:
+    """Return the columns that only this instrument has: its numbers, or its words where it has no numbers."""
+    return [column.name for column in instrument.columns()] or list(instrument.text_columns())
+
+
+def columns_in(instrument: Instrument, table: Table) -> list[str]:
+    """Return the columns of a table that an instrument reads."""
+    names = [column.name for column in instrument.columns()] + list(instrument.text_columns())
+    names += [] if instrument.label_column is None else [instrument.label_column]
+    names += [name for name, _ in std_columns(instrument)] + list(correlation_columns(instrument))
+    return [name for name in names if name in table.names]
+
+
+def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArray) -> Readings:
+    """Return what an instrument read in the rows of a table, whose visits are given, (n_table_rows,).
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
+    if lacking is not None:
+        hint = odd_unit(table, lacking)
+        if hint is not None:
+            raise DataError(f"{table.path}, {hint}")
+        raise DataError(
+            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)} (the robot description has"
+            f" '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml' writes a"
+            " description)"
+        )
+    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
+    numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
+    empty = np.isnan(numbers)
+    wheres = Numbered(f"{table.path}, line ", table.lines)
+    some = np.flatnonzero(_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
+    texts: dict[str, list[str]] = {}
+    for name in instrument.text_columns():
+        if name not in table.names:
+            raise DataError(f"{table.path}: no column '{name}'{nearest_column(name, table.names)}")
+        every = table.text(name)
+        texts[name] = [every[k] for k in some]
+    belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))
+    mine = np.array(belongs, dtype=bool)
+    kept = some[mine]
+    partly = np.argwhere(empty[kept])
+    if len(partly):
+        k, c = partly[0]
+        raise DataError(
+            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of"
+            f" '{instrument.name}' empty"
+        )
+    values = instrument.values({name: column[kept] for name, column in columns.items()})
+    if not columns:  # it reads no numbers: one row stands for all
+        values = np.repeat(values, len(kept), axis=0)
+    numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine])
+
+
+def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
+    """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
+    column = instrument.label_column
+    if column is None:
+        return np.ones(len(table.rows), dtype=bool)
+    group = [other for other in robot.instruments if other.label_column == column]
+    columns = {c.name for c in instrument.columns()}
+    if column not in table.names:
+        sharing = [other.name for other in group if columns & {c.name for c in other.columns()}]
+        if len(sharing) > 1:
+            raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
+        return np.ones(len(table.rows), dtype=bool)
+    texts, names = table.text(column), [other.name for other in group]
+    for line, text in zip(table.lines, texts, strict=True):
+        if text and text not in names:
+            raise DataError(f"{table.path}, line {line}, column '{column}': no {column} '{text}'{nearest(text, names)}")
+    return np.array([text == instrument.name for text in texts], dtype=bool)
+
+
+def setups_of(robot: Robot, table: Table) -> IntArray:
+    """Return the number of the setup of each row, (n_table_rows,).
+
+    Raises:
+        DataError: The table has no such column, or a setup that the description does not name.
+    """
+    names = list(robot.description.setups)
+    if not names:
+        return np.zeros(len(table.rows), dtype=np.intp)
+    if "setup" not in table.names:
+        raise DataError(f"{table.path}: no column 'setup'; the description names the setups {', '.join(names)}")
+    numbers = []
+    for line, text in zip(table.lines, table.text("setup"), strict=True):
+        if text not in names:
+            raise DataError(f"{table.path}, line {line}, column 'setup': no setup '{text}'{nearest(text, names)}")
+        numbers.append(names.index(text))
+    return np.array(numbers, dtype=np.intp)
+
+
+def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
+    """The covariance that columns of standard deviations and correlations state; None without them."""
+    names = std_columns(instrument)
+    correlated = [name for name in correlation_columns(instrument) if name in table.names]
+    present = [name for name, _ in names if name in table.names] + correlated
+    if not present:
+        return None
+    missing = next((name for name, _ in names if name not in table.names), None)
+    if missing is not None:
+        raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
+    std = np.stack([_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
+    if np.any(std <= 0):
+        k, c = np.argwhere(std <= 0)[0]
+        raise DataError(
+            f"{table.path}, line {table.lines[kept[k]]}, column '{names[c][0]}': a standard deviation must be positive"
+        )
+    correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
+    for name in correlated:
+        i, j = correlation_columns(instrument)[name]
+        correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
+    smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
+    if np.any(smallest <= 1e-9):
+        k = int(np.argmin(smallest))
+        raise DataError(
+            f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{instrument.name}' contradict each other;"
+            " correct them"
+        )
+    return std[:, :, None] * correlation * std[:, None, :]
+
+
+def _of_readings(
+    instrument: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None
+) -> FloatArray:
+    """A column in the rows in which an instrument read; in the others it may be empty."""
+    values: FloatArray = table.column(name, dimension, gaps=True)[kept]
+    if np.any(np.isnan(values)):
+        line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
+        raise DataError(
+            f"{table.path}, line {line}, column '{name}': is empty; fill it in, as '{instrument.name}' read something"
+            " there"
+        )
+    return values

@@ -1,0 +1,392 @@
+"""Measurements: the visits of a robot to its poses, and what each instrument read there.
+
+A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
+pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NoReturn, Self
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError, InputError
+from calib.core.base.other_words import worded
+from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.core.base.words import pandas, titled_html
+from calib.core.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
+from calib.core.data.on_demand import Texts, held, picked
+from calib.core.data.pose_groups import shuffled_poses
+from calib.core.instruments.kind import FrameInstrument, Instrument, Readings
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+
+_JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
+"""Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
+_MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Poses(ReadOnlyArrays):
+    """Joint values of a list of visits.
+
+    Attributes:
+        joints: Actuated joints in the robot's order, (n, n_actuated) [m or rad].
+        labels: What to call each in messages: file, line and pose name.
+        names: The pose names of the file, or their running number; rows of one name repeat one pose.
+        path: Where they came from.
+        ignored: Columns of the file that were not used.
+        comments: What the file says about itself, line by line.
+        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
+        approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
+            (n, n_actuated); None: not given.
+        setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
+        planned: Readings that a plan asks for, without values, by instrument. It says nothing of instruments that are
+            not named.
+        robot: Whose joints they are, as it was when they were made; None: not stated.
+    """
+
+    _other_words = "measurements and poses"
+    _made_by = 'calib.read_measurements("data.csv", robot), or calib.as_measurements(robot, q, xyz) [SI]'
+
+    joints: FloatArray
+    labels: Texts
+    names: Texts
+    path: str
+    ignored: tuple[str, ...]
+    comments: tuple[str, ...] = field(default=(), kw_only=True)
+    context: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
+    approach: FloatArray | None = field(default=None, kw_only=True)
+    setups: IntArray | None = field(default=None, kw_only=True)
+    planned: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
+    robot: Robot | None = field(default=None, kw_only=True)
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} from {self.path}: {len(self)} rows, {self.n_poses} poses>"
+
+    def _repr_html_(self) -> str:
+        return titled_html(type(self).__name__, (repr(self)[1:-1], *self.comments), *self._tables())
+
+    def _tables(self) -> tuple[list[dict[str, object]], ...]:
+        """What a notebook shows of it."""
+        return ()
+
+    def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Self:
+        """Return some of the visits: a slice, a mask (n,), or indices, as of an array.
+
+        Raises:
+            DataError: A mask of another length, or an index that is no visit.
+        """
+        if isinstance(which, str):
+            raise InputError(
+                f"{self.path}: rows are taken by number; here: data.to_dataframe()['{which}'] for a column"
+            )
+        try:
+            return self.subset(np.atleast_1d(np.arange(len(self))[which]))
+        except IndexError as error:
+            raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
+
+    def __add__(self, other: object) -> NoReturn:
+        raise InputError(f"{self.path}: is joined in a list: calib.fit(robot, [first, 'b.csv'])")
+
+    def __array__(self, *_: object, **__: object) -> NoReturn:
+        raise InputError(f"{self.path}: {type(self).__name__} are not an array; give .joints, the joint values alone")
+
+    def __iter__(self) -> Iterator[Self]:
+        return (self[k] for k in range(len(self)))
+
+    def _robot(self, robot: Robot | None) -> Robot:
+        """The robot that is given, or that they were made for."""
+        known = self.robot if robot is None else robot
+        if known is None:
+            raise InputError(f"{self.path}: does not have its robot; give the robot as an argument")
+        return known
+
+    def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
+        """Return a table of the visits, in mm and degrees: the cells below each header, as in files.
+
+        Args:
+            robot: Names joints and instruments; that of the visits if not given.
+        """
+        robot = self._robot(robot)
+        columns = pose_columns(robot, self.names, self.joints)
+        columns |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(
+            robot, self.approach
+        )
+        return columns
+
+    def to_dataframe(self, robot: Robot | None = None) -> Any:
+        """Return `to_dict` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
+        columns = self.to_dict(robot)
+        return pandas().DataFrame({key: [np.nan if x == "" else x for x in cells] for key, cells in columns.items()})
+
+    def subset(self, index: IntArray) -> Self:
+        """Return the visits with these indices (n,), in this order."""
+        index = np.asarray(index, dtype=np.intp)
+        return replace(
+            self,
+            joints=self.joints[index],
+            labels=tuple(picked(self.labels, index)),
+            names=tuple(picked(self.names, index)),
+            context={key: values[index] for key, values in self.context.items()},
+            approach=None if self.approach is None else self.approach[index],
+            setups=None if self.setups is None else self.setups[index],
+            planned={name: of_visits(looks, index) for name, looks in self.planned.items()},
+        )
+
+    @cached_property
+    def pose_numbers(self) -> IntArray:
+        """A number for each visit, the same for those of one pose name, counted as they first appear, (n,)."""
+        hashes = np.fromiter(map(hash, self.names), dtype=np.int64, count=len(self))  # a tenth of the names' memory
+        _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
+        seen = first[inverse]
+        if any(self.names[k] != self.names[seen[k]] for k in np.flatnonzero(seen != np.arange(len(self)))):
+            numbers: dict[str, int] = {}  # other names, but the same hash
+            return np.array([numbers.setdefault(name, len(numbers)) for name in self.names], dtype=np.intp)
+        result: IntArray = np.argsort(np.argsort(first))[inverse]
+        return result
+
+    @property
+    def n_poses(self) -> int:
+        """Number of different poses."""
+        return int(self.pose_numbers.max(initial=-1)) + 1
+
+    @property
+    def conditions(self) -> Context:
+        """Conditions of the commands, for joint terms; with the direction of approach, if it is given."""
+        approach = np.zeros_like(self.joints) if self.approach is None else self.approach
+        return Context.of(approach, self.context, self.setups)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurements(Poses):
+    """Visits with what was read.
+
+    Attributes:
+        readings: Of each instrument, by its name; visits are indices into the rows.
+        approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
+        order: Place of each visit in the order of measurement, from 0, (n,). If not given: the order of the rows.
+    """
+
+    readings: Mapping[str, Readings]
+    order: IntArray | None = None
+    approach_assumed: bool = False
+
+    @property
+    def n_readings(self) -> int:
+        """Number of readings of all instruments."""
+        return sum(len(readings) for readings in self.readings.values())
+
+    @property
+    def approach_directions(self) -> FloatArray:
+        """`approach`, from the order of the rows where it is not given, (n, n_actuated)."""
+        return directions_of_motion(self.joints) if self.approach is None else self.approach
+
+    @property
+    def states_approach(self) -> bool:
+        """Whether the direction of approach is stated, and not assumed from the order of the rows."""
+        return self.approach is not None and not self.approach_assumed
+
+    @property
+    def conditions(self) -> Context:
+        """Conditions of the commands, for joint terms; with the direction of approach."""
+        return Context.of(self.approach_directions, self.context, self.setups)
+
+    @property
+    def places(self) -> IntArray:
+        """`order`, or the order of the rows, (n,)."""
+        return np.arange(len(self)) if self.order is None else self.order
+
+    def _tables(self) -> tuple[list[dict[str, object]], ...]:
+        return ([{"instrument": name, "readings": len(readings)} for name, readings in self.readings.items()],)
+
+    def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
+        """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
+
+        Args:
+            robot: Names joints and instruments; that of the visits if not given.
+
+        Raises:
+            DataError: Simulated readings of an instrument that reads no numbers.
+        """
+        robot = self._robot(robot)
+        visits, read = reading_columns(robot, len(self), self.readings)
+        return {key: [cells[k] for k in visits] for key, cells in super().to_dict(robot).items()} | read
+
+    def subset(self, index: IntArray) -> Self:
+        """Return the visits with these indices (n,), in this order, with their readings."""
+        index = np.asarray(index, dtype=np.intp)
+        return replace(
+            super().subset(index),
+            order=self.places[index],
+            approach=self.approach_directions[index],
+            approach_assumed=not self.states_approach,
+            readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
+        )
+
+    def read_visits(self) -> Self:
+        """Return the visits at which something was read; at others, a camera may have seen nothing."""
+        visits = np.unique(
+            np.concatenate([np.zeros(0, dtype=np.intp), *(readings.visits for readings in self.readings.values())])
+        )
+        return self if len(visits) in (0, len(self)) else self.subset(visits)
+
+    def of_readings(self, numbers: Mapping[str, IntArray]) -> Self:
+        """Return some of the readings, visit by visit, and the visits at which they were made.
+
+        Args:
+            numbers: Which readings of each instrument, by its name: indices (n,); none of others.
+        """
+        chosen = {}
+        for name, own in numbers.items():
+            readings = self.readings[name]
+            covariance = None if readings.covariance is None else readings.covariance[own]
+            parts = (readings.visits[own], readings.pairs[own], readings.values[own])
+            chosen[name] = Readings(*parts, covariance, readings.details[own])
+        visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
+        return replace(self, readings=chosen).subset(visits)
+
+    @worded
+    def split(self, *, validation: float, seed: int = 0) -> tuple[Measurements, Measurements]:
+        """Hold out a random part of the poses for validation; repeats of one pose stay together.
+
+        Args:
+            validation: Part of the poses to hold out, between 0 and 1.
+            seed: Seed of the random choice.
+
+        Returns:
+            Measurements to identify with, and to validate with, both in file order.
+
+        Raises:
+            DataError: This part leaves one of them empty.
+        """
+        n_held = round(validation * len(self)) if 0 < validation < 1 else 0
+        chosen: list[int] = []
+        for group in shuffled_poses(self.joints, self.pose_numbers, seed):
+            if len(chosen) >= n_held:
+                break
+            chosen.extend(int(k) for k in group)
+        held: IntArray = np.array(chosen, dtype=np.intp)
+        if not 0 < len(held) < len(self):
+            raise DataError(
+                f"{self.path}: {validation:g} of {len(self)} poses held out leave no pose to"
+                f" {'fit' if len(held) or validation >= 1 else 'validate with'}; give a fraction between 0 and 1,"
+                " or a file"
+            )
+        return self.subset(np.setdiff1d(np.arange(len(self)), held)), self.subset(np.sort(held))
+
+    def points(self, robot: Robot | None = None) -> FloatArray:
+        """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.
+
+        Only instruments that measure points count; several readings of a target at a visit give their mean.
+
+        Args:
+            robot: Names targets and instruments; that of the visits if not given.
+        """
+        robot = self._robot(robot)
+        total = np.zeros((len(self), len(robot.target_names), 3))
+        count = np.zeros((len(self), len(robot.target_names), 1))
+        for instrument in robot.instruments:
+            readings = self.readings.get(instrument.name)
+            points = None if readings is None else instrument.points(readings.values)
+            if readings is None or points is None or not isinstance(instrument, FrameInstrument):
+                continue
+            t = robot.target_names.index(instrument.target)
+            np.add.at(total[:, t], readings.visits, points)
+            np.add.at(count[:, t], readings.visits, 1.0)
+        with np.errstate(invalid="ignore"):
+            result: FloatArray = total / count
+        return result
+
+
+def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
+    """Put poses and readings together."""
+    return Measurements(
+        poses.joints,
+        held(poses.labels),
+        held(poses.names),
+        poses.path,
+        poses.ignored,
+        readings,
+        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
+        comments=poses.comments,
+        context=poses.context,
+        approach=poses.approach,
+        setups=poses.setups,
+        planned=poses.planned,
+        robot=poses.robot,
+    )
+
+
+def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
+    """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
+    moved = dict(data.readings)
+    for name, readings in data.readings.items():
+        instrument = robot.instrument(name)
+        measured = instrument.points(readings.values)
+        if measured is not None and isinstance(instrument, FrameInstrument):
+            change = np.zeros((len(readings), instrument.n_rows))
+            change[:, :3] = points[readings.visits, robot.target_names.index(instrument.target)] - measured
+            moved[name] = replace(readings, values=instrument.moved(readings.values, change))
+    return replace(data, readings=moved)
+
+
+def of_visits(readings: Readings, index: IntArray) -> Readings:
+    """Return the readings of the visits with these indices (n,), in this order; a visit may come twice."""
+    order = np.argsort(readings.visits, kind="stable")
+    first, last = (np.searchsorted(readings.visits[order], index, side=side) for side in ("left", "right"))
+    counts = last - first
+    kept = order[np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))]
+    return Readings(
+        np.repeat(np.arange(len(index)), counts),
+        readings.pairs[kept],
+        readings.values[kept],
+        None if readings.covariance is None else readings.covariance[kept],
+        readings.details[kept],
+    )
+
+
+def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:
+    """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
+    return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
+
+
+def directions_of_motion(joints: FloatArray) -> FloatArray:
+    """Return the direction in which each joint moved last before each pose: +1, -1, or 0 before its first motion.
+
+    A joint that stands still keeps its direction: that is what backlash depends on.
+
+    Args:
+        joints: Joint values in the order of measurement, (n_poses, n_actuated) [m or rad].
+    """
+    steps = np.diff(joints, axis=0, prepend=joints[:1])
+    direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)
+    rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
+    last_moved = np.maximum.accumulate(rows, axis=0)
+    return np.take_along_axis(direction, last_moved, axis=0)
+
+
+def check_repeats(poses: Poses, robot: Robot) -> None:
+    """Raise `DataError` where rows of one pose name have different joint values."""
+    limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
+    order = np.argsort(poses.pose_numbers, kind="stable")
+    starts = np.flatnonzero(np.diff(poses.pose_numbers[order], prepend=-1))
+    spread = np.maximum.reduceat(poses.joints[order], starts) - np.minimum.reduceat(poses.joints[order], starts)
+    bad = np.argwhere(spread > limits)
+    if len(bad):
+        pose = int(bad[0][0])
+        joint = int(np.argmax(spread[pose] / limits))
+        row = int(order[starts[pose]])
+        dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
+        raise DataError(
+            f"{poses.labels[row]}: joint '{robot.joint_names[joint]}' differs by"
+            f" {spread[pose, joint] * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]} among the rows of pose"
+            f" '{poses.names[row]}'; rows with the same pose value must repeat one pose"
+        )

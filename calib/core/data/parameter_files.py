@@ -1,0 +1,71 @@
+"""Parameter files: CSV `parameter,value,unit`; other columns, such as those of a result, are for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.core.base.errors import DataError, InputError, ParameterError, nearest_column
+from calib.core.base.other_words import worded
+from calib.core.base.parameter import index_of
+from calib.core.base.units import per_si
+from calib.core.data.table_writing import format_table
+from calib.core.data.tables import check_plausible, read_number, read_table
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+
+COLUMNS = ("parameter", "value", "unit")
+_LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
+
+
+@worded
+def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = False) -> dict[str, float]:
+    """Read parameter values in SI by name; parameters that the file does not name are absent.
+
+    Args:
+        path: The file.
+        robot: Whose parameters; loaded, or its description or URDF.
+        complete: Whether a parameter that the file does not name is an error.
+
+    Raises:
+        DataError, ParameterError: The message names file, line and parameter.
+    """
+    robot = as_robot(robot)
+    table = read_table(path)
+    for name in COLUMNS:
+        if name not in table.names:
+            raise DataError(
+                f"{path}: no column '{name}'{nearest_column(name, table.names)}; a parameter file has the columns"
+                f" {', '.join(COLUMNS)}"
+            )
+    values: dict[str, float] = {}
+    rows = zip(table.text("parameter"), table.text("value"), table.text("unit"), table.lines, strict=True)
+    for name, text, unit, line in rows:
+        where = f"{path}, line {line}"
+        parameter = robot.parameters[index_of(robot.parameters, name, where)]
+        if name in values:
+            raise ParameterError(f"{where}: parameter '{name}' is given twice")
+        place = f"{where}, parameter '{name}'"
+        try:
+            number = read_number(text, place, table.separator)
+            if not unit:
+                check_plausible(number, parameter.dimension, place, "into the column 'unit'")
+            values[name] = number / per_si(unit, parameter.dimension, place)
+        except InputError as error:
+            raise ParameterError(str(error)) from None
+        if abs(values[name]) > _LARGEST:
+            raise ParameterError(f"{place}: '{text:.60}' is too large to mean anything; correct it")
+    absent = [parameter.name for parameter in robot.parameters if parameter.name not in values]
+    if complete and absent:
+        raise ParameterError(f"{path}: no value for parameter '{absent[0]}'; the file is not complete")
+    return values
+
+
+def format_parameters(robot: Robot, comments: Sequence[str] = ()) -> str:
+    """Return CSV text of a robot's current values, behind comments; reading it gives the same values to all digits."""
+    names, values, units = [], [], []
+    for parameter, value in zip(robot.parameters, robot.values, strict=True):
+        names.append(parameter.name)
+        values.append(float(value * parameter.per_si))
+        units.append(parameter.unit)
+    return format_table([("parameter", names), ("value", values), ("unit", units)], comments)

@@ -1,0 +1,161 @@
+"""Plans as CSV files: where to measure, with what, in which setup, and what to touch there.
+
+A plan is a file of joint values. `calib select` writes one, `calib simulate` reads one, and with the columns of what
+was read beside, it is a file of measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, IntArray
+from calib.core.base.errors import DataError, nearest
+from calib.core.data.instrument_cells import columns_in
+from calib.core.data.measurement_files import poses_of_table, read_measurements
+from calib.core.data.measurements import Poses, check_repeats, in_setups
+from calib.core.data.robot_tables import read_robot_table
+from calib.core.data.tables import Source, Table
+from calib.core.instruments.kind import Instrument, Readings
+from calib.core.robots.robot import Robot
+
+INSTRUMENT = "instrument"
+"""Column that says which instruments are to read."""
+TOGETHER = "+"
+"""What joins the names of instruments that read together."""
+
+
+def read_plan(path: Path | str, robot: Robot) -> Poses:
+    """Read joint values and what is to be read there: by which instruments, in which setup, and what is touched.
+
+    The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, is all of them. What
+    is touched stands in the columns of the instruments that touch; without such a column the file does not say.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    return plan_of_table(read_robot_table(path, robot), robot)
+
+
+def plan_of_table(table: Table, robot: Robot) -> Poses:
+    """Return what `read_plan` does of a table that was read.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    used = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
+    poses = poses_of_table(table, robot, used)
+    reading = _reading(robot, table)
+    plan = {
+        instrument.name: _looks(robot, instrument, table, reading[instrument.name], poses.setups)
+        for instrument in robot.instruments
+    }
+    stated = {name: looks for name, looks in plan.items() if looks is not None}
+    if len(stated) == len(robot.instruments) and not any(len(looks) for looks in stated.values()):
+        raise DataError(f"{table.path}: no row names anything to read; fill in its columns of instruments")
+    return replace(poses, planned=stated)
+
+
+def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
+    """Read poses; as `Measurements` where some instrument read in every row, or where rows repeat a pose.
+
+    Args:
+        paths: The file; several are measurements that belong together.
+        robot: The robot.
+        table: What is in the one file, if it has been read.
+
+    Raises:
+        DataError: The file is not valid, or poses that are not measured have the same name.
+    """
+    if len(paths) > 1:
+        return read_measurements(paths, robot)
+    table = read_robot_table(paths[0], robot) if table is None else table
+    measured = _measured(table, robot)
+    if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
+        return read_measurements(paths, robot)
+    poses = plan_of_table(table, robot)
+    if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
+        check_repeats(poses, robot)
+        return poses
+    again = np.flatnonzero(np.diff(np.maximum.accumulate(poses.pose_numbers), prepend=-1) == 0)
+    if len(again):
+        k = int(again[0])
+        raise DataError(f"{poses.labels[k]}: pose '{poses.names[k]}' is given twice; names of poses must be unique")
+    return poses
+
+
+def _measured(table: Table, robot: Robot) -> BoolArray:
+    """Which rows have all cells of some instrument, (n_rows,)."""
+    measured = np.zeros(len(table.rows), dtype=bool)
+    for instrument in robot.instruments:
+        names = [*(column.name for column in instrument.columns()), *instrument.text_columns()]
+        if names and set(names) <= set(table.names):
+            filled = np.ones(len(measured), dtype=bool)
+            for name in names:
+                filled &= np.fromiter(map(bool, table.texts(name)), dtype=bool)
+            measured |= filled
+    return measured
+
+
+def _repeats(table: Table) -> bool:
+    """Whether rows repeat a pose."""
+    return "pose" in table.names and len(set(table.texts("pose"))) < len(table.rows)
+
+
+def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
+    """Which rows of a plan each instrument is to read at, (n_table_rows,) by name."""
+    n, names = len(table.rows), [instrument.name for instrument in robot.instruments]
+    result = {name: np.ones(n, dtype=bool) for name in names}
+    for k, cell in enumerate(_instrument_cells(robot, table)):
+        named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
+        unknown = next((name for name in named if name not in names), None)
+        if unknown is not None:
+            raise DataError(
+                f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument '{unknown:.60}'"
+                f"{nearest(unknown, names)}"
+            )
+        for name in names:
+            result[name][k] = name in named
+    return result
+
+
+def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
+    """Cells of the column `instrument`; none without it, or where the description names no instruments."""
+    return tuple(table.text(INSTRUMENT)) if robot.description.instruments and INSTRUMENT in table.names else ()
+
+
+def _looks(
+    robot: Robot, instrument: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
+) -> Readings | None:
+    """What an instrument is to read in the rows of a plan; None where nothing is said, or not what is touched."""
+    if instrument.columns() and np.all(reading):
+        return None  # all that it can, as if nothing were said
+    rows = np.flatnonzero(reading)
+    if instrument.columns():
+        pairs, details = instrument.looks()
+        n_looks = len(pairs)
+        visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
+    elif set(instrument.text_columns()) <= set(table.names):
+        texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
+        belongs, pairs, details = instrument.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        mine = np.array(belongs, dtype=bool)
+        _require_said(robot, instrument, table, rows[~mine])
+        visits, pairs, details = rows[mine], pairs[mine], details[mine]
+    else:
+        return None
+    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else in_setups(robot, instrument, setups)
+    return Readings(visits, pairs + shift[visits], np.zeros((len(visits), 0)), None, details)
+
+
+def _require_said(robot: Robot, instrument: Instrument, table: Table, unsaid: IntArray) -> None:
+    """Raise `DataError` where a row names an instrument that touches, and not what."""
+    cells = _instrument_cells(robot, table)
+    bad = next((int(k) for k in unsaid if cells and cells[k]), None)
+    if bad is not None:
+        raise DataError(
+            f"{table.path}, line {table.lines[bad]}, column '{instrument.text_columns()[0]}': is empty, but"
+            f" '{instrument.name}' is to touch something there; say what"
+        )

@@ -1,0 +1,144 @@
+"""Which rows repeat one pose (one name, or joint values that agree), and which poses lie apart from others."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+
+APART = 0.05
+"""Part of poses drawn like others that lie apart from these, by `apart`."""
+SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
+
+
+def pose_labels(joints: FloatArray) -> IntArray:
+    """Return a number for each row of joint values (n, n_actuated); rows that repeat one pose have the same.
+
+    Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
+    """
+    rounded = np.round(joints / SAME_JOINTS)
+    near = _may_have_neighbours(rounded)
+    cells, cell = np.unique(rounded[near], axis=0, return_inverse=True)
+    linked = scipy.spatial.cKDTree(cells).query_pairs(
+        1.5, p=np.inf, output_type="ndarray"
+    )  # the same cell or a neighbour
+    graph = scipy.sparse.coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
+    number, of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    result: IntArray = number + np.cumsum(~near) - 1
+    result[near] = of_cell[cell.reshape(-1)]
+    return result
+
+
+def _may_have_neighbours(cells: FloatArray) -> BoolArray:
+    """Return which rows of whole numbers (n, k) may equal another one or differ by 1, (n,): of many, few.
+
+    Two numbers that differ by 1 are halves of one number, rounded down, before or after 1 is added. So rows that are
+    near each other fall together at one of four grids of the two columns that reach farthest.
+    """
+    near = np.zeros(len(cells), dtype=bool)
+    if len(cells) == 0:
+        return near
+    reach = np.ptp(cells, axis=0)
+    first, second = (cells[:, k] - cells[:, k].min() for k in np.argsort(-reach)[[0, min(1, len(reach) - 1)]])
+    width = float(np.max(reach)) + 2.0
+    for shifts in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+        place = np.floor((first + shifts[0]) / 2.0) * width + np.floor((second + shifts[1]) / 2.0)
+        order = np.argsort(place)
+        same = place[order[1:]] == place[order[:-1]]
+        near[order[1:][same]] = near[order[:-1][same]] = True
+    return near
+
+
+def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
+    """Return groups of rows that repeat one pose, by its name or by its joint values, in the order of the rows.
+
+    Args:
+        joints: Joint values, (n, n_actuated) [m or rad].
+        by_name: A number for each row, the same for those of one pose name, (n,).
+    """
+    order, starts = _by_pose(joints, by_name)
+    return np.split(order, starts[1:])
+
+
+def _by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntArray]:
+    """The rows of each group of `repeated_poses`, one group after the other, (n,), and where each begins, (n_groups,).
+
+    Without repeats a pose is a pose.
+    """
+    by_joints = pose_labels(joints)
+    n = int(by_joints.max(initial=-1)) + 1
+    size = n + int(by_name.max(initial=-1)) + 1
+    graph = scipy.sparse.coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
+    label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][by_joints]
+    _, first, number = np.unique(label, return_index=True, return_inverse=True)
+    order = np.argsort(first[number.reshape(-1)], kind="stable")
+    sizes = np.bincount(number.reshape(-1))[np.argsort(first)]
+    return order, np.cumsum(sizes) - sizes
+
+
+def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
+    """Return the groups of `repeated_poses` in random order.
+
+    Args:
+        joints: Joint values, (n, n_actuated) [m or rad].
+        by_name: A number for each row, the same for those of one pose name, (n,).
+        seed: Seed of the order.
+    """
+    groups = repeated_poses(joints, by_name)
+    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+
+
+def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
+    """Return which poses lie farther from all poses used than 95 in 100 of these from the nearest other one, (n,).
+
+    In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count once. Of
+    poses drawn like those used, about one in 20 is among them. With fewer than 19 poses used, none is.
+
+    Args:
+        joints: The poses, (n, n_actuated) [m or rad].
+        used: Those used, (n_used, n_actuated) [m or rad].
+    """
+    first = np.unique(pose_labels(used), return_index=True)[1]
+    unit = np.maximum(np.std(used, axis=0), SAME_JOINTS)
+    k = int(np.ceil((1.0 - APART) * (len(first) + 1) - 1e-9))
+    if k > len(first):
+        return np.zeros(len(joints), dtype=bool)
+    near = scipy.spatial.cKDTree(used[first] / unit)
+    limit = np.sort(near.query(used[first] / unit, k=2)[0][:, 1])[k - 1]
+    return np.asarray(near.query(joints / unit)[0] > limit)
+
+
+def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
+    """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
+
+    Args:
+        joints, by_name: As of `repeated_poses`.
+        count: Number of boxes; no more than there are different poses.
+
+    Returns:
+        Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
+    """
+    order, starts = _by_pose(joints, by_name)
+    sizes = np.diff(starts, append=len(order))
+    centres = np.add.reduceat(joints[order], starts) / sizes[:, None]
+    spread = np.ptp(centres, axis=0)
+    centres = centres / np.where(spread > 0, spread, 1.0)
+
+    def cut(part: IntArray, into: int) -> list[IntArray]:
+        if into == 1:
+            return [part]
+        # rounded, so that of joints that spread alike the first is cut on every processor
+        joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
+        arranged = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        left = into // 2
+        middle = len(arranged) * left // into
+        return cut(arranged[:middle], left) + cut(arranged[middle:], into - left)
+
+    box = np.empty(len(starts), dtype=np.intp)
+    parts = cut(np.arange(len(starts)), min(count, len(starts)))
+    for number, part in enumerate(parts):
+        box[part] = number
+    of_row = np.empty(len(order), dtype=np.intp)
+    of_row[order] = np.repeat(box, sizes)
+    return [np.flatnonzero(of_row == number) for number in range(len(parts))]

@@ -1,0 +1,138 @@
+"""Tables of a robot whose columns other programs have named: `J1 (deg)` ... `J6 (deg)`, `X (mm)`, `Y (mm)`, `Z (mm)`.
+
+Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
+figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
+instrument reads positions and has no columns. A column needs its unit in the header for that, because it is not known
+whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
+a robot description says what files call their columns, and then nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+from calib.core.base.errors import DataError, nearest
+from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.data.tables import Source, Table, read_table
+from calib.core.robots.robot import Robot
+
+_LOG = logging.getLogger("calib")
+_NUMBERED = re.compile(r"(?:j|a|q|ax|axis|joint|theta|motor)0*(\d+)")
+_AXES = ("x", "y", "z")
+_UNITS = (*PER_SI["length"], *PER_SI["angle"])
+_UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]+(?P<ending>{'|'.join(_UNITS)}))")
+
+
+def read_robot_table(
+    source: Source, robot: Robot, *, growing: Sequence[str] | None = None, any_size: bool = False
+) -> Table:
+    """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
+
+    Args:
+        source: The file or the table in memory.
+        robot: The robot.
+        growing: Of a file that is still written, its lines so far.
+        any_size: As in `read_table`.
+
+    Raises:
+        DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
+            units are; or blanks separate the columns.
+    """
+    table = read_table(source, robot.description.columns, growing=growing, any_size=any_size)
+    _check_separator(robot, table)
+    _check_units(robot, table)
+    guessed = _joints(robot, table) | _positions(robot, table)
+    if not guessed:
+        return table
+    bare = next((name for name in guessed if table.units[table.names.index(name)] is None), None)
+    if bare is not None:
+        unit = DISPLAY_UNIT[robot.mechanism.dimensions[guessed[bare]]]
+        raise DataError(
+            f"{table.path}, column '{bare}': looks like '{guessed[bare]}', but has no unit; write it into the header,"
+            f" such as '{bare} [{unit}]', or call the column '{guessed[bare]}'"
+        )
+    text = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
+    _tell(table.path, text)
+    return replace(table, names=tuple(guessed.get(name, name) for name in table.names))
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, text: str) -> None:
+    """Warn of a guess, once for each file."""
+    _LOG.warning("%s: took columns %s; `columns` in the robot description says what they really are", path, text)
+
+
+def _check_separator(robot: Robot, table: Table) -> None:
+    """Raise `DataError` if blanks separate the columns."""
+    if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:
+        raise DataError(f"{table.path}: blanks separate the columns; write commas, semicolons or tabs between them")
+
+
+def _check_units(robot: Robot, table: Table) -> None:
+    """Raise `DataError` if columns would be those of the joints, if their units were written as units are."""
+    odd = _odd_units(table)
+    split = [odd.get(name, (name, unit)) for name, unit in zip(table.names, table.units, strict=True)]
+    names, units = tuple(name for name, _ in split), tuple(unit for _, unit in split)
+    if not odd or set(robot.joint_names) & set(table.names) or len(set(names)) < len(names):
+        return
+    meant = {*_joints(robot, replace(table, names=names, units=units)), *robot.joint_names}
+    hint = next((_hint(name, *written) for name, written in odd.items() if written[0] in meant), None)
+    if hint is not None:
+        raise DataError(f"{table.path}, {hint}")
+
+
+def odd_unit(table: Table, column: str) -> str | None:
+    """Return what to do about a column that may be the one of this name, or coordinate, if its unit were readable."""
+    same = {_plain(column), column.rpartition("_")[2]}
+    return next((_hint(name, *odd) for name, odd in _odd_units(table).items() if _plain(odd[0]) in same), None)
+
+
+def _odd_units(table: Table) -> dict[str, tuple[str, str]]:
+    """Columns without a unit whose names may end in one: the name before it, and the unit."""
+    bare = [name for name, unit in zip(table.names, table.units, strict=True) if unit is None]
+    matches = {name: match for name in bare if (match := _UNIT_WRITTEN.fullmatch(name))}
+    return {name: (match["name"], match["unit"] or match["ending"]) for name, match in matches.items()}
+
+
+def _hint(column: str, name: str, unit: str) -> str:
+    if unit not in _UNITS:
+        return f"column '{column}': unknown unit '{unit}'{nearest(unit, _UNITS)}"
+    return f"column '{column}': write its unit in brackets: '{name} [{unit}]'"
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.casefold())
+
+
+def _joints(robot: Robot, table: Table) -> dict[str, str]:
+    """Columns that stand for joints, and these; none if one joint has its column, or not all have one."""
+    joints = robot.joint_names
+    if set(joints) & set(table.names):
+        return {}
+    same = {name: joint for joint in joints for name in table.names if _plain(name) == _plain(joint)}
+    if sorted(same.values()) == sorted(joints):
+        return same
+    numbers = {name: int(match.group(1)) for name in table.names if (match := _NUMBERED.fullmatch(_plain(name)))}
+    if sorted(numbers.values()) != list(range(1, len(joints) + 1)):
+        return {}
+    ends = [re.search(r"(\d+)\D*$", joint) for joint in joints]
+    joint_numbers = [int(end.group(1)) for end in ends if end is not None]
+    order = (
+        joint_numbers if sorted(joint_numbers) == list(range(1, len(joints) + 1)) else list(range(1, len(joints) + 1))
+    )
+    return {name: joints[order.index(number)] for name, number in numbers.items()}
+
+
+def _positions(robot: Robot, table: Table) -> dict[str, str]:
+    """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
+    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
+    units = dict(zip(table.names, table.units, strict=True))
+    axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
+    columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
+    if sorted(axes.values()) != list(_AXES) or not columns or set(columns) & set(table.names):
+        return {}
+    return {name: columns[_AXES.index(axis)] for name, axis in axes.items()}

@@ -1,0 +1,226 @@
+"""ROS 2 bags as tables: joint states, and what was measured while the robot stood still.
+
+Joints come from `sensor_msgs/JointState` messages of any topic, by their names. Measurements come from
+`geometry_msgs/PointStamped`, `PoseStamped` and `TransformStamped`: the topic `/reflector` gives the columns
+`reflector_x`, `_y`, `_z` [m], and poses also `_qx`, `_qy`, `_qz`, `_qw`. A topic `/tracker/ball` is `tracker/ball`;
+`columns` of a robot description says what foreign names stand for.
+
+Joined by time. A measurement counts if the robot stood still: from 0.25 s before it to 0.25 s after it there are two
+joint states or more, on either side of it, and no joint moves by more than 0.5 mrad (0.5 mm). It is a row of its own.
+Rows of one stop have the same `pose`, which they repeat, and the same joint values, the mean of the joint states around
+them: what encoders flicker is no motion. Time is that of the headers;
+if any message has none, it is that of the recording. Column `time` counts from the first message.
+
+The package rosbags reads them, without ROS. It is not needed for anything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.words import counted
+
+_SUFFIXES = (".mcap", ".db3")
+_WINDOW = 0.25  # before and after a measurement [s]
+_STILL = 5e-4  # how far a joint may move meanwhile [rad or m]
+_JOINTS = "sensor_msgs/msg/JointState"
+_PLACES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
+    "geometry_msgs/msg/PointStamped": lambda message: (message.point, None),
+    "geometry_msgs/msg/PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
+    "geometry_msgs/msg/TransformStamped": lambda message: (message.transform.translation, message.transform.rotation),
+}
+
+
+@dataclass
+class _Series:
+    """Numbers over time.
+
+    Attributes:
+        stamps: Of the headers [s]; 0 where there is none.
+        recorded: When they were recorded [s].
+        values: Numbers of each message [m, rad, 1].
+    """
+
+    stamps: list[float] = field(default_factory=list)
+    recorded: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, message: Any, recorded: float, values: Iterable[float]) -> None:
+        """Take in one message."""
+        self.stamps.append(message.header.stamp.sec + message.header.stamp.nanosec / 1e9)
+        self.recorded.append(recorded)
+        self.values.append(tuple(map(float, values)))
+
+    def over_time(self, stamped: bool) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) [s], in order, and values (n, k)."""
+        times = np.array(self.stamps if stamped else self.recorded)
+        order = np.argsort(times, kind="stable")
+        return times[order], np.array(self.values)[order]
+
+
+def is_bag(path: Path | str) -> bool:
+    """Whether a path is that of a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
+    try:
+        return Path(path).suffix in _SUFFIXES or (Path(path) / "metadata.yaml").is_file()
+    except OSError:  # reading the file will say why
+        return False
+
+
+def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:
+    """Return header and cells of each column of the table that a bag stands for, and remarks.
+
+    Raises:
+        DataError: The package rosbags is missing, the bag cannot be read, has no joint states or no measurements, or
+            the robot stood still at none of them.
+    """
+    joints, places = _series(path)
+    if not joints:
+        raise DataError(f"{path}: has no joint states (sensor_msgs/JointState); record their topic too")
+    if not places:
+        raise DataError(
+            f"{path}: has no measurements (geometry_msgs/PointStamped, PoseStamped or TransformStamped); record their"
+            " topic too"
+        )
+    all_series = [*joints.values(), *places.values()]
+    stamped = all(stamp > 0 for series in all_series for stamp in series.stamps)
+    measured = {topic: series.over_time(stamped) for topic, series in places.items()}
+    times = np.unique(np.concatenate([at for at, _ in measured.values()]))
+    q, spread = _joints_at(times, [series.over_time(stamped) for series in joints.values()])
+    still = spread <= _STILL
+    if not still.any():
+        finite = spread[np.isfinite(spread)]
+        moved = f"; the least that a joint moved is {np.min(finite):.2g} rad or m" if len(finite) else ""
+        raise DataError(
+            f"{path}: at none of {counted(len(times), 'measurement')} the robot stood still: joint states within"
+            f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
+        )
+    of_stop = stops(q[still])
+    means = np.array([q[still][of_stop == stop].mean(axis=0) for stop in range(of_stop[-1] + 1)])
+    first = min(min(series.stamps if stamped else series.recorded) for series in all_series)
+    columns: list[tuple[str, list[object]]] = [
+        ("pose", [f"stop {number + 1}" for number in of_stop]),
+        ("time [s]", list(times[still] - first)),
+        *((name, list(means[of_stop, k])) for k, name in enumerate(joints)),
+    ]
+    for topic, (at, values) in measured.items():
+        columns += _place_columns(topic, times[still], at, values)
+    left = int(np.sum(~still))
+    remark = f"{counted(left, 'measurement')} of {len(times)} left out: the robot moved" if left else ""
+    return columns, (f"from the bag {path}", *([remark] if remark else []))
+
+
+def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
+    """What a bag has of joints, by name, and of places, by topic."""
+    joints: dict[str, _Series] = {}
+    places: dict[str, _Series] = {}
+    source: dict[str, str] = {}
+    for topic, kind, recorded, message in _messages(path, (_JOINTS, *_PLACES)):
+        if kind != _JOINTS:
+            at, turned = _PLACES[kind](message)
+            rotation = () if turned is None else (turned.x, turned.y, turned.z, turned.w)
+            places.setdefault(topic, _Series()).add(message, recorded, (at.x, at.y, at.z, *rotation))
+            continue
+        for name, value in zip(message.name, message.position, strict=False):  # some have names and no positions
+            if source.setdefault(name, topic) != topic:
+                raise DataError(f"{path}: joint '{name}' is in {source[name]} and in {topic}; keep one of these topics")
+            joints.setdefault(name, _Series()).add(message, recorded, (value,))
+    for key, series in {**joints, **places}.items():
+        if len({len(value) for value in series.values}) > 1 or not np.isfinite(series.values).all():
+            raise DataError(f"{path}: '{key}' has numbers that are not finite, or messages of two kinds")
+    return joints, places
+
+
+def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
+    """Yield topic, type, time [s] and message of all messages of some types that have a header.
+
+    Time is that of the header; that of the recording where it has none.
+
+    Raises:
+        DataError: The package rosbags is missing, or the bag cannot be read.
+    """
+    for topic, kind, recorded, message in _messages(path, kinds):
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+        yield topic, kind, stamp if stamp > 0 else recorded, message
+
+
+def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], FloatArray, BoolArray]:
+    """Return names of joints, their values at times (n,) [s], (n, n_joints), and whether the robot stood still, (n,).
+
+    Raises:
+        DataError: The package rosbags is missing, or the bag cannot be read.
+    """
+    joints: dict[str, tuple[list[float], list[float]]] = {}
+    for _, _, at, message in messages_of_bag(path, (_JOINTS,)):
+        for name, value in zip(message.name, message.position, strict=False):
+            joints.setdefault(name, ([], []))[0].append(at)
+            joints[name][1].append(float(value))
+    series = []
+    for stamps, values in joints.values():
+        order = np.argsort(stamps, kind="stable")
+        series.append((np.array(stamps)[order], np.array(values)[order][:, None]))
+    q, spread = _joints_at(times, series)
+    return list(joints), q, (spread <= _STILL) & bool(joints)
+
+
+def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
+    """Topic, type, time of recording [s] and message of all messages of some types."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise DataError(
+            f"{path}: is a ROS bag, and the package that reads them is not installed: pip install rosbags"
+        ) from None
+    if not Path(path).exists():
+        raise DataError(f"{path}: no such file; give a CSV file or a bag")
+    try:
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            connections = [connection for connection in reader.connections if connection.msgtype in kinds]
+            for connection, recorded, raw in reader.messages(connections) if connections else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                yield connection.topic, connection.msgtype, recorded / 1e9, message
+    except DataError:
+        raise
+    except Exception as error:  # of rosbags, of SQLite, of what a broken file makes of them
+        raise DataError(f"{path}: is not a bag that can be read ({type(error).__name__}: {error})") from None
+
+
+def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Joint values at times (n,), (n, n_joints), and how far the joint that moved most did, (n,); inf if not seen."""
+    q, spread = np.full((len(times), len(joints)), np.nan), np.zeros(len(times))
+    for j, (at, values) in enumerate(joints):
+        first = np.searchsorted(at, times - _WINDOW, side="left")
+        last = np.searchsorted(at, times + _WINDOW, side="right")
+        middle = np.searchsorted(at, times, side="left")
+        for k in range(len(times)):
+            inside = values[first[k] : last[k], 0]
+            if first[k] < middle[k] < last[k]:
+                q[k, j] = inside.mean()
+                spread[k] = max(spread[k], float(np.ptp(inside)))
+            else:
+                spread[k] = np.inf
+    return q, spread
+
+
+def stops(q: FloatArray) -> IntArray:
+    """Return the number of the stop of each row (n, n_joints), (n,): a new one where a joint has left the last."""
+    numbers, begin = np.zeros(len(q), dtype=np.intp), q[0]
+    for k, row in enumerate(q):
+        left = bool(np.any(np.abs(row - begin) > 2 * _STILL))
+        begin = row if left else begin
+        numbers[k] = numbers[max(k - 1, 0)] + left
+    return numbers
+
+
+def _place_columns(topic: str, times: FloatArray, at: FloatArray, values: FloatArray) -> list[tuple[str, list[object]]]:
+    """Columns of one topic; cells are empty where it said nothing at that time."""
+    name, row = topic.removeprefix("/"), dict(zip(at, values, strict=True))
+    axes = ("x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw")[: values.shape[1]]
+    return [(f"{name}_{axis}", [row[t][k] if t in row else "" for t in times]) for k, axis in enumerate(axes)]

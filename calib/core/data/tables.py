@@ -1,0 +1,409 @@
+"""CSV tables with units in their headers, read with the line and column of every mistake.
+
+A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
+Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
+decimal mark. `calib.core.data.layouts` knows what other programs write around a table; what was guessed is told to the
+logger.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+import logging
+import math
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, Protocol, TypeGuard, cast
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, InputError, nearest_column
+from calib.core.base.files import read_lines
+from calib.core.base.own_files import is_mark
+from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.data.layouts import (
+    COMMENTS,
+    SEPARATORS,
+    header_line,
+    is_comment,
+    is_workbook,
+    separator_of,
+    units_below,
+    workbook_lines,
+)
+from calib.core.data.on_demand import TextRows, cells_of, is_plain
+from calib.core.data.rosbag import is_bag, read_bag
+from calib.core.data.table_writing import text_of
+
+_LARGEST = 1e6  # [m or rad]
+_LOG = logging.getLogger("calib")
+IN_MEMORY = "table in memory"
+"""What a table that is no file is called in messages."""
+_PART = 8192  # cells that are read together
+_WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
+_SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
+
+
+class Frame(Protocol):
+    """A data frame, of pandas or polars."""
+
+    columns: Any
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """Return a column."""
+
+
+Columns = Frame | Mapping[str, Sequence[object]]
+"""A table in memory: columns by their headers, which are written as in files."""
+Source = Path | str | Columns
+"""Where a table comes from."""
+
+
+def is_columns(source: object) -> TypeGuard[Columns]:
+    """Return whether this is a table in memory."""
+    if isinstance(source, Mapping):
+        return all(isinstance(name, str) and np.ndim(column) == 1 for name, column in source.items())
+    return all(hasattr(type(source), name) for name in ("columns", "head", "__getitem__"))
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file as text.
+
+    Attributes:
+        path: Where it came from, for messages.
+        names: Column names without units.
+        units: Unit of each column, None where none is written.
+        rows: Cells of each row.
+        lines: Line number in the file of each row.
+        comments: Comment lines without their #.
+        separator: What stands between the cells.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    rows: Sequence[tuple[str, ...]]
+    lines: tuple[int, ...] | range | array[int]
+    comments: tuple[str, ...]
+    separator: str
+
+    def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
+        """Return a column of numbers in SI, (n_rows,).
+
+        Args:
+            name: The column.
+            dimension: What it measures; None: pure numbers.
+            gaps: Whether cells may be empty; these are NaN.
+
+        Raises:
+            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas beside points.
+        """
+        if name not in self.names:
+            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
+        index = self.names.index(name)
+        if dimension is None and self.units[index] is not None:
+            raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
+        try:
+            divisor = (
+                1.0 if dimension is None else per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
+            )
+        except InputError as error:
+            raise DataError(str(error)) from None
+        values = self._numbers(index, gaps=gaps)
+        if np.all(np.isnan(values)):
+            return values
+        worst = int(np.nanargmax(np.abs(values)))
+        if self.units[index] is None and dimension is not None:
+            check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
+        values = values / divisor
+        if dimension in _SUSPICIOUS and abs(values[worst]) > _LARGEST:
+            raise DataError(
+                f"{self._where(worst, index)}: {self.rows[worst][index]} is beyond what any robot reaches; correct it,"
+                " or leave the row out"
+            )
+        return values
+
+    def text(self, name: str) -> list[str]:
+        """Return a column as text, without blanks around it; one that is missing is a `DataError`."""
+        return list(self.texts(name))
+
+    def texts(self, name: str) -> Iterator[str]:
+        """Yield what `text` returns, one after the other.
+
+        Raises:
+            DataError: The table has no such column.
+        """
+        if name not in self.names:
+            raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
+        index = self.names.index(name)
+        return (text_of(cell.strip()) for cell in self._column(index))
+
+    def _column(self, index: int) -> Iterator[str]:
+        """Cells of a column, as they stand in the file."""
+        rows = self.rows
+        return rows.column(index) if isinstance(rows, TextRows) else (row[index] for row in rows)
+
+    def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
+        if index in self._plain:
+            return self._plain[index].copy()
+        if self.separator != ",":
+            self._check_marks(index)
+        cells, values = self._column(index), np.empty(len(self.rows))
+        for start in range(0, len(values), _PART):
+            values[start : start + _PART] = self._numbers_in(list(islice(cells, _PART)), start, index, gaps=gaps)
+        return values
+
+    @cached_property
+    def _plain(self) -> dict[int, FloatArray]:
+        """Columns in which nothing is to be said about any cell, (n_rows,) each, by their place."""
+        rows = self.rows
+        if not isinstance(rows, TextRows) or self.separator != ",":
+            return {}
+        return rows.plain_numbers(len(self.names))
+
+    def _numbers_in(self, cells: list[str], first: int, index: int, *, gaps: bool) -> FloatArray:
+        """Numbers in cells of a column, of which the first is in that row."""
+        if gaps and not all(cell.strip() for cell in cells):
+            return np.array(
+                [
+                    read_number(cell, self._where(k, index), self.separator) if cell.strip() else np.nan
+                    for k, cell in enumerate(cells, start=first)
+                ]
+            )
+        try:
+            values = np.array([float(cell) for cell in cells])
+        except ValueError:
+            values = np.array([np.nan])
+        if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
+            return values
+        return np.array(
+            [read_number(cell, self._where(k, index), self.separator) for k, cell in enumerate(cells, start=first)]
+        )
+
+    def _check_marks(self, index: int) -> None:
+        """Raise `DataError` where a column has decimal commas and decimal points: which of them part thousands?"""
+        comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
+        point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
+        if comma is not None and point is not None:
+            with_comma, with_point = (self.rows[k][index].strip() for k in (comma, point))
+            raise DataError(
+                f"{self._where(comma, index)}: '{with_comma:.60}', but '{with_point:.60}' in line"
+                f" {self.lines[point]}; write all decimals of a column one way"
+            )
+
+    def _where(self, row: int, index: int) -> str:
+        return f"{self.path}, line {self.lines[row]}, column '{self.names[index]}'"
+
+
+def read_number(cell: str, where: str, separator: str = ",") -> float:
+    """Read the number in a cell.
+
+    Args:
+        cell: Its text.
+        where: For the message.
+        separator: What stands between cells; if that is not the comma, the comma may be the decimal mark.
+
+    Raises:
+        DataError: It is empty, no number, or not finite.
+    """
+    text = cell.strip()
+    if not text:
+        raise DataError(f"{where}: is empty; fill it in, or remove the row")
+    hint = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(text) else ""
+    if separator != ",":
+        if _WITH_THOUSANDS.fullmatch(text):
+            hint = "; write thousands without a mark"
+        elif hint:
+            text = text.replace(",", ".")
+    try:
+        value = float(text.replace("_", " "))
+    except ValueError:
+        raise DataError(f"{where}: '{text:.60}' is not a number{hint}") from None
+    if not math.isfinite(value):
+        raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
+    return value
+
+
+def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
+    """Raise `DataError` if a number without a unit is so large that it cannot be SI.
+
+    Args:
+        value: The number [m or rad].
+        dimension: What it measures.
+        where: For the message.
+        place: Where the unit should be written, such as `into the header`.
+    """
+    if dimension not in _SUSPICIOUS:
+        return
+    limit, unit = _SUSPICIOUS[dimension]
+    if abs(value) > limit:
+        si = "rad" if dimension == "angle" else "m"
+        raise DataError(
+            f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right"
+        )
+
+
+def read_table(
+    path: Source,
+    renamed: Mapping[str, str] | None = None,
+    *,
+    growing: Sequence[str] | None = None,
+    any_size: bool = False,
+) -> Table:
+    """Read a CSV file, its columns separated by commas, semicolons or tabs; or a workbook, or a ROS bag.
+
+    Args:
+        path: The file, or the folder of a bag; or a table in memory.
+        renamed: Foreign column names and the `name` or `name [unit]` they stand for.
+        growing: Of a file that is still written, its lines so far.
+        any_size: Whether a file on a disk may be as large as it is, beyond what `calib.core.base.files.read_bytes`
+            allows.
+
+    Raises:
+        DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
+    """
+    if is_columns(path):
+        columns = [(name, list(path[name])) for name in unique_headers(path)]
+        return _table_of_columns(IN_MEMORY, columns, (), renamed or {})
+    path = cast("Path | str", path)
+    if is_bag(path):
+        return _table_of_columns(str(path), *read_bag(path), renamed or {})
+    if growing is not None:
+        pieces = iter([list(growing)])
+    elif is_workbook(path):
+        pieces = iter([workbook_lines(path)])
+    else:
+        pieces = read_lines(path, "a CSV file", DataError, any_size=any_size)
+    start = next(pieces, [])
+    above = header_line(str(path), start)
+    comments, numbers = list[str](), array("q")
+    lines = _without_comments(chain([start], pieces), above, comments, numbers)
+    header = next(lines, None)
+    if header is None:
+        raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
+    separator = separator_of(header)
+    cells = _cells(str(path), header, numbers[0], separator)
+    names, units = _header(str(path), cells, renamed or {})
+    first_row = next(lines, None)
+    below = first_row and units_below(cells, _cells(str(path), first_row, numbers[-1], separator))
+    if below:
+        units = tuple(unit or other for unit, other in zip(units, below, strict=True))
+        numbers.pop()
+    elif first_row is not None:
+        lines = chain([first_row], lines)
+    if any(line.strip() and not is_comment(line) for line in start[:above]):
+        _tell(str(path), f"took line {numbers[0]} for the header, and the lines above it for comments")
+    if below:
+        _tell(str(path), "took the line below the header for units")
+    rows = TextRows(_checked(str(path), lines, numbers, len(names), separator), separator)
+    if not rows:
+        raise DataError(f"{path}: has a header but no rows")
+    first, last = numbers[1], numbers[-1]
+    where = numbers[1:] if last - first >= len(rows) else range(first, last + 1)
+    return Table(str(path), names, units, rows, where, tuple(comments), separator)
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, text: str) -> None:
+    """Warn of what a file was taken for, once."""
+    _LOG.warning("%s: %s", path, text)
+
+
+def _without_comments(
+    pieces: Iterable[list[str]], above: int, comments: list[str], numbers: array[int]
+) -> Iterator[str]:
+    """Header and rows among the lines of a file, whose first `above` are comments too.
+
+    Their numbers, and what the comments say, go into the lists.
+    """
+    for number, line in enumerate((line for piece in pieces for line in piece), start=1):
+        if is_comment(line):
+            if not is_mark(line):
+                begun = next(mark for mark in COMMENTS if line.lstrip().startswith(mark))
+                comments.append(line.lstrip().removeprefix(begun).strip())
+        elif number <= above:
+            comments.extend([text] if (text := line.strip().strip(SEPARATORS)) else [])
+        elif line.strip().strip(SEPARATORS):
+            numbers.append(number)
+            yield line
+
+
+def _checked(path: str, lines: Iterable[str], numbers: array[int], width: int, separator: str) -> Iterator[str]:
+    """The lines, of which the last number is that of the present one, if they have as many cells as the header."""
+    for line in lines:
+        n = line.count(separator) + 1 if is_plain(line) else len(_cells(path, line, numbers[-1], separator))
+        if n != width:
+            hint = "; write decimals with a point, or separate columns by semicolons"
+            if width == 1:
+                hint = f"; if line {numbers[0]} is not the header, begin it with #"
+            raise DataError(
+                f"{path}, line {numbers[-1]}: {n} cells for {width} columns"
+                + (hint if n > width and (separator == "," or width == 1) else "")
+            )
+        yield line
+
+
+def _table_of_columns(
+    path: str, columns: Sequence[tuple[str, Sequence[object]]], comments: tuple[str, ...], renamed: Mapping[str, str]
+) -> Table:
+    names, units = _header(path, tuple(header for header, _ in columns), renamed)
+    lengths = {header: len(cells) for header, cells in columns}
+    if len(set(lengths.values())) > 1:
+        header = next(header for header, length in lengths.items() if length != len(columns[0][1]))
+        raise DataError(f"{path}: column '{header}' has {lengths[header]} cells, and others {len(columns[0][1])}")
+    rows = tuple(zip(*([_as_text(cell) for cell in cells] for _, cells in columns), strict=True))
+    if not rows:
+        raise DataError(f"{path}: has no rows")
+    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",")
+
+
+def unique_headers(table: Columns) -> list[str]:
+    """Return the headers of a table in memory; one that is there twice is a `DataError`."""
+    headers = [str(name) for name in (table if isinstance(table, Mapping) else table.columns)]
+    again = next((name for name in headers if headers.count(name) > 1), None)
+    if again is not None:
+        raise DataError(f"{IN_MEMORY}: column '{again}' appears twice; names must be unique")
+    return headers
+
+
+def _as_text(cell: object) -> str:
+    """A cell as it would stand in a file; empty where there is none."""
+    if cell is None or cell != cell:  # NaN, and what pandas has in its place
+        return ""
+    return repr(float(cell)) if isinstance(cell, (float, np.floating)) else str(cell)
+
+
+def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]:
+    try:
+        return cells_of(line, separator)
+    except csv.Error as error:
+        raise DataError(f"{path}, line {number}: is not CSV ({error})") from None
+
+
+def _header(
+    path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
+) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
+    names, units = [], []
+    for number, cell in enumerate(cells, start=1):
+        cell = text_of(cell.strip())
+        name, unit = split_column(renamed.get(cell, cell))
+        if cell not in renamed and name in renamed:
+            name, usual = split_column(renamed[name])
+            unit = unit or usual
+        if not name:
+            raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
+        names.append(name)
+        units.append(unit)
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
+    return tuple(names), tuple(units)

@@ -1,0 +1,186 @@
+"""Errors before and after calibration: predicted minus read, instrument by instrument, and tables of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.units import error_scale
+from calib.core.data.measurements import Measurements
+from calib.core.instruments.kind import Instrument, Part
+
+PERCENTILES = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
+"""Percentiles of error tables by their key."""
+STATES = ("before", "after")
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorSet(ReadOnlyArrays):
+    """Predicted minus read, of one set of visits.
+
+    Attributes:
+        data: The measurements.
+        instruments: What read them.
+        before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
+            component was not read.
+        singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).
+        passive: Passive joints after calibration, to close the loops from again, (n_visits, n_passive) [m or rad]; None
+            where they were not kept.
+    """
+
+    data: Measurements
+    instruments: tuple[Instrument, ...]
+    before: Mapping[str, FloatArray]
+    after: Mapping[str, FloatArray]
+    singular_value: FloatArray
+    passive: FloatArray | None = None
+
+    def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
+        """Return every part of every instrument that read anything, with its rows, (n_rows,)."""
+        parts = []
+        for instrument in self.instruments:
+            for k, part in enumerate(instrument.parts):
+                if len(self.after.get(instrument.name, ())):
+                    parts.append((instrument, part, np.flatnonzero(np.array(instrument.part_of_row) == k)))
+        return parts
+
+    def errors(self, state: str, part: str = "", *, single: bool = False) -> FloatArray:
+        """Return errors of a part of all instruments that have it, (n, k) [SI].
+
+        Args:
+            state: `before` or `after`.
+            part: Name of the part; the positions if not given.
+            single: Whether every reading counts by itself; else those that repeat one pose are averaged, which leaves
+                what the model is off there.
+        """
+        pieces = []
+        for instrument, measured, rows in self.parts():
+            if measured.name == part if part else measured.is_position:
+                errors = getattr(self, state)[instrument.name][:, rows]
+                pieces.append(errors if single else self._by_pose(instrument.name, errors))
+        return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+
+    def _by_pose(self, name: str, errors: FloatArray) -> FloatArray:
+        """Means over readings of one instrument, along one pair, that repeat a pose, in order of first appearance."""
+        readings = self.data.readings[name]
+        keys = np.stack([self.data.pose_numbers[readings.visits], readings.pairs], axis=1)
+        keys = np.hstack([keys, _numbered(readings.details)[:, None]])
+        _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        if len(first) == len(errors):
+            return errors
+        number = number.reshape(-1)
+        total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
+        np.add.at(total, number, np.nan_to_num(errors))
+        np.add.at(count, number, np.isfinite(errors).astype(float))
+        with np.errstate(invalid="ignore"):
+            means: FloatArray = (total / count)[np.argsort(first)]
+        return means
+
+    @property
+    def main_part(self) -> Part:
+        """The part that tables of all are about: positions, or the first part where none were measured."""
+        parts = [part for _, part, _ in self.parts()]
+        return next((part for part in parts if part.is_position), parts[0])
+
+    def rms(self, state: str) -> float:
+        """Return the root mean square error `before` or `after` of the main part [SI]."""
+        return float(np.sqrt(np.mean(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))))
+
+    def table(self) -> dict[str, dict[str, object]]:
+        """Return error tables `before` and `after` of the main part of all readings [mm for positions]."""
+        part = self.main_part
+        return {state: error_table(self.errors(state, part.name), part) for state in STATES}
+
+    def tables(self) -> dict[str, dict[str, dict[str, dict[str, object]]]]:
+        """Return error tables by instrument, part and state, in the part's unit of errors."""
+        result: dict[str, dict[str, dict[str, dict[str, object]]]] = {}
+        for instrument, part, rows in self.parts():
+            result.setdefault(instrument.name, {})[part.name] = {
+                state: error_table(self._by_pose(instrument.name, getattr(self, state)[instrument.name][:, rows]), part)
+                for state in STATES
+            }
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """Errors of all poses, each predicted by the fit of the other folds.
+
+    Attributes:
+        count: Number of folds.
+        seed: Seed of the random choice.
+        errors: In the order of the data.
+        rms: Root mean square distance after calibration of each fold [m], (count,).
+        converged: Whether all fits converged.
+        setups: Of each fold its setup, as the description counts them, (count,); empty where poses were dealt.
+    """
+
+    count: int
+    seed: int
+    errors: ErrorSet
+    rms: tuple[float, ...]
+    converged: bool
+    setups: tuple[int, ...] = ()
+
+
+def _numbered(details: FloatArray) -> IntArray:
+    if details.shape[1] == 0:
+        return np.zeros(len(details), dtype=np.intp)
+    return np.unique(details, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, object]:
+    """Summarise errors.
+
+    Args:
+        errors: Predicted minus read, (n, k) [SI]; NaN where a component was not read.
+        part: What the rows are; a position if not given.
+
+    Returns:
+        `mean`, `max`, `rms`, `std`, `median`, `p90`, `p95`, `p99` of the length; and for each axis the `mean`, `max`
+        and percentiles of the absolute component, its `rms`, its `std` and its signed mean `bias`. In the unit of
+        errors of the part (mm for a position); std is NaN for a single error.
+    """
+    axes = ("x", "y", "z") if part is None else part.axes
+    shown = np.asarray(errors) * error_scale("length" if part is None else part.dimension)
+    length = np.sqrt(np.nansum(shown**2, axis=1))
+    table: dict[str, object] = {
+        "mean": float(np.mean(length)),
+        "max": float(np.max(length)),
+        "rms": float(np.sqrt(np.mean(length**2))),
+        "std": _spread(length),
+        **_percentiles(length),
+    }
+    for axis, column in zip(axes, shown.T, strict=True):
+        values = column[np.isfinite(column)]
+        if len(values) == 0:
+            continue
+        table[axis] = {
+            "mean": float(np.mean(np.abs(values))),
+            "max": float(np.max(np.abs(values))),
+            "rms": float(np.sqrt(np.mean(values**2))),
+            "std": _spread(values),
+            "bias": float(np.mean(values)),
+            **_percentiles(np.abs(values)),
+        }
+    return table
+
+
+def _spread(values: FloatArray) -> float:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+
+def _percentiles(values: FloatArray) -> dict[str, float]:
+    percentiles = np.percentile(values, list(PERCENTILES.values()))
+    return {key: float(value) for key, value in zip(PERCENTILES, percentiles, strict=True)}
+
+
+def format_error(table: dict[str, object]) -> list[str]:
+    """Return mean, max, rms, std, 95th percentile and the mean of |x|, |y|, |z| of an error table as text."""
+    numbers = [cast(float, table[key]) for key in ("mean", "max", "rms", "std", "p95")]
+    numbers += [cast(float, axis["mean"]) for axis in table.values() if isinstance(axis, dict)]
+    return [f"{number:.4f}" if np.isfinite(number) else "-" for number in numbers]

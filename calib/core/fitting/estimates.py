@@ -1,0 +1,228 @@
+"""What a fit found, by the names of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import Worded
+from calib.core.base.parameter import Parameter
+from calib.core.base.words import data_frame, pandas, table_html
+from calib.core.numerics.statistics import Statistics, status
+
+NUMBERS = ("nominal", "value", "std", "low95", "high95")
+"""What tables tell of a parameter, in its unit."""
+
+
+@dataclass(frozen=True)
+class HalfWidth:
+    """Half the 95 % interval of a free parameter, computed when it is first asked for.
+
+    Attributes:
+        statistics: Uncertainty of the free parameters.
+        place: Its place among them.
+    """
+
+    statistics: Statistics
+    place: int
+
+    def __float__(self) -> float:
+        return float(self.statistics.half_width[self.place])
+
+
+@dataclass(frozen=True)
+class Estimate(Worded):
+    """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
+
+    Attributes:
+        name: Its name.
+        unit: Unit of tables.
+        nominal_si: Value before [m or rad].
+        value_si: Value found.
+        std_si: Standard deviation; NaN where it was held.
+        half95_si: Half the 95 % interval; NaN likewise.
+        status: `identified`, `partly`, `prior`, `placed`, or `held`.
+        family: Name of the coefficients that it belongs to, if their common size is found.
+        per_si: How many of `unit` make one SI unit.
+    """
+
+    name: str
+    unit: str
+    nominal_si: float
+    value_si: float
+    std_si: float
+    half95_si: SupportsFloat
+    status: str
+    family: str
+    per_si: float
+
+    _other_words = "a parameter"
+
+    @property
+    def nominal(self) -> float:
+        """Value before, in `unit`."""
+        return self.nominal_si * self.per_si
+
+    @property
+    def value(self) -> float:
+        """Value found, in `unit`."""
+        return self.value_si * self.per_si
+
+    @property
+    def std(self) -> float:
+        """Standard deviation, in `unit`; NaN where it was held."""
+        return self.std_si * self.per_si
+
+    @property
+    def low95_si(self) -> float:
+        """Lower end of the 95 % interval [m or rad]; NaN where it was held."""
+        return self.value_si - float(self.half95_si)
+
+    @property
+    def high95_si(self) -> float:
+        """Upper end of the 95 % interval [m or rad]; NaN where it was held."""
+        return self.value_si + float(self.half95_si)
+
+    @property
+    def low95(self) -> float:
+        """Lower end of the 95 % interval, in `unit`; NaN where it was held."""
+        return self.low95_si * self.per_si
+
+    @property
+    def high95(self) -> float:
+        """Upper end of the 95 % interval, in `unit`; NaN where it was held."""
+        return self.high95_si * self.per_si
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, in `unit`."""
+        return self.low95, self.high95
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.6g} {self.unit} (std {self.std:.3g} {self.unit}), {self.status}"
+
+    def row(self) -> dict[str, object]:
+        """Return the row of a table, in `unit`."""
+        numbers: dict[str, object] = {key: getattr(self, key) for key in NUMBERS}
+        return {"name": self.name, "unit": self.unit, **numbers, "status": self.status}
+
+
+class Estimates(Worded, Mapping[str, Estimate]):
+    """All parameters of a fit, by name and in their order."""
+
+    _other_words = "all parameters"
+
+    def __init__(self, by_name: Mapping[str, Estimate]) -> None:
+        self._by_name = dict(by_name)
+
+    def _own_parameters(self) -> list[str]:
+        return list(self)
+
+    def __getitem__(self, name: str) -> Estimate:
+        if name not in self._by_name:
+            raise InputError(f"no parameter '{name}'{nearest(name, self._by_name)}")
+        return self._by_name[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._by_name
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} estimates: {', '.join(list(self)[:5])}{', ...' if len(self) > 5 else ''}>"
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return one row for each, in the units of tables."""
+        return [estimate.row() for estimate in self.values()]
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table, in the units of tables; pandas missing is an `InputError`."""
+        return data_frame(self.rows())
+
+    def _repr_html_(self) -> str:
+        return table_html(self.rows())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Covariance(ReadOnlyArrays):
+    """Covariance of the free parameters, by name.
+
+    Attributes:
+        names: Of the free parameters, (n_free,).
+        values: (n_free, n_free) [products of m and rad].
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+
+    def __getitem__(self, pair: tuple[str, str]) -> float:
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise InputError(f"{type(self).__name__}: takes two names, such as [{pair!r:.40}, {self.names[-1]!r}]")
+        for name in pair:
+            if name not in self.names:
+                raise InputError(f"no free parameter '{name}'{nearest(name, self.names)}")
+        return float(self.values[self.names.index(pair[0]), self.names.index(pair[1])])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype=dtype)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__.lower()} of {len(self.names)} free parameters>"
+
+    @property
+    def correlation(self) -> Correlation:
+        """The same, divided by the standard deviations."""
+        std = np.sqrt(np.diagonal(self.values))
+        return Correlation(self.names, self.values / np.outer(std, std))
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table; pandas missing is an `InputError`."""
+        return pandas().DataFrame(self.values, index=self.names, columns=self.names)
+
+
+class Correlation(Covariance):
+    """Correlation of the free parameters, by name: numbers between -1 and 1 in place of the products."""
+
+
+def estimates(
+    parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
+) -> Estimates:
+    """Return what was found.
+
+    Args:
+        parameters: All parameters.
+        values: Their values, (n_parameters,) [m or rad].
+        free: Which were free, (n_parameters,).
+        statistics: Uncertainty of the free ones.
+    """
+    uncertainty = enumerate(zip(statistics.std, statistics.data_share, strict=True))
+    result = {}
+    for parameter, value, use in zip(parameters, values, free, strict=True):
+        place, (std, share) = next(uncertainty) if use else (-1, (np.nan, np.nan))
+        kind = (
+            status(share, std / parameter.sigma_si, prior=parameter.prior, placement=parameter.placement)
+            if use
+            else "held"
+        )
+        result[parameter.name] = Estimate(
+            parameter.name,
+            parameter.unit,
+            parameter.nominal_si,
+            float(value),
+            float(std),
+            HalfWidth(statistics, place) if use else np.nan,
+            kind,
+            parameter.family,
+            parameter.per_si,
+        )
+    return Estimates(result)

@@ -1,0 +1,322 @@
+"""Identification: the parameter values that explain the measurements best.
+
+Minimise, over u = (p - p_nominal) / s,
+
+    sum over visits  r^T V^-1 r   +   sum over parameters with a prior  u^2
+
+with r the residuals of all readings of a visit and V the covariance of their noise (`calib.core.rows.rows`), by
+`calib.core.numerics.least_squares`.
+
+Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
+are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
+`before`; (3) all free parameters together, with unstated noise, from several starts if asked for
+(`calib.core.fitting.solving`); (4) with a robust loss, again with weights (`calib.core.fitting.robust`); (5) rank,
+statistics and error tables at the solution, places that only validation poses show placed by these. What is done around
+one fit (joint terms chosen, outliers left out, poses left out in turn) is said in `calib.core.calibrating.calibrate`.
+
+When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
+`NotIdentifiableError` that names the parameters. A fit that did not converge comes back, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.workers import Steps
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
+from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.fitting.robust import Solved
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.solving import convergence_at, place, placed_as, seen_from, solve_from, uncertainty_at
+from calib.core.numerics.observability import observability
+from calib.core.numerics.statistics import BeyondLinear
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.robot import Robot
+from calib.core.rows.determination import Determination
+from calib.core.rows.observed import observe
+from calib.core.rows.rows import Rows, Scales
+from calib.core.rows.whitening import Whitening
+
+
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """What a fit leaves to other fits of its visits, or of a part of them: places, second order, and how loops close.
+
+    Attributes:
+        names: Parameters, (n,).
+        beyond_linear: That of `Statistics`, of these; 0 where no intervals are asked for, None where it is not known.
+        joints: Visits, (n, n_actuated) [m or rad].
+        passive: Passive joints that close them, (n, n_passive) [m or rad].
+        placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
+            by instrument.
+        whitening: What whitens the readings, where these are the same, too; it takes as much memory as they do.
+    """
+
+    names: tuple[str, ...] = ()
+    beyond_linear: BeyondLinear | None = None
+    joints: FloatArray | None = None
+    passive: FloatArray | None = None
+    placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
+    whitening: Whitening | None = None
+
+    @staticmethod
+    def of(fit: Fit) -> Nearby:
+        """Return what this fit leaves."""
+        known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
+        return Nearby(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
+
+    @staticmethod
+    def no_intervals(robot: Robot, fit: Fit | None = None) -> Nearby:
+        """Return what a fit of this robot takes over, from another one if given, that needs no intervals."""
+        names = tuple(parameter.name for parameter in robot.parameters)
+        nothing = BeyondLinear(partial(np.zeros, len(names)))
+        return replace(Nearby() if fit is None else Nearby.of(fit), names=names, beyond_linear=nothing)
+
+    def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
+        """Return `beyond_linear` of some parameters; None where it is not known of all of them."""
+        place, known = {name: k for k, name in enumerate(self.names)}, self.beyond_linear
+        if known is None or not place.keys() >= set(names):
+            return None
+        chosen = [place[name] for name in names]
+        return BeyondLinear(lambda: known.values[chosen])
+
+    def passive_at(self, q: FloatArray) -> FloatArray | None:
+        """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
+        if self.joints is None or self.passive is None or self.passive.shape[1] == 0:
+            return None
+        place = {row.tobytes(): k for k, row in enumerate(self.joints)}
+        rows = np.array([place.get(row.tobytes(), -1) for row in q], dtype=np.intp)
+        return np.where(rows[:, None] >= 0, self.passive[rows], np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a fit ends, before anything is said about it.
+
+    Attributes:
+        robot: The nominal robot.
+        later: Free parameters of places that the measurements do not show, and validation does.
+        start: With base and targets placed.
+        determined: What the measurements determine there.
+        solved: The minimum.
+    """
+
+    robot: Robot
+    later: tuple[str, ...]
+    start: Evaluation
+    determined: Determination
+    solved: Solved
+
+
+def fit_data(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    steps: Steps | None = None,
+    nearby: Nearby | None = None,
+) -> Fit:
+    """Fit a robot to measurements, once.
+
+    Args:
+        robot: The nominal robot, with the joint terms that it shall have.
+        settings: How; outliers, folds and the choice of terms are the caller's.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        workers: Who does the fits of other starts; this process if not given.
+        steps: Told of each step that is done; of nothing if not given.
+        nearby: What another fit of these visits leaves to take over.
+
+    Raises:
+        UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
+            `calib.core.calibrating.calibrate.calibrate`.
+    """
+    minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
+    return fit_at(minimum, settings, validation, steps, nearby)
+
+
+def minimum_of(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    steps: Steps | None = None,
+    nearby: Nearby | None = None,
+) -> Minimum:
+    """Return where `fit_data` ends, which says what is given."""
+    steps = steps or Steps()
+    later = unseen(robot, data, validation)
+    seen = robot.fix(*later) if later else robot
+    check_measurements(seen, data)
+    nearby = nearby or Nearby()
+    problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
+    start = None if nearby.placed is None else placed_as(problem, *nearby.placed)
+    start = start or place(problem)
+    steps.done()
+    begin = seen_from(problem, start)
+    determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
+    solved = solve_from(problem, begin, settings, workers, steps.done)
+    if not keeps_limits(data, solved.at):
+        solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.done)
+    steps.done()
+    require_identifiable(problem, solved.at, alone=True)
+    return Minimum(robot, later, start, determined, solved)
+
+
+def fit_at(
+    minimum: Minimum,
+    settings: Settings,
+    validation: Measurements | None = None,
+    steps: Steps | None = None,
+    nearby: Nearby | None = None,
+) -> Fit:
+    """Return the fit that ends at a minimum; see `fit_data`."""
+    robot, later, start, solved = minimum.robot, minimum.later, minimum.start, minimum.solved
+    problem, final = solved.problem, solved.at
+    second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
+    rows, scales, uncertainty = uncertainty_at(solved, second_order)
+    placed, calibrated = start.robot, final.robot
+    if validation is not None and later:
+        placed, calibrated = (_placed_by(validation, state.free(*later), later) for state in (placed, calibrated))
+    fit = Fit(
+        nominal=robot,
+        placed=placed,
+        robot=calibrated,
+        identification=ErrorSet(
+            problem.data,
+            robot.instruments,
+            start.residuals,
+            final.residuals,
+            calibrated.singular_values(final.configurations),
+            final.configurations.passive,
+        ),
+        validation=None if validation is None else errors_on(placed, calibrated, validation),
+        configurations=final.configurations,
+        unknowns=problem.unknowns,
+        statistics=uncertainty,
+        determination=minimum.determined,
+        observability=_observability(problem, final, rows, scales, minimum.determined.free.rank),
+        rows=rows,
+        whitening=problem.whitening,
+        scales=scales,
+        seconds=float("nan"),
+        convergence=convergence_at(solved, rows, uncertainty.std),
+        loss=settings.loss,
+        weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
+        sigma_given=settings.sigma,
+        starts=solved.starts,
+        seed=settings.seed,
+        placed_later=later,
+    )
+    (steps or Steps()).done()
+    return fit
+
+
+def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
+    """Return what fits a part of the measurements of a fit and predicts the rest; from one start.
+
+    Args:
+        fit: The fit of all of them.
+        settings: How it was done.
+    """
+    nearby = replace(Nearby.no_intervals(fit.nominal, fit), placed=None)  # a part places base and targets elsewhere
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
+
+
+def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scales, rank: int) -> dict[str, float]:
+    """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
+    units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
+    own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
+    if len(units) == 1 and problem.weighing is None:  # all rows are scaled alike
+        factor: FloatArray = rows.factor[:, :-1][:, problem.unknowns.family < 0] * (scales.groups / units)
+    else:
+        factor = problem.derivative(final, units, own).factor()
+    return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
+
+
+def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
+    """Return the free parameters of places that readings of `later` look at, or from, and those of `data` do not.
+
+    Such as a tool or a tracker put up anew for the validation. Where they are says nothing about the robot, so they are
+    placed by the later readings alone, before and after calibration: what is left is what the robot itself is off.
+    Few poses of a small part of joint space let such a place take up errors of the robot.
+
+    Args:
+        robot: The robot.
+        data: Measurements to fit.
+        later: Others, or None.
+    """
+    if later is None:
+        return ()
+    new = _origins(robot, later) - _origins(robot, data)
+    free = zip(robot.parameters, robot.is_free, strict=True)
+    return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)
+
+
+def _placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
+    """Return a robot with these places where some measurements alone show them, all else as it is.
+
+    Args:
+        later: Measurements that show them.
+        robot: The robot, before or after calibration; of the places, the free ones are placed.
+        names: Parameters of the places.
+
+    Raises:
+        NotConvergedError: They cannot be placed.
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    others = [p.name for p in robot.parameters if p.name not in names]
+    alone = robot.fix(*others)
+    return robot.with_parameters(place(Problem.of(alone, later)).robot.values)
+
+
+def _origins(robot: Robot, data: Measurements) -> set[str]:
+    """Names of the origins at both ends of all that was read."""
+    names, origins = ("", *robot.mechanism.origin_names), set[str]()
+    for name, readings in data.readings.items():
+        pairs = robot.pairs(robot.instrument(name))
+        for pair in {int(k) for k in readings.pairs} if pairs else ():  # what reads a joint looks along none
+            origins |= {names[pairs[pair].a], names[pairs[pair].b]}
+    return origins
+
+
+def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+    """Return errors on visits that were not used.
+
+    Args:
+        placed: The robot before calibration.
+        calibrated: The robot after it.
+        data: The visits.
+
+    Raises:
+        UnreachablePoseError: The robot before cannot be assembled at a visit.
+        ComputationError: The robot after it cannot.
+    """
+    before, closed = _errors_of(placed, data)
+    try:
+        after, configurations = _errors_of(calibrated, data, closed.passive)
+    except UnreachablePoseError as error:
+        raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
+    return ErrorSet(
+        data, placed.instruments, before, after, calibrated.singular_values(configurations), configurations.passive
+    )
+
+
+def _errors_of(
+    robot: Robot, data: Measurements, near: FloatArray | None = None
+) -> tuple[dict[str, FloatArray], Configurations]:
+    configurations = robot.assemble(data.joints, near, data.labels, data.conditions)
+    observed = observe(robot, configurations, data.readings)
+    return {name: block.residuals for name, block in observed.items()}, configurations

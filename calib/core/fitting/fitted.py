@@ -1,0 +1,470 @@
+"""A finished fit: what was found, and what follows from that alone. What it is worth, `calib.core.judging` says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import Worded, worded
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.fitting.error_sets import ErrorSet, Folds
+from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
+from calib.core.fitting.outliers import Outlier
+from calib.core.fitting.regions import Regions, disagreeing
+from calib.core.fitting.settings import Asked
+from calib.core.fitting.starts import Starts
+from calib.core.fitting.terms.candidate_terms import TermChoice
+from calib.core.fitting.unexplained import unexplained_joint_error
+from calib.core.numerics.chances import EXACT
+from calib.core.numerics.identifiability import Rank
+from calib.core.numerics.losses import Loss
+from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.core.numerics.tall import squares_of_rows
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.held import Holds
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.batches import observed_in
+from calib.core.rows.determination import Determination
+from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
+from calib.core.rows.rows import Group, Rows, Scales
+from calib.core.rows.told_positions import ToldPositions
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
+
+COMPUTED = 1e-7
+"""Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How the iteration ended.
+
+    Attributes:
+        converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
+        message: Which rule ended it; or what is left, where that decides.
+        step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
+        parameter: That parameter.
+        weights_stand: Whether the weights of a robust loss have settled; True without one.
+        receding: Parameters whose best values recede, the farthest first: the data do not determine them.
+    """
+
+    converged: bool
+    message: str
+    step_left: float
+    parameter: str
+    weights_stand: bool
+    receding: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Noise of one group of rows.
+
+    Attributes:
+        group: The group.
+        sigma: Typical standard deviation of one component, as found [SI].
+        stated: The same as stated [SI], or None.
+        freedom: Degrees of freedom that it was found with.
+    """
+
+    group: Group
+    sigma: float
+    stated: float | None
+    freedom: float
+
+
+class Errors(dict[str, dict[str, dict[str, object]]], Worded):
+    """Errors by set of rows, state and quantity."""
+
+    _other_words = "errors of a fit"
+
+    def __missing__(self, key: object) -> NoReturn:
+        raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
+
+
+class Residuals(ReadAsArray, dict[str, FloatArray], Worded):
+    """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
+
+    _other_words = "residuals of a fit"
+
+    __len__ = dict.__len__
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return the residuals of an instrument by its name; with a single one, also what its array has there."""
+        return dict.__getitem__(self, key) if isinstance(key, str) else super().__getitem__(key)
+
+    def __missing__(self, key: object) -> NoReturn:
+        whole = "; np.asarray(fit.residuals) is an array" if len(self) == 1 else ""
+        raise InputError(f"no residuals of '{key}'{nearest(str(key), self)}{whole}")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if len(self) != 1:
+            raise InputError(
+                f"residuals of {len(self)} instruments are not one array; take one: residuals['{min(self)}']"
+            )
+        return np.array(next(iter(self.values())), dtype=dtype)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(ReadOnlyArrays):
+    """A finished identification.
+
+    Attributes:
+        nominal: The robot as described.
+        placed: The robot `before`: nominal, with base and targets placed where these are not known.
+        robot: The calibrated robot.
+        identification: Errors on the visits that were used.
+        validation: Errors on visits that were not used, if there were any.
+        configurations: The assembled visits of `identification`, at the solution.
+        unknowns: The free parameters.
+        statistics: Their uncertainty.
+        determination: What poses and priors determine, at `placed`: as `calib check` tells.
+        observability: O1 to O5 on scaled columns.
+        rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        whitening: What whitened them.
+        scales: What was assumed about the noise.
+        seconds: Duration of the whole computation.
+        convergence: How the iteration ended.
+        loss: Robust loss.
+        weights: Weight of each reading, (n_readings,); 1 without a robust loss.
+        sigma_given: Noise of positions that replaced what the description states [m], or None.
+        starts: Ends of perturbed starts, if they were asked for.
+        folds: Cross-validation, if it was asked for.
+        excluded: Outliers that were left out, as they were in `with_all`.
+        with_all: The fit of all visits, where outliers were left out of this one.
+        terms: Which joint terms were asked for, if any were, and what choosing them found.
+        reduced: Fits of the same measurements without the joint terms that a kind of file cannot hold, by kind; None
+            if no files were asked for.
+        seed: Seed of every random choice.
+        placed_later: Parameters of places that only the validation poses show, and therefore placed.
+        asked: What else it was asked for.
+    """
+
+    _other_words = "a fit"
+
+    nominal: Robot
+    placed: Robot
+    robot: Robot
+    identification: ErrorSet
+    validation: ErrorSet | None
+    configurations: Configurations
+    unknowns: Unknowns
+    statistics: Statistics
+    determination: Determination
+    observability: dict[str, float]
+    rows: Rows
+    whitening: Whitening
+    scales: Scales
+    seconds: float
+    convergence: Convergence
+    loss: Loss
+    weights: FloatArray
+    sigma_given: float | None
+    starts: Starts | None = None
+    folds: Folds | None = None
+    excluded: tuple[Outlier, ...] = ()
+    with_all: Fit | None = None
+    terms: TermChoice | None = None
+    reduced: Mapping[Holds, Fit] | None = None
+    seed: int = 0
+    placed_later: tuple[str, ...] = ()
+    asked: Asked = field(default_factory=Asked)
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.identification.data.n_poses} poses,"
+            f" {len(self.unknowns)} free parameters>"
+        )
+
+    def _own_parameters(self) -> tuple[str, ...]:
+        return self.free_names
+
+    @property
+    def converged(self) -> bool:
+        """Whether the iteration reached a minimum."""
+        return self.convergence.converged
+
+    @property
+    def message(self) -> str:
+        """How the iteration ended."""
+        return self.convergence.message
+
+    @property
+    def rank(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, held ones included, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def free(self) -> BoolArray:
+        """Which parameters were free, (n_parameters,)."""
+        return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+
+    @cached_property
+    def parameters(self) -> Estimates:
+        """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
+        known = self.statistics.widened(self.widened)
+        if self.undecided is not None:
+            known = known.with_more(np.sum(self.undecided.of_parameters(self.free_names) ** 2, axis=1))
+        by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
+        later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
+        return Estimates({**by_name, **later}) if later else by_name
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Covariance of the free parameters of the robot with its joint terms, by name.
+
+        Intervals of parameters also include terms that `--terms auto` left undecided.
+        """
+        return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
+
+    @cached_property
+    def regions(self) -> Regions | None:
+        """Regions that do not agree on the parameters, if there are any."""
+        if self.computed:
+            return None
+        return disagreeing(self.identification.data, self.weighted_rows, self.statistics)
+
+    @property
+    def widened(self) -> float:
+        """Factor by which intervals and the uncertainty of positions are wider than from noise alone."""
+        return 1.0 if self.regions is None else self.regions.ratio
+
+    @property
+    def correlation(self) -> Correlation:
+        """Correlation of the free parameters, by name, between -1 and 1."""
+        return self.covariance.correlation
+
+    def to_dataframe(self) -> Any:
+        """Return all parameters as a pandas table, in the units of tables; pandas missing is an `InputError`."""
+        return self.parameters.to_dataframe()
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error after calibration [m; rad or px where no positions are measured].
+
+        At poses that were not used, if there are any: those of the validation, else those left out in turn. With
+        neither, at the poses that were used, where it is smaller than elsewhere. `errors` has them all.
+        """
+        folds = None if self.folds is None else self.folds.errors
+        return (self.validation or folds or self.identification).rms("after")
+
+    @property
+    def errors(self) -> dict[str, dict[str, dict[str, object]]]:
+        """Errors `before` and `after` of `identification`, `validation`, `cross_validation`, as far as there are these.
+
+        In mm for positions, as in `result.json`: `errors["validation"]["after"]["rms"]`.
+        """
+        sets = {"identification": self.identification, "validation": self.validation}
+        sets["cross_validation"] = None if self.folds is None else self.folds.errors
+        return Errors({name: error_set.table() for name, error_set in sets.items() if error_set is not None})
+
+    @property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
+        return Residuals(self.identification.after)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.unknowns.names
+
+    @cached_property
+    def noise(self) -> tuple[NoiseEstimate, ...]:
+        """Noise of each group of rows, as found and as stated."""
+        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
+        return tuple(
+            NoiseEstimate(
+                group,
+                float(factors.values[g] * totals[g] * group.typical),
+                group.typical if group.stated else None,
+                float(factors.freedom[g]),
+            )
+            for g, group in enumerate(self.whitening.groups)
+        )
+
+    @property
+    def first_noise(self) -> NoiseEstimate:
+        """Noise of measured positions; of the first group of rows where none are."""
+        return next((estimate for estimate in self.noise if estimate.group.part.is_position), self.noise[0])
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        return self.first_noise.sigma
+
+    @property
+    def sigma_stated(self) -> float | None:
+        """The same as stated, or None."""
+        return self.first_noise.stated
+
+    @property
+    def offsets(self) -> dict[str, FloatArray]:
+        """Size of the error that readings of one pose share, as the weights assume, (n_rows,) [SI] by instrument."""
+        if not np.any(self.scales.ratios):
+            return {}
+        instruments = self.robot.instruments
+        sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
+        ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]
+        parts = zip(instruments, np.split(sizes, ends), strict=True)
+        return {instrument.name: part for instrument, part in parts if np.any(part > 0)}
+
+    @property
+    def chi_square(self) -> ChiSquare | None:
+        """The stated noise against the residuals; None where some of it was not stated."""
+        if not all(group.stated for group in self.whitening.groups):
+            return None
+        factors = self.statistics.factors
+        factor = factors.values * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * factor**2) / factors.total_freedom)
+        return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
+
+    @property
+    def computed(self) -> bool:
+        """Whether the data were computed, not measured: without noise, or with far less than stated."""
+        return all(
+            estimate.sigma < EXACT
+            or (estimate.sigma < COMPUTED and estimate.stated is not None and estimate.sigma < 0.01 * estimate.stated)
+            for estimate in self.noise
+        )
+
+    @cached_property
+    def assembles(self) -> bool:
+        """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
+        return bool(
+            np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
+        )
+
+    @worded
+    def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions with their covariance.
+
+        Args:
+            poses: Poses, with their conditions; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Other conditions under which they are commanded; joint terms may depend on it.
+
+        Raises:
+            DataError: Joint values of the wrong shape, or not finite.
+            UnreachablePoseError: A loop stays open.
+        """
+        told = as_poses(self.robot, poses)
+        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
+
+    @cached_property
+    def told_positions(self) -> ToldPositions:
+        """Uncertainty of positions, in the frame in which it is reported."""
+        return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
+
+    @property
+    def uncertainty(self) -> ParameterUncertainty:
+        """Uncertainty of the free parameters."""
+        factor = self.statistics.coverage_factor
+        return ParameterUncertainty(self.free, self.covariance.values, factor, self.undecided, self.joint_error)
+
+    @cached_property
+    def joint_error(self) -> float:
+        """Error of each joint that residuals show beside noise, another one at each pose.
+
+        In rad, of a joint that slides in characteristic lengths; 0 where there is none.
+        """
+        if self.computed:
+            return 0.0
+        scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
+        by_joint = self.whitening.flatten(self.by_joint)[:, : len(scale)] * scale
+        residuals = self.whitening.flatten(self.identification.after)
+        leverage = squares_of_rows(self.weighted_rows.span)
+        return unexplained_joint_error(layout, residuals, by_joint, self.weights[layout.reading], leverage)
+
+    @cached_property
+    def by_joint(self) -> dict[str, FloatArray]:
+        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
+        readings, n_joints = self.identification.data.readings, len(self.robot.joint_names)
+        result: dict[str, FloatArray] = {
+            name: np.empty((len(own), self.robot.instrument(name).n_rows, n_joints)) for name, own in readings.items()
+        }
+        for batch, observed in observed_in(
+            self.robot, self.configurations, readings, self.whitening.batches, joints=True
+        ):
+            for name, chosen in batch.readings.items():
+                result[name][chosen] = observed[name].by_joint
+        return result
+
+    @property
+    def undecided(self) -> UndecidedTerms | None:
+        """Joint terms that the robot may have, too; None if none were left undecided."""
+        return None if self.terms is None else self.terms.undecided
+
+    @cached_property
+    def identification_uncertainty(self) -> PositionUncertainty:
+        """Predicted positions of the visits that were used, with their covariance as reported."""
+        data = self.identification.data
+        return self.told_positions.at(data.joints, data.conditions, self.identification.passive, turns=False)
+
+    @cached_property
+    def validation_uncertainty(self) -> PositionUncertainty | None:
+        """Predicted positions of the visits that were not used, with their covariance as reported."""
+        if self.validation is None:
+            return None
+        data = self.validation.data
+        return self.told_positions.at(data.joints, data.conditions, self.validation.passive, turns=False)
+
+    def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
+        """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
+
+        Args:
+            errors: Of visits that were not used, or that were left out in turn.
+        """
+        data = errors.data
+        before, after, whitening, factors = self._whitened(errors)
+        configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+        jacobian = np.empty((whitening.layout.n_rows, len(self.unknowns)))
+        for batch, observed in observed_in(self.robot, configurations, data.readings, whitening.batches):
+            jacobian[batch.rows] = whitening.columns(observed, factors, self.unknowns, batch)
+        deviations = self.unknowns.deviations(self.robot.values)
+        return before, Rows(after, jacobian, self.unknowns.prior, deviations, whitening.layout)
+
+    def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals before and after calibration, (n_rows,) each, by the noise as found."""
+        return self._whitened(errors)[:2]
+
+    def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
+        """Residuals before and after (n_rows,), what whitened them, and scales of the groups (n_groups,)."""
+        whitening = Whitening(self.robot, errors.data, self.sigma_given)
+        known = {
+            (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
+        }
+        factors = whitening.start(errors.after)  # of instruments that the fit has not seen
+        for g, group in enumerate(whitening.groups):
+            estimate = known.get((group.name, group.part.name, group.stated))
+            if estimate is not None:
+                factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
+        divisor = whitening.row_scale(factors)
+        before, after = (whitening.flatten(state) / divisor for state in (errors.before, errors.after))
+        return before, after, whitening, factors
+
+    @cached_property
+    def validation_rows(self) -> Rows | None:
+        """Whitened rows of the visits that were not used; None without them."""
+        return None if self.validation is None else self.whitened(self.validation)[1]
+
+    @cached_property
+    def weighted_rows(self) -> Rows:
+        """Whitened rows at the solution, with the weights of a robust loss."""
+        return self.rows.weighted(self.weights)
+
+    @property
+    def root(self) -> FloatArray:
+        """T of `calib.core.numerics.observability` at the solution, with weights of a robust loss, (n_free, rank)."""
+        return self.weighted_rows.known.root

@@ -1,0 +1,163 @@
+"""Outliers of a fit by name: which reading of which instrument at which visit, and how far off.
+
+An outlier stands alone where the other readings of its visit agree with the fit: a corner that was found on a
+reflection, one target of several. Where more than half of the readings of a visit are further off than one reading is
+in a hundred, they are off together: a wrong image, a wrong pose of the robot, a board that was moved. A reading that is
+the only one of its visit is the visit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.other_words import Worded
+from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.instruments.kind import Instrument
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.losses import Blocks, Studentised
+from calib.core.rows.rows import Layout, Rows
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One reading that does not fit.
+
+    Attributes:
+        pose: Index of the visit in its set.
+        reading: Index of the reading among all of its set.
+        target: Name of the instrument, which for positions is that of the point.
+        looked_at: What it looked at there, in words, such as the corner of a board; empty where it looks at one thing.
+        together: Readings of this visit, where they are off together; 0 where this one is off by itself.
+        label: File, line and pose name.
+        distance: Length of the error of its first part, predicted to read [SI].
+        size: The errors of its parts in words.
+        studentised: T over its scale.
+        leverage: See `calib.core.numerics.losses`.
+        p_value: Chance of such a reading among good measurements of this number.
+    """
+
+    pose: int
+    reading: int
+    target: str
+    looked_at: str
+    together: int
+    label: str
+    distance: float
+    size: str
+    studentised: float
+    leverage: float
+    p_value: float
+
+    def __str__(self) -> str:
+        return f"{self.label}, {self.said}"
+
+    @property
+    def said(self) -> str:
+        """What was read, and how far it is off, in words."""
+        what = f"{self.target} {self.looked_at}" if self.looked_at else self.target
+        times = f"{self.studentised:.1f} times the noise (leverage {self.leverage:.2f})"
+        return f"{what}: {self.size} off, {times}"
+
+
+class Outliers(tuple[Outlier, ...], Worded):
+    """Outliers, worst first."""
+
+    _other_words = "outliers of a fit"
+
+
+def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:
+    """Return the readings of each instrument, with these weights (n_readings,), as blocks of equally many rows."""
+    layout, result = rows.layout, []
+    for name in layout.instruments:
+        part, readings = layout.rows_of(name), layout.readings_of(name)
+        n = readings.stop - readings.start
+        residuals = rows.residuals[part].reshape(n, -1)
+        columns = rows.jacobian[part].reshape(n, residuals.shape[1], -1)
+        result.append(Blocks(residuals, columns, layout.width[readings], weights[readings]))
+    return result
+
+
+def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
+    """Return the outliers of a set, worst first."""
+    together = _off_together(studentised, layout)
+    result = []
+    for k in map(int, studentised.outliers):
+        name = next(name for name in layout.instruments if layout.readings_of(name).stop > k)
+        instrument = next(instrument for instrument in error_set.instruments if instrument.name == name)
+        number = k - layout.readings_of(name).start
+        errors, readings = error_set.after[name][number], error_set.data.readings[name]
+        texts = instrument.texts(readings.pairs[[number]], readings.details[[number]])
+        visit = int(layout.visit[k])
+        result.append(
+            Outlier(
+                pose=visit,
+                reading=k,
+                target=name,
+                looked_at=" ".join(word for words in texts.values() for word in words),
+                together=int(together[visit]),
+                label=error_set.data.labels[visit],
+                distance=float(_lengths(instrument, errors)[0]),
+                size=size_in_words(instrument, errors),
+                studentised=float(studentised.ratio[k]),
+                leverage=float(studentised.leverage[k]),
+                p_value=float(studentised.p_value[k]),
+            )
+        )
+    return tuple(result)
+
+
+def _off_together(studentised: Studentised, layout: Layout) -> IntArray:
+    """Readings of each visit, where more than half of several are far off, else 0, (n_visits,)."""
+    n_visits = int(layout.visit.max(initial=-1)) + 1
+    readings = np.bincount(layout.visit, minlength=n_visits)
+    suspects = np.bincount(layout.visit, studentised.chance < FALSE_ALARM, minlength=n_visits)
+    return np.where((readings > 1) & (2 * suspects > readings), readings, 0)
+
+
+def outliers_in_words(outliers: Sequence[Outlier]) -> list[str]:
+    """Return each outlier in words; those of a visit that is off as a whole as one."""
+    words: dict[object, str] = {}
+    for number, outlier in enumerate(outliers):
+        if outlier.together:
+            text = f"{outlier.label}, all {outlier.together} readings together, such as {outlier.said}"
+            words.setdefault(("visit", outlier.pose), text)
+        else:
+            words["reading", number] = str(outlier)
+    return list(words.values())
+
+
+def left_out_with(outliers: Sequence[Outlier], layout: Layout) -> dict[str, IntArray]:
+    """Return the numbers of the readings that go with outliers, by instrument (n,): each alone, or all of its visit.
+
+    Args:
+        outliers: The outliers.
+        layout: Of the rows that they are of.
+    """
+    visits = [outlier.pose for outlier in outliers if outlier.together]
+    gone = np.isin(np.arange(layout.n_readings), [outlier.reading for outlier in outliers])
+    gone |= np.isin(layout.visit, visits)
+    return numbers_by_instrument(np.flatnonzero(gone), layout)
+
+
+def numbers_by_instrument(readings: Sequence[int] | IntArray, layout: Layout) -> dict[str, IntArray]:
+    """Return numbers of readings (n,), counted through all, as numbers among those of each instrument, (n_own,)."""
+    chosen = np.isin(np.arange(layout.n_readings), readings)
+    return {name: np.flatnonzero(chosen[layout.readings_of(name)]) for name in layout.instruments}
+
+
+def size_in_words(instrument: Instrument, errors: FloatArray) -> str:
+    """Return the errors (n_rows,) [SI] of one reading in words, such as `0.123 mm and 0.4 mrad`."""
+    sizes = []
+    for part, length in zip(instrument.parts, _lengths(instrument, errors), strict=True):
+        sizes.append(f"{length * error_scale(part.dimension):.3f} {ERROR_UNIT[part.dimension]}")
+    return " and ".join(sizes)
+
+
+def _lengths(instrument: Instrument, errors: FloatArray) -> list[float]:
+    number = np.array(instrument.part_of_row)
+    return [float(np.sqrt(np.nansum(errors[number == k] ** 2))) for k in range(len(instrument.parts))]

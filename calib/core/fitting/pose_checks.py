@@ -1,0 +1,179 @@
+"""Whether measurements can determine a robot at all: told before anything is fitted, in terms of what was measured.
+
+Checked are the numbers themselves, that they are enough for the unknowns, that positions do not lie on one line where
+the base is unknown, and that data and priors together determine every free parameter (`calib.core.rows.determination`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError, NotIdentifiableError
+from calib.core.base.words import joints_named
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.robots.configurations import close
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import COLUMNS, Condition
+from calib.core.rows.determination import Determination, determination
+from calib.core.rows.unknowns import Unknowns
+
+_STILL = 1e-6  # range of a joint below which it never moved [m, rad]
+_ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
+_LINE = 1e-3  # width over length below which positions lie on one line
+
+
+def keeps_limits(data: Measurements, final: Evaluation) -> bool:
+    """Return whether passive joints keep their limits at the end of a fit, which may pass them on its way.
+
+    Args:
+        data: The measurements.
+        final: The end.
+    """
+    configurations = final.configurations
+    closed = close(final.robot, data.joints, configurations.passive, configurations.term_columns)
+    return bool(np.all(closed.ok))
+
+
+def check_measurements(robot: Robot, data: Measurements) -> None:
+    """Check numbers and their number before anything is computed.
+
+    Args:
+        robot: The robot.
+        data: Its measurements.
+
+    Raises:
+        DataError: Values that are not finite, nothing to identify, or too few poses.
+    """
+    bad = np.flatnonzero(~np.all(np.isfinite(data.joints), axis=1))
+    if len(bad):
+        raise DataError(f"{data.labels[bad[0]]}: joint values are not finite; correct them, or leave the pose out")
+    for name, readings in data.readings.items():
+        wrong = np.flatnonzero(np.any(np.isinf(readings.values), axis=1) | np.all(np.isnan(readings.values), axis=1))
+        if len(wrong):
+            raise DataError(
+                f"{data.labels[readings.visits[wrong[0]]]}: readings of '{name}' are not finite; correct them, or"
+                " leave the pose out"
+            )
+    for term in robot.terms:
+        for condition in term.depends_on:
+            k = unstated(condition, data)
+            if k is not None:
+                raise DataError(
+                    f"{data.labels[k]}: says no {COLUMNS[condition]}, which '{term.parameters[0].name}' depends on;"
+                    " fill it in, or leave the row out"
+                )
+    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
+    if not np.any(robot.is_free):
+        raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
+    rows = sum(len(readings) * robot.instrument(name).n_rows for name, readings in data.readings.items())
+    if rows <= unknown or len(data) < 3:
+        per_visit = sum(robot.instrument(name).n_rows for name in data.readings)
+        needed = max(3, -(-(unknown + 1) // max(per_visit, 1)))
+        raise DataError(
+            f"{data.path}: {len(data)} {'pose gives' if len(data) == 1 else 'poses give'} {rows} coordinates for"
+            f" {unknown} unknowns without a prior; measure at least {needed} poses (several times that for a useful"
+            " result)"
+        )
+    held = any(
+        p.placement and p.dimension == "angle" and not use
+        for p, use in zip(robot.parameters, robot.is_free, strict=True)
+    )
+    if robot.description.base.pose == "unknown" and not held:
+        _refuse_one_line(robot, data)
+
+
+def unstated(condition: Condition, data: Measurements) -> int | None:
+    """Return the first visit of which a condition is not known, where others state it."""
+    empty = np.flatnonzero(np.isnan(data.context.get(COLUMNS.get(condition, ""), np.zeros(0))))
+    return int(empty[0]) if len(empty) else None
+
+
+def _refuse_one_line(robot: Robot, data: Measurements) -> None:
+    """Raise `DataError` where the positions of all targets lie on one line: they leave the measurement frame open."""
+    by_target = data.points(robot)
+    points = by_target.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    turned = any(
+        robot.instrument(name).orientations(readings.values[:1]) is not None for name, readings in data.readings.items()
+    )
+    if len(points) == 0 or turned:
+        return
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    same = len(unmoved_joints(robot, data.joints)) == len(robot.joint_names)
+    if len(spread) > 1 and spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
+        return
+    raise DataError(
+        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}, which does not"
+        " determine the base, whose pose the description calls unknown: measure positions that spread in at least two"
+        " directions, or hold what these leave open (`held`, such as base.rx for the turn about a line along x)"
+    )
+
+
+def unmoved_joints(robot: Robot, joints: FloatArray) -> list[str]:
+    """Return the actuated joints that stay where they are in all poses (n_poses, n_actuated)."""
+    return [name for name, reach in zip(robot.joint_names, np.ptp(joints, axis=0), strict=True) if reach < _STILL]
+
+
+def directions_moved(joints: FloatArray) -> int:
+    """Return along how many directions of joint space (each joint by its range) the poses (n_poses, n_actuated) lie."""
+    reach = np.ptp(joints, axis=0)
+    moved = joints[:, reach >= _STILL]
+    if moved.shape[1] == 0:
+        return 0
+    spread = np.linalg.svd((moved - moved.mean(axis=0)) / np.ptp(moved, axis=0), compute_uv=False)
+    return int(np.sum(spread > _ALONE * spread[0]))
+
+
+def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: bool = False) -> Determination:
+    """Return what the data determine; raise unless data and priors together determine every free parameter.
+
+    Args:
+        problem: The problem.
+        evaluation: Where it is looked at.
+        alone: Whether to look at the free parameters alone.
+
+    Raises:
+        NotIdentifiableError: The message names the parameters, and joints that never moved.
+    """
+    robot = problem.robot
+    counts = robot.is_free if alone else np.ones(len(robot.parameters), dtype=bool)
+    own = [k for k, p in enumerate(robot.parameters) if counts[k] and not p.family]  # families have priors
+    parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
+    determined = determination(_columns(problem, evaluation, np.array(own, dtype=np.intp)), parameters, free)
+    if determined.free.rank == 0:
+        raise NotIdentifiableError(
+            f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
+        )
+    if determined.missing == 0:
+        return determined
+    names = [p.name for p, use in zip(parameters, free, strict=True) if use]
+    null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
+    involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
+    doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
+    raise NotIdentifiableError(
+        f"{problem.data.path}: {determined.words()}; not separable:"
+        f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
+        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses{doubt}"
+    )
+
+
+def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
+    """Return the whitened derivative by parameters (n,), not scaled; of very many rows a few that are worth as much."""
+    whitening, groups = problem.whitening, problem.whitening.start()
+    if len(evaluation.batches) > 1:
+        unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
+        return problem.condensed(evaluation, groups, unknowns)[0][:, :-1] / unknowns.scales
+    (_, observed), *_ = evaluation.observed(index)
+    columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, in_place=True)
+    return columns / whitening.row_scale(groups)[:, None]
+
+
+def _why(problem: Problem) -> str:
+    still = unmoved_joints(problem.robot, problem.data.joints)
+    if len(still) == len(problem.robot.joint_names):
+        return " (all poses are the same)"
+    if still:
+        return f" ({joints_named(*still, shown=len(still))} never moved)"
+    return ""

@@ -1,0 +1,456 @@
+"""The least-squares problem of a fit: whitened rows as functions of the scaled parameters.
+
+Unknowns u = (p - p_expected) / s with scales s, the parameters' sigma, around where priors expect them (nominal, unless
+a fleet of robots says otherwise). The rows are those of `calib.core.rows.rows`,
+times the root of the weight that a robust loss gives their reading (`calib.core.fitting.robust`), and
+
+    u       for every parameter that has a prior of its own, P u (`calib.core.numerics.prior`) for those known together
+
+Signed components, never distances: a distance loses its sign, and has no derivative at zero. A trial step that opens a
+loop is answered with NaN, on which the solver (`calib.core.numerics.least_squares`) shortens its step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.errors import ComputationError
+from calib.core.data.measurements import Measurements
+from calib.core.instruments.kind import Readings
+from calib.core.numerics.chances import UNLIKELY
+from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.least_squares import TOLERANCE, Solution, minimise
+from calib.core.numerics.prior_sizes import Products
+from calib.core.numerics.tall import AbovePrior, Factored, Multiplied, Tall
+from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.configurations import Configurations, close, configured, describe_open
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.robot import Robot
+from calib.core.rows.batches import Batch, observed_in
+from calib.core.rows.observed import Observed, observe
+from calib.core.rows.rows import Rows
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
+
+_LEAST_FREEDOM = 0.1  # degrees of freedom of each row, where priors hold more parameters than there are rows
+_TRIALS = 2  # points that the solver compares before it goes on
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Readings compared with a robot at one set of parameter values.
+
+    Attributes:
+        robot: With these values.
+        configurations: Its assembled visits.
+        readings: What was read, of each instrument, by name.
+        batches: In which batches it is looked at.
+        products: What `Problem.products` remembers: scales of the unknowns, and products for these.
+        factors: What `Problem.condensed` remembers: some unknowns, and factors of the rows of each group by these.
+    """
+
+    robot: Robot
+    configurations: Configurations
+    readings: Mapping[str, Readings]
+    batches: tuple[Batch, ...]
+    products: list[tuple[FloatArray, Products]] = field(default_factory=list)
+    factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
+
+    @cached_property
+    def _all(self) -> dict[str, Observed]:
+        """Residuals and derivatives of each instrument, by name; kept of few readings alone."""
+        return observe(self.robot, self.configurations, self.readings)
+
+    def observed(self, index: IntArray) -> Iterator[tuple[Batch, Mapping[str, Observed]]]:
+        """Yield residuals and derivatives by some parameters (n,) of each instrument, by name, batch by batch."""
+        if len(self.batches) == 1:
+            yield self.batches[0], self._all
+        else:
+            yield from observed_in(self.robot, self.configurations, self.readings, self.batches, index=index)
+
+    @cached_property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
+        if len(self.batches) == 1:
+            return {name: observed.residuals for name, observed in self._all.items()}
+        widths = {name: self.robot.instrument(name).n_rows for name in self.readings}
+        residuals: dict[str, FloatArray] = {
+            name: np.empty((len(readings), widths[name])) for name, readings in self.readings.items()
+        }
+        looked = observed_in(self.robot, self.configurations, self.readings, self.batches, derivatives=False)
+        for batch, observed in looked:
+            for name, places in batch.readings.items():
+                residuals[name][places] = observed[name].residuals
+        hold(*residuals.values())
+        return residuals
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(ReadOnlyArrays):
+    """Rows of a fit as functions of the parameters. `of` sets it up, `weighed` and `replace` make changed ones.
+
+    Attributes:
+        robot: Nominal robot.
+        data: Measurements.
+        sigma: Noise of positions per axis, if it replaces what the description states [m].
+        columns: Phi of the joint terms at nominal.
+        passive: Passive joints of the visits under similar parameters, to close loops from, (n, n_passive) [m or rad].
+        whitening: By the noise that is stated.
+        unknowns: The free parameters; sizes of families are those found so far.
+        noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those where it is not stated.
+        ratios: Offsets that rows are weighed for, over the scales of their groups, (n_offsets,); all 0 for none.
+        weighing: The same, ready to whiten by; None without any.
+        limits: Whether a pose beyond the limits of a passive joint counts as open, on the way to the minimum as well.
+    """
+
+    robot: Robot
+    data: Measurements
+    sigma: float | None
+    columns: tuple[FloatArray, ...]
+    passive: FloatArray
+    whitening: Whitening
+    unknowns: Unknowns
+    noise_found: BoolArray
+    ratios: FloatArray
+    weighing: SharedError | None = None
+    limits: bool = False
+
+    @staticmethod
+    def of(
+        robot: Robot,
+        data: Measurements,
+        sigma: float | None = None,
+        near: FloatArray | None = None,
+        whitening: Whitening | None = None,
+    ) -> Problem:
+        """Close every visit and whiten what was read there.
+
+        Args:
+            robot: Nominal robot.
+            data: Measurements.
+            sigma: As in the attributes.
+            near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
+            whitening: Of the same readings by the same instruments and sigma, if it is known.
+
+        Raises:
+            UnreachablePoseError: A pose cannot be closed.
+        """
+        columns = term_columns(robot, data.joints, data.conditions)
+        passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
+        return Problem(
+            robot, data, sigma, columns, passive, *_as_stated(robot, whitening or Whitening(robot, data, sigma))
+        )
+
+    def read_again(self, data: Measurements, passive: FloatArray) -> Problem:
+        """Return the problem of other readings of the same visits; no pose is closed again from home.
+
+        Args:
+            data: The readings; joint values and conditions as before.
+            passive: Passive joints near its solution, (n, n_passive) [m or rad].
+        """
+        if self.whitening.whitens(data):
+            return replace(self, data=data, passive=passive)
+        return Problem(
+            self.robot,
+            data,
+            self.sigma,
+            self.columns,
+            passive,
+            *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
+        )
+
+    def weighed(self, ratios: FloatArray) -> Problem:
+        """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""
+        return replace(self, ratios=ratios, weighing=self.whitening.weighing(ratios))
+
+    @property
+    def unstated(self) -> BoolArray:
+        """Groups whose noise is not stated, (n_groups,)."""
+        return _unstated(self.whitening)
+
+    def contradicted(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
+        """Return of which groups noise is stated that scales as found contradict, (n_groups,).
+
+        Args:
+            scales: As found, where what is stated is 1, (n_groups,).
+            efficiency: Of how they were found, over that of least squares.
+        """
+        group = self.whitening.layout.group
+        counts = np.bincount(group[group >= 0], minlength=len(scales))
+        left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
+        freedom = np.maximum(efficiency * left * counts, 1e-3)
+        chance = scipy.special.chdtrc(freedom, freedom * scales**2)
+        return np.asarray(~self.unstated & (scales > 1.0) & (chance < UNLIKELY))
+
+    @property
+    def confirmed(self) -> FloatArray:
+        """Degrees of freedom with which a fleet confirmed the stated noise of groups, (n_groups,); 0 if found."""
+        fleet = self.robot.description.fleet
+        return np.where(self.noise_found | self.unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+
+    @property
+    def noise_weighs(self) -> bool:
+        """Whether the scales of the groups change the solution: against priors, or against each other."""
+        return bool(np.any(self.unknowns.prior.has)) or len(self.whitening.groups) > 1
+
+    def evaluate(self, robot: Robot, near: Evaluation | None = None) -> Evaluation:
+        """Evaluate a robot on the data.
+
+        Args:
+            robot: With any parameter values.
+            near: Of similar ones, from which its loops are closed quickly.
+
+        Raises:
+            ComputationError: A loop opens.
+        """
+        evaluation = self.evaluate_if_closed(robot, near) or self._evaluated(robot, None)
+        if evaluation is None:
+            closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=self.limits)
+            raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
+        return evaluation
+
+    def evaluate_if_closed(self, robot: Robot, near: Evaluation | None = None) -> Evaluation | None:
+        """Evaluate a robot on the data; None where a loop opens."""
+        return self._evaluated(robot, self.passive if near is None else near.configurations.passive)
+
+    def _evaluated(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
+        columns = self._columns_of(robot)
+        closed = close(robot, self.data.joints, seed, columns, limits=self.limits)
+        if not np.all(closed.ok):
+            return None
+        configurations = configured(robot, self.data.joints, closed, columns)
+        return Evaluation(robot, configurations, self.data.readings, self.whitening.batches)
+
+    def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
+        """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
+        return term_columns(robot, self.data.joints, self.data.conditions) if robot.turns_gravity else self.columns
+
+    def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+        """Return the whitened rows.
+
+        Args:
+            evaluation: An evaluation.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: Parameters that count; the free ones if not given.
+        """
+        chosen = self.unknowns if unknowns is None else unknowns
+        rows = self.plain_rows(evaluation, groups, chosen)
+        if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
+            rows.remember(reduced(self.condensed(evaluation, groups, chosen)[0]))
+        return rows.whitened(self.weighing)
+
+    def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+        """Return the rows, (n_rows, n_unknowns), without whitening for shared errors.
+
+        Args:
+            evaluation, groups, unknowns: As of `rows`.
+        """
+        chosen = self.unknowns if unknowns is None else unknowns
+        jacobian, deviations = (
+            self.derivative(evaluation, groups, chosen).whole(),
+            chosen.deviations(evaluation.robot.values),
+        )
+        return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
+
+    def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+        """Return the residuals of all rows, without whitening for shared errors, (n_rows,).
+
+        Args:
+            evaluation, groups: As of `rows`.
+        """
+        return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
+
+    def derivative(
+        self,
+        evaluation: Evaluation,
+        groups: FloatArray,
+        unknowns: Unknowns,
+        weights: FloatArray | None = None,
+    ) -> Tall:
+        """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
+
+        Args:
+            evaluation, groups, unknowns: As of `rows`.
+            weights: Of each reading, (n_readings,).
+        """
+        layout = self.whitening.layout
+        roots = None if weights is None else np.sqrt(weights)[layout.reading]
+
+        def batches() -> Iterator[tuple[IntArray | slice, FloatArray]]:
+            for batch, observed in evaluation.observed(unknowns.index):
+                columns = self.whitening.columns(observed, groups, unknowns, batch)
+                if roots is not None:
+                    columns *= roots[batch.rows][:, None]
+                yield batch.rows, columns
+
+        if len(evaluation.batches) == 1:
+            return Tall.of(next(batches())[1])
+        return Tall((layout.n_rows, len(unknowns)), batches)
+
+    def condensed(
+        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, *, alone: bool = False
+    ) -> tuple[FloatArray, IntArray]:
+        """Return a few rows [J r] that have the products of all, (n_few, n + 1), and the group of each, (n_few,).
+
+        They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
+        an evaluation, by all parameters that belong to no family.
+
+        Args:
+            evaluation, groups: As of `rows`.
+            unknowns: Some of these parameters.
+            alone: Whether the pass need not tell of the others.
+        """
+        if not any(known.has(unknowns) for known, _ in evaluation.factors):
+            every = Unknowns.of(self.robot, np.array([not p.family for p in self.robot.parameters]))
+            looked = unknowns if alone else every
+            evaluation.factors[:] = [(looked, self._factors(evaluation, looked))]
+        known, factors = evaluation.factors[0]
+        chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
+        sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
+        rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
+        return rows, np.repeat(np.arange(len(groups)), [len(factor) for factor in factors])
+
+    def _factors(self, evaluation: Evaluation, unknowns: Unknowns) -> list[FloatArray]:
+        """Triangular factors of [J r] of the rows of each group, as stated, (at most n + 1, n + 1)."""
+        ones = np.ones(len(self.whitening.groups))
+        group, residuals = self.whitening.layout.group, self.residuals(evaluation, ones)
+        factors: list[FloatArray] = [np.zeros((0, len(unknowns) + 1)) for _ in ones]
+        for places, columns in self.derivative(evaluation, ones, unknowns).parts():
+            for g in range(len(ones)):
+                mine = group[places] == g
+                whole = bool(np.all(mine))
+                rows, right = (columns, residuals[places]) if whole else (columns[mine], residuals[places][mine])
+                factors[g] = reduced_with(factors[g], rows, right)
+        return factors
+
+    def products(self, evaluation: Evaluation, groups: FloatArray, rows: Tall | None = None) -> Products:
+        """Return the products of the rows by the free parameters, whitened by what is stated.
+
+        They are made once for an evaluation, whatever scales of noise and sizes of families are tried there.
+
+        Args:
+            evaluation: Where.
+            groups: Scale of the noise of each group, (n_groups,).
+            rows: The derivative of the rows, (n_rows, n_free), if it is there.
+        """
+        scales = self.unknowns.scales
+        if not evaluation.products:
+            rows = self.derivative(evaluation, groups, self.unknowns) if rows is None else rows
+            residuals = self.residuals(evaluation, groups)
+            made = Products.of(rows, residuals, self.whitening.layout.group, len(groups)).times(groups)
+            evaluation.products.append((scales, made))
+        before, products = evaluation.products[0]
+        return products if np.array_equal(before, scales) else products.resized(scales / before)
+
+    def solve(
+        self,
+        start: Evaluation,
+        groups: FloatArray,
+        unknowns: Unknowns | None = None,
+        *,
+        tolerance: float = TOLERANCE,
+        weights: FloatArray | None = None,
+    ) -> tuple[Evaluation, Solution]:
+        """Minimise over some parameters, the others staying as in `start`.
+
+        Args:
+            start: Where to begin.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: The parameters that may move; the free ones if not given.
+            tolerance: See `calib.core.numerics.least_squares`.
+            weights: Of each reading, (n_readings,).
+
+        Returns:
+            The end, and what the solver says of it without the Jacobian, which `rows` gives of the end.
+        """
+        way = _Way(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
+        solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
+        return way.current, replace(solution, jacobian=np.zeros((0, len(way.begin))))
+
+
+class _Way:
+    """The way of one solve: rows where the solver looks, each evaluated once.
+
+    Args:
+        problem: What is solved.
+        start: Where it begins.
+        groups: Scale of the noise of each group, (n_groups,).
+        unknowns: The parameters that move.
+        weights: Of each reading, (n_readings,); None for all alike.
+
+    Attributes:
+        begin: u at the start, (n_unknowns,).
+        current: Where the solver is: where it last asked for a derivative.
+    """
+
+    def __init__(
+        self, problem: Problem, start: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None
+    ) -> None:
+        self.begin, self.current = unknowns.deviations(start.robot.values), start
+        self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
+        self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
+        self._last: tuple[Evaluation, Rows] | None = None
+        self._in_batches = len(start.batches) > 1 and problem.weighing is None
+        plain = weights is None and problem.weighing is None
+        self._is_of_families = plain and unknowns is problem.unknowns and bool(unknowns.families)
+        self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
+
+    def _evaluation(self, u: FloatArray) -> Evaluation | None:
+        for known, evaluation in self._looked_at:
+            if np.array_equal(known, u):
+                return evaluation
+        evaluation = self._problem.evaluate_if_closed(self._unknowns.moved(self.current.robot, u), self.current)
+        self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
+        return evaluation
+
+    def _rows(self, evaluation: Evaluation) -> Rows:
+        if self._last is None or self._last[0] is not evaluation:
+            rows = self._problem.rows(evaluation, self._groups, self._unknowns)
+            self._last = evaluation, rows if self._weights is None else rows.weighted(self._weights)
+        return self._last[1]
+
+    def residuals(self, u: FloatArray) -> FloatArray:
+        """Return all residuals at u (n_unknowns,), the priors' last, (n_rows,); NaN where a loop opens."""
+        evaluation = self._evaluation(u)
+        if evaluation is None:
+            return np.full(self._n_rows, np.nan)
+        if self._in_batches:
+            residuals = self._problem.residuals(evaluation, self._groups)
+            if self._weights is not None:
+                residuals *= np.sqrt(self._weights)[self._problem.whitening.layout.reading]
+        else:
+            residuals = self._rows(evaluation).residuals
+        return np.concatenate([residuals, self._unknowns.prior.times(u)])
+
+    def jacobian(self, u: FloatArray) -> Tall:
+        """Return their derivative by u, (n_rows, n_unknowns), and go there."""
+        evaluation = self._evaluation(u)
+        if evaluation is None:  # derivatives are asked for only where the residuals were finite
+            raise ComputationError("the solver left the region where the loops close")
+        plain = (
+            self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights)
+            if self._in_batches
+            else Tall.of(self._rows(evaluation).jacobian)
+        )
+        self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
+        problem, groups, unknowns, rows = self._problem, self._groups, self._unknowns, plain
+        if self._is_of_families:
+            rows = Multiplied(plain, lambda: problem.products(evaluation, groups, plain).weighed(groups))
+        elif self._in_batches and self._weights is None and not np.any(unknowns.family >= 0):
+            rows = Factored(plain, lambda: reduced(problem.condensed(evaluation, groups, unknowns, alone=True)[0]))
+        return AbovePrior(rows, self._unknowns.prior)
+
+
+def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
+    """Whitening, unknowns, groups to find and ratios, before any noise is found."""
+    return whitening, Unknowns.of(robot), _unstated(whitening), np.zeros(whitening.n_offsets)
+
+
+def _unstated(whitening: Whitening) -> BoolArray:
+    return np.array([not group.stated for group in whitening.groups])

@@ -1,0 +1,201 @@
+"""Fitting with a robust loss: least squares again and again, with weights from the residuals before.
+
+Given weights, the problem is the one of `calib.core.fitting.problem`; given its solution, `calib.core.numerics.losses`
+gives new weights. The alternation runs on the linear model around the present parameters, where a round costs next to
+nothing, until the weights stand; then the parameters go where the linear model says, and so on until the weights stand
+there too. Last, the true problem is solved with these weights.
+
+Unstated noise is that of the median reading: least squares finds the scales of the groups of rows, and each
+is brought to where the median length of its readings says. So is noise that is stated, where the median reading
+contradicts it (`calib.core.fitting.solving` says why); of a few gross errors the median knows nothing.
+
+Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
+scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
+
+Reference: maronna2019, chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.fitting.starts import Starts
+from calib.core.numerics.chances import EXACT
+from calib.core.numerics.least_squares import Solution
+from calib.core.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
+from calib.core.numerics.observability import information
+from calib.core.numerics.statistics import Factors, effective_parameters
+from calib.core.rows.rows import Rows
+
+_ROUNDS = 20
+_LINEAR_ROUNDS = 200
+_WEIGHTS_STAND = 1e-4
+_MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for normal noise (maronna2019)
+_SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
+_TOO_FEW_LEFT = (
+    "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
+    " each other; check them, or fit with --loss none"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A minimum, and what weighed its rows.
+
+    Attributes:
+        problem: As it was solved: with the noise and the sizes of families that were found.
+        at: The parameters there, and what they say of the readings.
+        groups: Scale of the noise of each group, (n_groups,).
+        solution: What the solver said last.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: What the residuals say about the noise, with a robust loss.
+        settled: Whether the weights of a robust loss stand.
+        starts: Ends of perturbed starts, if they were asked for.
+    """
+
+    problem: Problem
+    at: Evaluation
+    groups: FloatArray
+    solution: Solution
+    weights: FloatArray | None = None
+    factors: Factors | None = None
+    settled: bool = True
+    starts: Starts | None = None
+
+
+def solve_robust(solved: Solved, loss: Loss) -> Solved:
+    """Minimise with a robust loss, from a least-squares solution.
+
+    Args:
+        solved: That solution.
+        loss: Not `none`.
+
+    Raises:
+        NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
+    """
+    problem, at, scale = solved.problem, solved.at, float("nan")
+    layout = problem.whitening.layout
+    groups, noise_found = _believed(problem, problem.rows(at, solved.groups), solved.groups)
+    found_everywhere = bool(np.all(noise_found))
+    stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
+    for stage in stages:
+        fixed = scale if stage != "huber" else None
+        weights: FloatArray = np.ones(layout.n_readings)
+        settled = False
+        for _ in range(_ROUNDS):
+            rows = problem.rows(at, groups)
+            if stage == "huber":
+                groups = _median_scales(rows, groups, noise_found)
+                rows = problem.rows(at, groups)
+            now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
+            settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
+            weights = now
+            if settled:
+                break
+            stepped = _stepped(problem, at, rows, step, weights, groups)
+            at = stepped or problem.solve(at, groups, weights=weights)[0]
+    if found_everywhere:  # priors weigh against the noise of the median reading
+        groups, scale = groups * scale, 1.0
+    at, solution = problem.solve(at, groups, weights=weights)
+    final = problem.rows(at, groups)
+    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
+    n_effective = effective_parameters(known, final.prior)
+    pooled = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
+    n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
+    ones = np.ones(len(n_rows))
+    factors = Factors(
+        pooled.values * ones, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * ones, pooled.slope
+    )
+    return Solved(problem, at, groups, solution, weights, factors, settled, solved.starts)
+
+
+def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them; and where.
+
+    The second are the groups whose noise is found, (n_groups,).
+    """
+    unstated = problem.unstated
+    if not problem.noise_weighs or np.all(unstated):
+        return groups, unstated
+    step = _linear_solution(rows, "huber", None, True)[2]
+    scales = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
+    noise_found = unstated | problem.contradicted(scales, _MEDIAN)
+    return np.where(unstated, groups, np.where(noise_found, scales, 1.0)), noise_found
+
+
+def _levels(rows: Rows) -> FloatArray:
+    """Scale of each group, over what it is assumed to be, by the median length of its readings, (n_groups,)."""
+    layout = rows.layout
+    levels = np.ones(len(layout.groups))
+    for g in range(len(levels)):
+        mine = layout.group == g
+        width = np.bincount(layout.reading[mine], minlength=layout.n_readings)
+        length = np.sqrt(np.bincount(layout.reading[mine], rows.residuals[mine] ** 2, layout.n_readings))
+        has_rows = width > 0
+        if np.any(has_rows):
+            levels[g] = float(np.median(length[has_rows] / median_length(width[has_rows])))
+    return levels
+
+
+def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> FloatArray:
+    """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
+    if len(groups) == 1 or not np.any(noise_found):
+        return groups
+    return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)
+
+
+def _stepped(
+    problem: Problem, at: Evaluation, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
+) -> Evaluation | None:
+    """Return where one Gauss-Newton step leads; None if that lowers nothing."""
+    reached = problem.evaluate_if_closed(problem.unknowns.moved(at.robot, rows.deviations + step), at)
+    if reached is None:
+        return None
+    return reached if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
+
+
+def _linear_solution(
+    rows: Rows, loss: Loss, fixed_scale: float | None, found_everywhere: bool
+) -> tuple[FloatArray, float, FloatArray]:
+    """Alternate on the linear model; return weights (n_readings,), scale, and the step to its solution (n_free,)."""
+    layout = rows.layout
+    weights: FloatArray = np.ones(layout.n_readings)
+    step: FloatArray = np.zeros(rows.jacobian.shape[1])
+    scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
+    priors = rows.prior.rows
+    for _ in range(_LINEAR_ROUNDS):
+        residuals = rows.residuals + rows.jacobian @ step
+        distances = np.sqrt(np.bincount(layout.reading, residuals**2, layout.n_readings))
+        if fixed_scale is None:
+            assumed = max(scale_of(distances, layout.width, 0.0), smallest) if found_everywhere else 1.0
+            known = information(rows.factor[:, :-1] / assumed, priors)
+            n_effective = effective_parameters(known, rows.prior)
+            scale = max(scale_of(distances, layout.width, n_effective), smallest)
+        now = weights_of(loss, distances / scale, layout.width)
+        settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND / 10)
+        weights = now
+        step = _step(rows, weights, scale if found_everywhere else 1.0)
+        if settled:
+            break
+    return weights, scale, step
+
+
+def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
+    """Solve the weighted linear problem, priors weighed against this noise."""
+    root = np.sqrt(weights)[rows.layout.reading]
+    priors = rows.prior.rows
+    stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
+    right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
+    if len(stacked) < stacked.shape[1]:
+        raise NotIdentifiableError(_TOO_FEW_LEFT)
+    q, triangle = np.linalg.qr(stacked)
+    diagonal = np.abs(np.diag(triangle))
+    if np.min(diagonal) <= 1e-12 * np.max(diagonal):
+        raise NotIdentifiableError(_TOO_FEW_LEFT)
+    return -scipy.linalg.solve_triangular(triangle, q.T @ right)

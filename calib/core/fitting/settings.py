@@ -1,0 +1,73 @@
+"""How to fit: what users choose, checked where it is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from calib.core.base.errors import DataError, InputError
+from calib.core.numerics.losses import Loss, checked_loss
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked of a fit that neither it nor its robot knows, and that the next fit is to be asked again.
+
+    Attributes:
+        fix, free: Names of parameters.
+        prior: How far off parameters are expected to be, by name.
+        validation: The part of the poses that was held out, or the file of other poses; empty for neither.
+        folds: As in `Settings`.
+    """
+
+    fix: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    prior: Mapping[str, str] = field(default_factory=dict)
+    validation: str = ""
+    folds: int | Literal["setups"] = 0
+
+    def options(self) -> dict[str, str]:
+        """Return the options of `calib fit` that ask for it, with their values."""
+        priors = (f"{name}={''.join(how_far.split())}" for name, how_far in self.prior.items())
+        options = {
+            "--validate": self.validation,
+            "--folds": str(self.folds) if self.folds else "",
+            "--fix": ",".join(self.fix),
+            "--free": ",".join(self.free),
+            "--prior": ",".join(priors),
+        }
+        return {name: value for name, value in options.items() if value}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to fit: the arguments of `calib.fit` of these names, which says what each means.
+
+    Here `sigma` is one number for all readings [m], and `terms` are text.
+
+    Raises:
+        DataError: Sigma is not a positive number.
+        InputError: Unknown loss, or a number of starts or a seed that makes no sense.
+    """
+
+    sigma: float | None = None
+    loss: Loss = "none"
+    exclude_outliers: bool = False
+    starts: int = 1
+    folds: int | Literal["setups"] = 0
+    seed: int = 0
+    terms: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
+        checked_loss(self.loss)
+        if isinstance(self.folds, str) and self.folds != "setups":
+            raise InputError(f"folds '{self.folds}': must be a number of folds, or 'setups'")
+        if self.starts < 1:
+            raise InputError(f"starts {self.starts}: must be 1 or more")
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed}: must be zero or more")

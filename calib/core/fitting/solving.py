@@ -1,0 +1,361 @@
+"""From placed base and targets to the minimum, with unstated noise found on the way.
+
+Where the noise of an instrument is not stated, it is found from the residuals
+(`calib.core.numerics.variance_components`): the solve is repeated until noise changes by less than one percent.
+
+Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve
+repeated with rows weighed for it, until offsets change by less than one in twenty. Such weights believe what differs
+within a pose more than what differs between poses. That is right for repeats and wrong where the model of what happens
+within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
+poses that are left out in turn better: the sum over groups of n log(RMS weighed / RMS plain), n poses each, must be
+below -1. Judges are the readings of other instruments, which the weights are to protect, where there are any. With a
+robust loss no offsets are looked for: a gross error is one, too.
+
+Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
+with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
+pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
+such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
+around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
+again. (The statement itself is judged by `calib.core.judging.rules_noise`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import NotConvergedError, NotIdentifiableError
+from calib.core.base.workers import Progress
+from calib.core.fitting.curvature import mean_square_beyond_linear
+from calib.core.fitting.fitted import Convergence
+from calib.core.fitting.found_noise import left_out, ratios_found, scales_found
+from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.fitting.robust import Solved, solve_robust
+from calib.core.fitting.settings import Settings
+from calib.core.fitting.starts import explore
+from calib.core.numerics.chances import EXACT
+from calib.core.numerics.clusters import Scatter, scatter
+from calib.core.numerics.least_squares import TOLERANCE
+from calib.core.numerics.prior_sizes import variance_by_sizes
+from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, found_factors, statistics
+from calib.core.numerics.tall import Span
+from calib.core.robots.robot import Robot
+from calib.core.rows.registration import register
+from calib.core.rows.rows import Rows, Scales
+from calib.core.rows.unknowns import Unknowns
+
+_LOOSE = 1e-3  # tolerance of the solver where another solve follows
+_PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
+_NOISE_ROUNDS = 20
+_NOISE_STANDS = 0.01  # relative change of scales below which they are found
+_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_GAINED = 1.0  # by how much weights must better the log error of poses left out, summed over the poses
+_NO_NOISE = (
+    "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+    " --sigma-mm)"
+)
+_ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
+STEP_LEFT = 0.05
+"""Standard deviations that a converged fit may be away from its minimum."""
+_FAR = 0.5  # of the farthest way left, for which parameters are named
+_BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
+ROUNDING = 1e-8
+"""10 nm and 10 nrad: below, rounding decides about a step."""
+
+
+def place(problem: Problem) -> Evaluation:
+    """Return the nominal robot, evaluated, with unknown frames and targets placed by registration alone.
+
+    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
+    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+
+    Raises:
+        NotConvergedError: They cannot be placed.
+    """
+    robot = problem.robot
+    places = problem.unknowns.only(problem.unknowns.placement)
+    if not len(places):
+        return problem.evaluate(robot)
+    placed, solution = problem.evaluate(register(robot, problem.data)), None
+    if not np.any(places.prior.has) and _is_best_placed(problem, placed, places):
+        return placed
+    groups = _as_found(problem, placed, problem.whitening.start(placed.residuals))
+    for _ in range(_NOISE_ROUNDS):
+        placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
+        again = _as_found(problem, placed, groups)
+        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+            break
+        groups = again
+    if solution is None or not solution.converged:
+        raise NotConvergedError(
+            "placing the base and the targets did not converge; check units and axes of the measurements"
+        )
+    return placed
+
+
+def placed_as(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
+    """Return what `place` does, from another robot that was placed by the same readings; None if it moves otherwise.
+
+    Args:
+        problem: The problem.
+        other: The other robot, base and targets placed.
+        residuals: Those of the other robot, (n_readings, n_rows) [SI] by instrument.
+    """
+    unknowns, readings = problem.unknowns, problem.data.readings
+    known = dict(zip((parameter.name for parameter in other.parameters), other.values, strict=True))
+    places = [unknowns.names[k] for k in np.flatnonzero(unknowns.placement)]
+    sizes = {name: len(own) for name, own in readings.items()}
+    if not known.keys() >= set(places) or sizes != {name: len(own) for name, own in residuals.items()}:
+        return None
+    placed = problem.evaluate(problem.robot.with_parameters({name: float(known[name]) for name in places}))
+    moves_alike = all(
+        np.allclose(own, residuals[name], rtol=0.0, atol=_ALIKE, equal_nan=True)
+        for name, own in placed.residuals.items()
+    )
+    return placed if moves_alike else None
+
+
+def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
+    """Return a placed robot with what no reading sees from just there put back to where the description has it.
+
+    The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
+    the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
+    solution.
+    """
+    unknowns, groups = problem.unknowns, problem.whitening.start()
+    if len(placed.batches) > 1 and not unknowns.families:
+        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns)[0][:, :-1], axis=0)
+    else:
+        lengths = problem.derivative(placed, groups, unknowns).lengths()
+    blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
+    if not np.any(blind):
+        return placed
+    values = placed.robot.values.copy()
+    values[unknowns.index[blind]] = unknowns.expected[blind]
+    return problem.evaluate(placed.robot.with_parameters(values), placed)
+
+
+def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+    """Scales of all groups, stated or not, as the residuals of placing are."""
+    flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
+    places = problem.unknowns.only(problem.unknowns.placement)
+    result = groups.copy()
+    for g in range(len(result)):
+        rows = group == g
+        left = max(int(np.sum(rows)) - len(places), 1)
+        result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
+    return result
+
+
+def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> bool:
+    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
+    groups = problem.whitening.start(placed.residuals)
+    residuals = problem.residuals(placed, groups)
+    explained = problem.derivative(placed, groups, places).factor(residuals)[: len(places), -1]
+    return bool(explained @ explained <= _PLACED * (residuals @ residuals))
+
+
+def solve_from(
+    problem: Problem,
+    placed: Evaluation,
+    settings: Settings,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Solved:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
+
+    Args:
+        problem: The problem.
+        placed: Where to begin.
+        settings: How.
+        workers: Who does the other starts; this process if not given.
+        progress: Told after each of them.
+
+    Raises:
+        NotConvergedError: The noise cannot be found.
+    """
+    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # from where a robust loss begins
+    solve = _solve_with_offsets if settings.loss == "none" else to_go_on
+    solved = solve(problem, placed)
+    if settings.starts > 1:
+        first, begin = (solved.at, solved.solution), placed.robot
+        tried = explore(solved.problem, begin, first, solved.groups, settings.starts, settings.seed, workers, progress)
+        best = tried.minima[0]
+        if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
+            solved = solve(problem, problem.evaluate(best.robot))
+        solved = replace(solved, starts=tried)
+    return solved if settings.loss == "none" else solve_robust(solved, settings.loss)
+
+
+def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:
+    """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
+    plain = _solve_with_noise(problem, start, TOLERANCE)
+    if not np.any(problem.whitening.tells_offsets):
+        return plain
+    weighed = _solve_weighed(plain)
+    if weighed is None:
+        return plain
+    errors, others = (left_out(end.problem, end.at, end.groups) for end in (plain, weighed))
+    gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.ratios)
+    return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
+
+
+def _solve_weighed(plain: Solved) -> Solved | None:
+    """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
+    solved = plain
+    for _ in range(_NOISE_ROUNDS):
+        try:
+            problem = solved.problem
+            ratios = ratios_found(problem, solved.at, solved.groups)
+            stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+            if not np.any(ratios):
+                return None
+            solved = _solve_with_noise(problem.weighed(ratios), solved.at, TOLERANCE if stands else _LOOSE)
+        except NotConvergedError:
+            return None
+        if stands:
+            return solved
+    return None
+
+
+def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
+    """Solve with the stated noise; find what is not stated of it, and what residuals contradict.
+
+    Too few readings to find any noise do not contradict what other robots have confirmed.
+    """
+    try:
+        return _solve_finding_noise(problem, start, exact)
+    except NotIdentifiableError:
+        problem = replace(problem, noise_found=problem.unstated)
+        if not np.any(problem.confirmed):
+            raise
+    groups = problem.whitening.start(start.residuals)
+    at, solution = problem.solve(start, groups, tolerance=exact)
+    return Solved(problem, at, groups, solution)
+
+
+def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
+    groups, unstated = problem.whitening.start(start.residuals), problem.unstated
+    problem = replace(problem, noise_found=unstated)
+    if problem.noise_weighs and not np.all(unstated):
+        problem, groups = contradicted(problem, start, groups)
+    at, tolerance = start, _LOOSE
+    for _ in range(_NOISE_ROUNDS):
+        finds = (np.any(problem.noise_found) and problem.noise_weighs) or problem.unknowns.families
+        at, solution = problem.solve(at, groups, tolerance=tolerance if finds else exact)
+        if not finds:
+            return Solved(problem, at, groups, solution)
+        scales, sizes = scales_found(problem, at, groups)
+        stands = problem.noise_found & ~unstated & ~problem.contradicted(scales)
+        if np.any(stands):
+            problem = replace(problem, noise_found=problem.noise_found & ~stands)
+            groups = np.where(stands, 1.0, scales)
+            continue
+        counts = problem.noise_found & (scales > EXACT)
+        change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
+        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
+        if change <= _NOISE_STANDS and tolerance == exact:
+            return Solved(problem, at, groups, solution)
+        if change <= 10 * _NOISE_STANDS:
+            tolerance = exact
+        if change > _NOISE_STANDS:
+            groups = scales
+            problem = replace(problem, unknowns=problem.unknowns.rescaled(sizes))
+    raise NotConvergedError(_NO_NOISE)
+
+
+def contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
+    """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from.
+
+    Args:
+        problem: The problem.
+        evaluation: Where its linear model is taken.
+        groups: Scales to keep where nothing is contradicted, (n_groups,).
+    """
+    all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
+    scales, _ = scales_found(all_found, evaluation, groups)
+    contradicted = problem.contradicted(scales)
+    return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
+
+
+def uncertainty_at(solved: Solved, beyond_linear: BeyondLinear | None = None) -> tuple[Rows, Scales, Statistics]:
+    """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
+
+    Args:
+        solved: The minimum.
+        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    problem = solved.problem
+    rows, scales = problem.rows(solved.at, solved.groups), Scales(solved.groups, problem.ratios)
+    layout, unknowns = problem.whitening.layout, problem.unknowns
+    robust = solved.factors
+    slowed = rows if robust is None else rows.weighted(np.full(layout.n_readings, robust.slope))
+    span = rows.span if slowed is rows else Span(rows.jacobian, slowed.known.root)
+    factors = robust or found_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed)
+    if beyond_linear is None:
+        beyond_linear = BeyondLinear(partial(mean_square_beyond_linear, problem, solved.at, rows, solved.groups))
+    uncertainty = statistics(
+        span,
+        layout.group,
+        slowed.known,
+        factors,
+        unknowns.scales,
+        unknowns.prior,
+        scatter_of_poses(rows, span, factors, solved.weights),
+        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
+        beyond_linear,
+    )
+    return rows, scales, uncertainty
+
+
+def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:
+    """Return how the readings of each pose scatter together (`calib.core.numerics.clusters`).
+
+    Args:
+        rows: At the minimum, without the weights of a robust loss.
+        span: U = J T of them, with T of what they, with the slope of a robust loss, and the priors determine,
+            (n_rows, rank).
+        factors: What the residuals say about the noise.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+    """
+    layout = rows.layout
+    noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
+    pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
+    return scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
+
+
+def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+    """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
+
+    That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
+
+    Args:
+        solved: The minimum.
+        rows: The rows there.
+        std: Standard deviations of the free parameters, (n_free,) [m, rad].
+    """
+    weighted = rows if solved.weights is None else rows.weighted(solved.weights)
+    pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
+    root, unknowns = weighted.known.root, solved.problem.unknowns
+    away = np.abs(root @ (root.T @ pull))
+    left = unknowns.scales * away / (std + ROUNDING)
+    largest = int(np.argmax(left))
+    name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message
+    stands = step < STEP_LEFT
+    if stands and not solved.solution.converged:
+        message = f"no parameter would still move by more than {step:.2g} standard deviations ({name})"
+    elif solved.solution.converged and not stands:
+        message += f", but {name} would still move by {step:.2g} standard deviations"
+    recedes = solved.solution.recedes and not stands
+    far = np.flatnonzero(away >= _FAR * np.max(away)) if recedes else np.zeros(0, dtype=np.intp)
+    receding = tuple(unknowns.names[k] for k in far[np.argsort(-away[far])])
+    return Convergence(solved.settled and stands, message, step, name, solved.settled, receding)

@@ -1,0 +1,145 @@
+"""Other minima: the same fit again from perturbed starting points.
+
+Least squares finds the minimum in whose valley it starts. Each further start moves every free parameter by a normal
+random step of its sigma from where the first one started (base and targets placed, the rest nominal); where the loops
+cannot close there, the step is halved, up to five times. Ends whose predicted positions differ by less than a tenth of
+their residuals from a minimum already known are the same minimum; the first end that came there stays, because a later
+one may have the same robot with an angle turned round once more.
+
+When it fails. Not finding another minimum is no proof that there is none.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Progress, in_order
+from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.numerics.least_squares import Solution
+from calib.core.robots.robot import Robot
+
+_HALVINGS = 5
+_SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
+_ROUNDING = 1e-7  # residuals below this are rounding [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """One end that starts came to.
+
+    Attributes:
+        robot: The parameters there.
+        solution: What the solver said.
+        cost: Sum of squared residuals and priors, in units of the noise that weighed them.
+        rms: Root mean square length of the readings' residuals [SI].
+        count: How many starts came there.
+    """
+
+    robot: Robot
+    solution: Solution
+    cost: float
+    rms: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What the starts found.
+
+    Attributes:
+        minima: Lowest cost first.
+        failed: Starts that did not converge or could not be assembled.
+        seed: Seed of the random steps.
+        groups: Scale of the noise of each group that all of them assumed, (n_groups,).
+    """
+
+    minima: tuple[Minimum, ...]
+    failed: int
+    seed: int
+    groups: FloatArray
+
+    @property
+    def total(self) -> int:
+        """Number of starts, the unperturbed one included."""
+        return self.failed + sum(minimum.count for minimum in self.minima)
+
+
+def explore(
+    problem: Problem,
+    placed: Robot,
+    first: tuple[Evaluation, Solution],
+    groups: FloatArray,
+    n: int,
+    seed: int,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Starts:
+    """Fit again from n - 1 perturbed starts.
+
+    Args:
+        problem: The problem.
+        placed: Where the first start began.
+        first: Where it ended.
+        groups: Scale of the noise of each group, (n_groups,).
+        n: Number of starts, the first included.
+        seed: Seed of the random steps.
+        executor: Who fits; this process if not given.
+        progress: Told after each start.
+    """
+    rng = np.random.default_rng(seed)
+    distinct: list[tuple[Minimum, FloatArray]] = []
+    failed = 0
+    _add(distinct, problem, groups, first)
+    steps = [rng.standard_normal(len(problem.unknowns)) for _ in range(n - 1)]
+    begin = partial(_from, problem, placed, groups)
+    for end in in_order(begin, steps, executor, progress):
+        if end is None:
+            failed += 1
+        else:  # what is sent between processes is the robot alone
+            _add(distinct, problem, groups, (problem.evaluate(end[0]), end[1]))
+    minima = tuple(minimum for minimum, _ in sorted(distinct, key=lambda entry: entry[0].cost))
+    return Starts(minima, failed, seed, groups)
+
+
+@one_blas_thread
+def _from(problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray) -> tuple[Robot, Solution] | None:
+    """Where one start ends; None where it ends nowhere."""
+    base = problem.unknowns.deviations(placed.values)
+    for halving in range(_HALVINGS + 1):
+        start = problem.unknowns.moved(placed, base + step / 2**halving)
+        try:
+            end, solution = problem.solve(problem.evaluate(start), groups)
+        except ComputationError:
+            continue
+        return (end.robot, solution) if solution.converged else None
+    return None
+
+
+def _add(
+    distinct: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Evaluation, Solution]
+) -> None:
+    """Count an end towards the minimum that it belongs to, or as a new one."""
+    reached, solution = end
+    residuals = reached.residuals
+    whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
+    smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
+    size = _size(whitened)
+    for k, (minimum, known) in enumerate(distinct):
+        if _size(whitened - known) <= _SAME * max(min(size, _size(known)), smallest):
+            distinct[k] = replace(minimum, count=minimum.count + 1), known
+            return
+    lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
+    rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
+    distinct.append((Minimum(reached.robot, solution, solution.cost, rms, 1), whitened))
+
+
+def _size(whitened: FloatArray) -> float:
+    """Root mean square of whitened rows."""
+    return float(np.sqrt(np.mean(whitened**2)))

@@ -1,0 +1,222 @@
+"""Which terms of the joints' errors measurements can be asked about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydantic import ValidationError
+
+from calib.core.base.errors import DescriptionError
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.joint_conventions import may_be_wrapped, uncounted_turns
+from calib.core.fitting.pose_checks import unmoved_joints, unstated
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import COLUMNS, Condition, JointTerm, TermSection
+from calib.core.robots.terms.terms import TERMS
+from calib.core.rows.prediction import UndecidedTerms
+
+_OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
+_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A kind of term, for every joint that can show it and does not have it.
+
+    Attributes:
+        term: Its name.
+        sections: Its entries; none where it cannot be tried.
+        refused: Why it cannot be tried; empty where it can.
+        doubt: Why it must not be added without being asked for, though it can be tried; empty where it may.
+    """
+
+    term: str
+    sections: tuple[TermSection, ...] = ()
+    refused: str = ""
+    doubt: str = ""
+
+    def of(self, robot: Robot) -> tuple[JointTerm, ...]:
+        """Return its terms in a robot that has them."""
+        joints = [section.joint for section in self.sections]
+        return tuple(
+            term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
+        )
+
+    def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
+        """Return its entries, coefficients being expected to be this many times as large as is usual."""
+        sigma = {term.joint: float(factor * term.parameters[0].sigma_si) for term in self.of(robot)}
+        resized: list[TermSection] = []
+        for section in self.sections:
+            by_joint = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
+            if section.joint == "all" and len(set(by_joint.values())) == 1:
+                by_joint = {"all": next(iter(by_joint.values()))}
+            resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in by_joint.items()]
+        return tuple(resized)
+
+
+@dataclass(frozen=True)
+class TriedTerm:
+    """What was found about one kind of term.
+
+    Attributes:
+        term: Its name.
+        added: Whether it was added.
+        evidence: By how much the log marginal likelihood rose with it; NaN where it was not tried.
+        before, after: Root mean square of the main part of the readings without it and with it, each block of poses
+            left out in turn [SI]; NaN where it was not tried.
+        why: Why it was left out; empty where it was added.
+        size: How many times as large as is usual its coefficients are, the largest of a curve's joints; NaN where it
+            was not added.
+        together: Kinds that were added together with it, because the data cannot tell them from it; evidence and errors
+            are then those of all of them.
+        alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
+            marginal likelihood is with each of them alone.
+    """
+
+    term: str
+    added: bool = False
+    evidence: float = float("nan")
+    before: float = float("nan")
+    after: float = float("nan")
+    why: str = ""
+    size: float = float("nan")
+    together: tuple[str, ...] = ()
+    alike: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proven(self) -> bool:
+        """Whether it was added, and the data say that it is of this kind and no other."""
+        return self.added and not self.alike
+
+
+@dataclass(frozen=True)
+class TermChoice:
+    """Which joint terms a fit was asked for.
+
+    Attributes:
+        requested: `auto`, `none`, or the list that was asked for.
+        sections: The entries that it has.
+        tried: Of `auto`, what was found about each kind of term, those that were added first.
+        undecided: Of `auto`, what terms that were not added leave uncertain; None if nothing.
+    """
+
+    requested: str
+    sections: tuple[TermSection, ...]
+    tried: tuple[TriedTerm, ...] = ()
+    undecided: UndecidedTerms | None = None
+
+    @property
+    def automatic(self) -> bool:
+        """Whether terms were chosen by what the data say of them."""
+        return self.requested == "auto"
+
+
+def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
+    """Return a candidate for each kind of term, in the order of the registry, then what some joints cannot be asked.
+
+    Args:
+        robot: The robot with the terms that it has anyway.
+        data: Its measurements.
+    """
+    kinds = [_candidate(name, robot, data) for name in TERMS if _in_auto(name)]
+    uncounted = uncounted_turns(robot, data.joints)
+    if uncounted:
+        tried = [kind.term for kind in kinds if kind.sections and TERMS[kind.term].counts_turns]
+        kinds += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+    return tuple(kinds)
+
+
+def _in_auto(name: str) -> bool:
+    try:
+        return TERMS[name].in_auto
+    except DescriptionError:  # of another package, which is broken: that is said
+        return True
+
+
+def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
+    """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
+    missing: list[TermSection] = []
+    for section in sections:
+        kind = TERMS[section.term]
+        having = {term.joint for term in robot.terms if type(term) is kind and term.answers(section)}
+        if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
+            missing.append(section)
+            continue
+        names = robot.joint_names if section.joint == "all" else ()
+        missing += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+    return tuple(missing)
+
+
+def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
+    try:
+        kind = TERMS[name]
+    except DescriptionError as error:  # of another package, which is broken
+        return Candidate(name, refused=str(error))
+    joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
+    refused = not_known(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
+    if refused:
+        return Candidate(name, refused=refused)
+    try:
+        entries = kind.entries(name, joints, robot.joint_names)
+        sections = missing_terms(robot, entries)
+        if not sections:
+            return Candidate(name, refused="the description has it already" if entries else "there is no other joint")
+        with_it = robot.with_terms((*robot.description.terms, *sections))
+        columns = term_columns(with_it, data.joints, data.conditions)
+    except ValidationError:
+        return Candidate(name, refused="it needs more than a joint, which only a description can state")
+    except DescriptionError as error:  # no masses, a prismatic joint without limits
+        return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
+    if kind.needs_torque:
+        loaded = [
+            term.joint
+            for term, torque in zip(with_it.terms, columns, strict=True)
+            if type(term) is kind and np.ptp(torque, axis=0).max() > _SAME_TORQUE
+        ]
+        sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
+        if not sections:
+            return Candidate(name, refused="gravity loads no joint differently from pose to pose")
+    doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
+    return Candidate(name, sections, doubt=_OF_ORDER if doubtful else "")
+
+
+def not_known(kind: type[JointTerm], data: Measurements) -> str:
+    """Return why data cannot show a term, by the conditions that it depends on; empty if they can."""
+    of_column = {
+        Condition.TIME: data.conditions.time,
+        Condition.TEMPERATURE: data.conditions.temperature,
+        Condition.LOAD: data.conditions.load,
+    }
+    for condition in kind.depends_on:
+        by_torque = condition is Condition.LOAD and kind.needs_torque  # the robot's own masses load it, too
+        if condition in of_column and not by_torque and np.ptp(of_column[condition]) == 0:
+            return f"the data have no column '{COLUMNS[condition]}' that changes"
+        if unstated(condition, data) is not None:
+            return f"some rows do not say {condition.value}"
+    return ""
+
+
+def _shows(kind: type[JointTerm], joint: str, robot: Robot, data: Measurements) -> bool:
+    """Whether a joint can show a kind of term in these measurements; of a coupling: the joint that drives."""
+    if kind.needs_more(robot.mechanism.dimensions[joint]):
+        return False
+    if Condition.APPROACH in kind.depends_on:
+        directions = data.approach_directions[:, robot.joint_names.index(joint)]
+        if not np.ptp(directions) > 0:
+            return False
+    if kind.counts_turns and joint in uncounted_turns(robot, data.joints):
+        return False
+    return not kind.follows_command or joint not in unmoved_joints(robot, data.joints)
+
+
+def _nothing_shows(name: str, kind: type[JointTerm], robot: Robot, data: Measurements) -> str:
+    uncounted = uncounted_turns(robot, data.joints)
+    if kind.counts_turns and uncounted:
+        return may_be_wrapped(uncounted, [f"a {name}"])
+    if Condition.APPROACH in kind.depends_on and not np.any(np.ptp(data.approach_directions, axis=0) > 0):
+        return "no joint was approached from both sides"
+    needs = {kind.needs_more(robot.mechanism.dimensions[joint]) for joint in robot.joint_names}
+    return "no joint moved that could show it" if "" in needs else needs.pop()

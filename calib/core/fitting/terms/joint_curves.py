@@ -1,0 +1,91 @@
+"""What joint terms say together: curves of joint errors with their bands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.units import Dimension
+from calib.core.fitting.fitted import Fit
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+
+_POINTS = 721
+BEYOND = 0.02
+"""How far outside the range measured, over that range, a joint value may be for its curve to hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointCurve(ReadOnlyArrays):
+    """The error of one joint over its own value, as found.
+
+    Attributes:
+        joint: The joint.
+        dimension: Whether a length or an angle.
+        command: Commanded values over the range measured, (n,) [m or rad].
+        error: Actual minus commanded there, as far as the family says, (n,) [m or rad].
+        std: Standard deviation of that, (n,) [m or rad].
+        rms: Root mean square of the error over the visits that were used [m or rad].
+        rms_std: Root mean square of its standard deviation over these [m or rad].
+    """
+
+    joint: str
+    dimension: Dimension
+    command: FloatArray
+    error: FloatArray
+    std: FloatArray
+    rms: float
+    rms_std: float
+
+
+def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
+    """Return the curve of each joint term whose coefficients are a family."""
+    robot, data, curves = fit.robot, fit.identification.data, []
+    start = robot.coefficients.start
+    for term in robot.terms:
+        index = np.arange(start, start + len(term.parameters))
+        start += len(term.parameters)
+        if not term.parameters[0].family:
+            continue
+        j = robot.joint_names.index(term.joint)
+        q = data.joints[:, j]
+        grid = np.zeros((_POINTS, len(robot.joint_names)))
+        grid[:, j] = np.linspace(q.min(), q.max(), _POINTS)
+        free = np.isin(fit.unknowns.index, index)
+        covariance = fit.covariance.values[np.ix_(free, free)]
+        values = robot.values[index]
+        phi = term.columns(grid, j, Context.neutral(_POINTS, len(robot.joint_names)))
+        used = term.columns(data.joints, j, data.conditions)
+        curves.append(
+            JointCurve(
+                term.joint,
+                robot.mechanism.dimensions[term.joint],
+                grid[:, j],
+                phi @ values,
+                _std(phi, covariance),
+                float(np.sqrt(np.mean((used @ values) ** 2))),
+                float(np.sqrt(np.mean(_std(used, covariance) ** 2))),
+            )
+        )
+    return tuple(curves)
+
+
+def beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
+    """Return which joint values q (n, n_actuated) lie outside the range of those from which curves were learned.
+
+    Args:
+        robot: Its joints that have curves count.
+        learned: Joint values of the fit, (n_used, n_actuated) [m or rad].
+        q: Others [m or rad].
+    """
+    curved = {term.joint for term in robot.terms if term.parameters[0].family}
+    low, high = learned.min(axis=0), learned.max(axis=0)
+    margin = BEYOND * (high - low)
+    outside: BoolArray = (q < low - margin) | (q > high + margin)
+    return outside & np.isin(robot.joint_names, list(curved))
+
+
+def _std(phi: FloatArray, covariance: FloatArray) -> FloatArray:
+    return np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))

@@ -1,0 +1,131 @@
+"""How far off a calibrated robot is at poses that its fit has not seen: one definition for a whole model and for files.
+
+The covariance of the parameters says what noise leaves uncertain. Of a robot without the terms that its joints need, or
+with joint zeros alone, that is the least part: it leaves out what it cannot hold. So what can be relied on is taken
+from errors that were seen, at poses that had no part in the fit. They count both: what the robot leaves out, and that
+its parameters are known only so well. The noise of the readings there counts, too. The poses are
+
+* those of the validation, if there are any; else
+* those left out in turn (cross-validation), each predicted by the fit of the other folds; else
+* all that were used, each predicted by the fit of all others, by the linear model: with the whitened rows J_k and
+  residuals r_k of a pose, H_k = J_k C J_k^T and C the inverse of what all rows and priors know, the parameters without
+  it move by
+
+      du = C J_k^T (1 - H_k)^-1 r_k
+
+  A pose that decides some direction alone, such as the place of a setup of its own, is not among them: no other pose
+  foretells it.
+
+Of the errors at n such poses (of positions: distances between predicted and read, the mean over repeats of a pose) are
+stated
+
+    rms       their root mean square
+    limit95   the k-th smallest, k = ceil(0.95 (n + 1)): the error at one more pose drawn like these stays below with a
+              chance of at least 95 %, whatever the errors' distribution (wilks1941). It takes 19 poses.
+
+When it fails. Poses unlike these (another region, load or temperature) may be worse.
+
+Reference: cook1982, chapter 2 (one case left out); wilks1941.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.remembered import remembered
+from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.validation import readings_at
+from calib.core.numerics.clusters import moved_without
+from calib.core.numerics.tall import Span
+from calib.core.robots.held import Accuracy, SeenAt
+from calib.core.rows.rows import Rows
+
+COVERED = 0.95
+"""Chance of `Accuracy.limit95`."""
+_DECIDES = 1.0 - 1e-6
+"""Part of a direction that one pose decides, from which the others cannot foretell it."""
+
+
+def accuracy(fit: Fit) -> Accuracy:
+    """Return how far off the robot of a fit is at poses that it has not seen; at those used if there are no others."""
+    if fit.validation is not None:
+        return of_errors(fit.validation, SeenAt.VALIDATION)
+    if fit.folds is not None:
+        return of_errors(fit.folds.errors, SeenAt.FOLDS)
+    foretold = left_out_one_by_one(fit)
+    return of_errors(fit.identification, SeenAt.USED) if foretold is None else of_errors(foretold, SeenAt.ONE_BY_ONE)
+
+
+def of_errors(errors: ErrorSet, poses: SeenAt) -> Accuracy:
+    """Return how large errors are, before and after, at which poses."""
+    part = errors.main_part
+    lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
+    rms = errors.rms("after")
+    before, limit = errors.rms("before"), limit95(lengths)
+    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, rms, limit, part.is_position)
+
+
+def limit95(lengths: FloatArray) -> float:
+    """Return what one more length, drawn like these (n,), stays below with a chance of 95 % or more.
+
+    NaN where they are fewer than 19.
+    """
+    k = math.ceil(COVERED * (len(lengths) + 1) - 1e-9)  # 0.95 is no binary number
+    return float(np.sort(lengths)[k - 1]) if k <= len(lengths) else math.nan
+
+
+@remembered
+@one_blas_thread
+def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
+    """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
+    data, rows = fit.identification.data, fit.weighted_rows
+    if rows is fit.rows:
+        moved, decided = _moved(rows)
+    else:
+        seen, n_poses = Span(fit.rows.jacobian, fit.root), int(rows.layout.pose.max()) + 1
+        moved, decided = moved_without(rows.span, rows.residuals, rows.layout.pose_of_row, n_poses, seen)
+    read = fit.whitening.read(moved, fit.scales)
+    after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
+    foretold = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
+    whole = replace(fit.identification, after=after)
+    return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
+
+
+@remembered
+def _moved(rows: Rows) -> tuple[FloatArray, FloatArray]:
+    """`moved_without` of each pose; what is known of a fit is known of its copies, which hold the same rows."""
+    layout = rows.layout
+    return moved_without(rows.span, rows.residuals, layout.pose_of_row, int(layout.pose.max()) + 1, rows.span)
+
+
+def moved_left_out(fit: Fit) -> float:
+    """Return the root mean square by which predictions of poses that were used move where the pose itself is left out.
+
+    Of the main part of the readings [SI], over the poses that `left_out_one_by_one` tells of; NaN if there are none.
+    """
+    foretold, whole = left_out_one_by_one(fit), fit.identification
+    if foretold is None:
+        return math.nan
+    used = whole
+    if len(foretold.data) < len(whole.data):
+        used = _at(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
+    part = foretold.main_part.name
+    moved = foretold.errors("after", part) - used.errors("after", part)
+    return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))
+
+
+def _at(errors: ErrorSet, visits: IntArray) -> ErrorSet:
+    """Errors at some of the visits (n,)."""
+    if len(visits) == len(errors.data):
+        return errors
+    kept = {name: readings_at(readings, visits) for name, readings in errors.data.readings.items()}
+    before, after = (
+        {name: rows[kept[name]] for name, rows in state.items()} for state in (errors.before, errors.after)
+    )
+    return ErrorSet(errors.data.subset(visits), errors.instruments, before, after, errors.singular_value[visits])

@@ -1,0 +1,213 @@
+"""A printed board: where its points are. One description serves detection, printing, rendering and the robot.
+
+The board lies in the plane z = 0 of its frame: origin in the corner where its first row and column begin, x along the
+rows, y down the columns as one reads the print, z into the paper. That is OpenCV's frame. Points have names:
+
+    chessboard    c0, c1, ...: where four squares meet, row by row
+    charuco       the same, with a marker of a dictionary in every second square
+    circles       c0, c1, ...: centres of dots, row by row; every second row is shifted by half a column (asymmetric)
+    aruco         m<number>.<corner>: corners 0 to 3 of markers in rows and columns, clockwise from the top left one
+    apriltag      the same, with tags of the family 36h11 unless another dictionary is named
+
+A board that looks the same when it is turned by half a turn would exchange its points without a trace, so chessboards
+need an odd and an even number of squares, and circles an odd number of rows.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.sections import PositiveLength, Section, read_yaml
+
+BoardKind = Literal["charuco", "chessboard", "circles", "aruco", "apriltag"]
+BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "aruco", "apriltag")
+APRILTAG = "DICT_APRILTAG_36H11"
+_NEEDS: dict[BoardKind, tuple[str, ...]] = {
+    "charuco": ("square", "marker", "dictionary"),
+    "chessboard": ("square",),
+    "circles": ("spacing",),
+    "aruco": ("marker", "gap", "dictionary"),
+    "apriltag": ("marker", "gap", "dictionary"),
+}
+_SHORT: dict[str, tuple[str, ...]] = {
+    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
+    "chessboard": ("columns", "rows", "square"),
+    "circles": ("columns", "rows", "spacing"),
+    "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
+    "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
+}
+_MOST = 100
+
+
+class Board(Section):
+    """A printed board.
+
+    Attributes:
+        kind: See the module docstring.
+        columns, rows: Of squares (charuco, chessboard), dots (circles) or markers (aruco, apriltag).
+        square: Side of a square [m].
+        marker: Side of a marker, black border included [m].
+        gap: Between neighbouring markers [m].
+        spacing: Between neighbouring rows of dots, and half of that between dots of one row [m].
+        dictionary: Of the markers, as OpenCV calls it, such as DICT_6X6_250.
+        first_marker: Number of the first marker.
+        legacy: Whether a ChArUco board has the layout of OpenCV before 4.6, which has a marker in its first square
+            where the number of rows is even; None: not known, both are tried.
+    """
+
+    kind: BoardKind
+    columns: int = Field(ge=2, le=_MOST)
+    rows: int = Field(ge=2, le=_MOST)
+    square: PositiveLength | None = None
+    marker: PositiveLength | None = None
+    gap: PositiveLength | None = None
+    spacing: PositiveLength | None = None
+    dictionary: str | None = None
+    first_marker: int = Field(default=0, ge=0)
+    legacy: bool | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _family(cls, value: Any) -> Any:
+        if isinstance(value, dict) and value.get("kind") == "apriltag":
+            return {"dictionary": APRILTAG, **value}
+        return value
+
+    @model_validator(mode="after")
+    def _complete(self) -> Board:
+        needs = _NEEDS[self.kind]
+        for key in ("square", "marker", "gap", "spacing", "dictionary"):
+            given = getattr(self, key) is not None
+            if given != (key in needs):
+                raise ValueError(
+                    f"a board of kind {self.kind} {'needs' if not given else 'has no'} '{key}'; its keys are columns,"
+                    f" rows, {', '.join(needs)}"
+                )
+        if self.kind == "charuco" and not (self.marker or 0) < (self.square or 0):
+            raise ValueError("'marker' must be smaller than 'square'")
+        if self.legacy is not None and self.kind != "charuco":
+            raise ValueError("'legacy' is for charuco boards")
+        if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:
+            raise ValueError(
+                f"a chessboard of {self.columns} x {self.rows} squares looks the same turned by half a turn, so"
+                f" that its"
+                " points could be exchanged; use one with an odd and an even number of squares (count squares, not"
+                " inner corners)"
+            )
+        if self.kind == "circles" and self.rows % 2 == 0:
+            raise ValueError(
+                f"circles in {self.rows} rows look the same turned by half a turn; use an odd number of rows (4x11:"
+                " rows of 4 dots, 11 of them)"
+            )
+        return self
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of what is printed [m]."""
+        if self.kind in ("charuco", "chessboard"):
+            side = self.square or 0.0
+            return self.columns * side, self.rows * side
+        if self.kind == "circles":
+            step = self.spacing or 0.0
+            return (2 * self.columns + 1) * step, (self.rows + 1) * step
+        pitch, gap = (self.marker or 0.0) + (self.gap or 0.0), self.gap or 0.0
+        return self.columns * pitch - gap, self.rows * pitch - gap
+
+    @property
+    def smallest(self) -> float:
+        """Side of what a camera must tell apart: a marker, a square, or the way between dots [m]."""
+        return self.marker or self.square or self.spacing or 0.0
+
+    def points(self) -> dict[str, tuple[float, float, float]]:
+        """Return where each point is in the board's frame, by name [m]."""
+        if self.kind in ("charuco", "chessboard"):
+            side = self.square or 0.0
+            places = [((i + 1) * side, (j + 1) * side) for j in range(self.rows - 1) for i in range(self.columns - 1)]
+        elif self.kind == "circles":
+            step = self.spacing or 0.0
+            places = [
+                ((2 * i + j % 2 + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)
+            ]
+        else:
+            side, pitch = self.marker or 0.0, (self.marker or 0.0) + (self.gap or 0.0)
+            around = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side))
+            return {
+                f"m{self.first_marker + j * self.columns + i}.{k}": (i * pitch + dx, j * pitch + dy, 0.0)
+                for j in range(self.rows)
+                for i in range(self.columns)
+                for k, (dx, dy) in enumerate(around)
+            }
+        return {f"c{k}": (x, y, 0.0) for k, (x, y) in enumerate(places)}
+
+    def __str__(self) -> str:
+        shapes = {"circles": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
+        numbers = [
+            f"{key} {1e3 * value:g} mm"
+            for key in ("square", "marker", "gap", "spacing")
+            if (value := getattr(self, key)) is not None
+        ]
+        sizes = ", ".join([*numbers, *filter(None, [self.dictionary])])
+        return f"{self.kind} of {self.columns} x {self.rows} {shapes}, {sizes}"
+
+
+def checked_board(content: object, where: str) -> Board:
+    """Return the board that the content of a file or of an option means.
+
+    Args:
+        content: Keys and values.
+        where: For messages.
+
+    Raises:
+        DescriptionError: A key that is missing, unknown or has a wrong value.
+    """
+    if not isinstance(content, dict):
+        raise DescriptionError(f"{where}: is not a mapping of keys to values such as kind, columns, rows, square")
+    kind = content.get("kind")
+    if kind not in BOARD_KINDS:
+        raise DescriptionError(f"{where}: unknown kind of board '{kind}'{nearest(str(kind), BOARD_KINDS)}")
+    try:
+        return Board.model_validate(content)
+    except ValidationError as error:
+        first = next((detail for detail in error.errors() if detail["type"] == "extra_forbidden"), error.errors()[0])
+        key = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            raise DescriptionError(f"{where}: unknown key '{key}'{nearest(key, Board.model_fields)}") from None
+        if first["type"] == "missing":
+            raise DescriptionError(f"{where}: key '{key}' is missing") from None
+        text = first["msg"].removeprefix("Value error, ")
+        raise DescriptionError(f"{where}: {key + ': ' if key else ''}{text}") from None
+
+
+def read_board(text: str, where: str, folder: Path | None = None) -> Board:
+    """Return the board of a YAML file, or of its short form, such as chessboard:9x6:25mm.
+
+    Args:
+        text: Name of the file, or the short form.
+        where: For messages on the short form.
+        folder: That of the file, if it is not the current one.
+
+    Raises:
+        DescriptionError: It is neither; no such file; a key is missing or wrong.
+    """
+    kind, colon, rest = text.partition(":")
+    path = (folder or Path()) / text
+    if path.suffix.lower() in (".yaml", ".yml") or path.is_file():
+        content = read_yaml(path, "a board (YAML: kind, columns, rows, sizes), or its short form")
+        inner = content.get("board") if isinstance(content, dict) else None
+        return checked_board(inner if isinstance(inner, dict) else content, str(path))
+    if not colon and kind not in BOARD_KINDS:
+        raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
+    if kind not in _SHORT:
+        raise DescriptionError(f"{where}: unknown kind of board '{kind}'{nearest(kind, BOARD_KINDS)}")
+    keys = _SHORT[kind]
+    counts, *values = rest.split(":")
+    columns, times, rows = counts.partition("x")
+    optional = kind == "apriltag" and len(values) == len(keys) - 3
+    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
+        raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
+    sizes = dict(zip(keys[2:], values, strict=False))
+    return checked_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)

@@ -1,0 +1,193 @@
+"""First guesses at where a camera and the body that it looks at are fixed.
+
+The camera is fixed to one link by C, the body to another by M, and the robot says how the links lie, L_i, so that point
+X is seen at C^-1 L_i M X. Nothing may be known of C and M. Guesses come from
+
+1. poses of single views (`calib.core.instruments.camera`) and the hand-eye problem (`calib.core.instruments.hand_eye`):
+   from a few views at a time, chosen at random, since some poses are the wrong one of several answers;
+2. all points at once: where M is taken for known, turned as it is or as a cube may be turned, C is a resection.
+
+Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
+few are returned; with them, C alone with M as it is, since another camera may have shown M already. The random choice
+has a fixed seed: one problem has one answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.instruments.camera import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
+from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.numerics.rigid import cross_matrices
+
+_VIEWS = 25
+_POINTS = 400
+_TRIALS = 60
+_IMPROVED = 8
+_KEPT = 3
+_STEPS = 60
+_SEED = 0
+
+Places = tuple[FloatArray, FloatArray]
+"""C and M, (4, 4) each [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What a camera saw.
+
+    Attributes:
+        links: L_i of each sighting, (n, 4, 4) [m].
+        points: X in the body's frame, (n, 3) [m].
+        rays: m of `calib.core.instruments.camera`, (n, 2).
+        view: Which of them were seen at one time, (n,), counted from 0.
+    """
+
+    links: FloatArray
+    points: FloatArray
+    rays: FloatArray
+    view: IntArray
+
+    def some(self, chosen: IntArray) -> Sightings:
+        """Return those with these numbers, (n,); views keep their numbers."""
+        return Sightings(self.links[chosen], self.points[chosen], self.rays[chosen], self.view[chosen])
+
+
+def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Return guesses at the places of camera and body, best first.
+
+    Args:
+        sightings: What was seen.
+        now: The places as they are.
+        known: Which of them are known.
+    """
+    sample = sightings.some(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
+    tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
+    tried.sort(key=lambda places: _typical(sample, places))
+    improved = [_improved(sample, places, known) for places in tried[:_IMPROVED]]
+    improved = [
+        _improved(sightings, places, known) for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
+    ]
+    improved.sort(key=lambda places: _typical(sightings, places))
+    if any(known):
+        return improved
+    only_camera = sorted(_from_points(sample, now, (False, True)), key=lambda places: _typical(sample, places))
+    return improved + [_improved(sightings, places, (False, True)) for places in only_camera[:1]]
+
+
+def seen_points(sightings: Sightings, places: Places) -> FloatArray:
+    """Return the points in the camera's frame, (n, 3) [m]."""
+    return _in_camera(sightings, places)[0]
+
+
+def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Guesses from poses of single views."""
+    counts = np.bincount(sightings.view)
+    best = np.argsort(-counts, kind="stable")[:_VIEWS]
+    best = best[counts[best] >= LEAST_POINTS]
+    needed = 3 if not any(known) else 1
+    if len(best) < needed:
+        return []
+    number = np.full(len(counts), -1)
+    number[best] = np.arange(len(best))
+    chosen = np.flatnonzero(number[sightings.view] >= 0)
+    poses, errors = view_poses(
+        sightings.points[chosen], sightings.rays[chosen], number[sightings.view[chosen]], len(best)
+    )
+    first = np.array([int(np.flatnonzero(sightings.view == view)[0]) for view in best])
+    links = sightings.links[first]
+    solved = np.flatnonzero(np.isfinite(errors))
+    if len(solved) < needed:
+        return []
+    generator = np.random.default_rng(_SEED)
+    result = [fixed_poses(links[solved], poses[solved], now, known)]
+    for _ in range(_TRIALS):
+        some = generator.choice(solved, min(needed + 1, len(solved)), replace=False)
+        result.append(fixed_poses(links[some], poses[some], now, known))
+    return result
+
+
+def _from_points(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Guesses that take the body's place for known, but for how it is turned."""
+    result = []
+    for turn in cube_rotations():
+        body = now[1].copy()
+        if not known[1]:
+            body[:3, :3] = body[:3, :3] @ turn
+        if known[0]:
+            result.append((now[0], body))
+        else:
+            points = np.einsum("kab,bc,kc->ka", sightings.links, body, _homogeneous(sightings.points))[:, :3]
+            result += [(np.linalg.inv(pose), body) for pose in resection(points, sightings.rays)]
+        if known[1]:
+            break
+    return result
+
+
+def _homogeneous(points: FloatArray) -> FloatArray:
+    return np.hstack([points, np.ones((len(points), 1))])
+
+
+def _in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
+    """Points in the camera's frame (n, 3), and how the body is turned in it (n, 3, 3)."""
+    poses = np.linalg.inv(places[0]) @ sightings.links @ places[1]
+    return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(sightings.points)), poses[:, :3, :3]
+
+
+def _typical(sightings: Sightings, places: Places) -> float:
+    """Median error of the rays: some may be mistaken."""
+    errors, _ = plane_errors(_in_camera(sightings, places)[0], sightings.rays)
+    return float(np.median(np.sum(errors**2, axis=1)))
+
+
+def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
+    """Least squares over the places that are not known; far-off sightings count less."""
+    free = np.repeat(np.logical_not(known), 6)
+    scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
+
+    def moved(x: FloatArray) -> Places:
+        step = np.zeros(12)
+        step[free] = x
+        return _stepped(places[0], step[:6]), _stepped(places[1], step[6:])
+
+    def errors(x: FloatArray) -> FloatArray:
+        return plane_errors(_in_camera(sightings, moved(x))[0], sightings.rays)[0].ravel()
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        at = moved(x)
+        points, turned = _in_camera(sightings, at)
+        by_point = plane_errors(points, sightings.rays)[1]
+        n = len(points)
+        by_camera = np.concatenate([-np.tile(np.eye(3), (n, 1, 1)), cross_matrices(points)], axis=2)
+        by_body = np.concatenate([turned, -turned @ cross_matrices(sightings.points)], axis=2)
+        step = np.zeros(12)
+        step[free] = x
+        by_camera[:, :, 3:] = by_camera[:, :, 3:] @ pin.Jexp3(step[3:6])
+        by_camera[:, :, :3] = by_camera[:, :, :3] @ pin.exp3(step[3:6]).T
+        by_body[:, :, 3:] = by_body[:, :, 3:] @ pin.Jexp3(step[9:])
+        by_body[:, :, :3] = by_body[:, :, :3] @ pin.exp3(step[9:]).T
+        both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
+        return (by_point @ both).reshape(2 * n, -1)
+
+    found_x = scipy.optimize.least_squares(
+        errors,
+        np.zeros(int(free.sum())),
+        jac=jacobian,
+        loss="soft_l1",
+        f_scale=10 * scale,
+        max_nfev=_STEPS,
+        x_scale="jac",
+    )
+    return moved(found_x.x)
+
+
+def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+    """A pose moved and turned in its own axes."""
+    change = np.eye(4)
+    change[:3, :3], change[:3, 3] = pin.exp3(step[3:]), step[:3]
+    return pose @ change

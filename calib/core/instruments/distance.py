@@ -1,0 +1,187 @@
+"""Distances: how far a target is from a fixed point, by a ballbar, a draw wire, or an interferometer that follows it.
+
+    r = |p_ab| + offset - d            dr = u^T dp,      u = p_ab / |p_ab|
+
+The offset is a constant of the instrument: a dead path, or the zero of a wire. Several instruments of this kind at
+different points make multilateration. Where the fixed point is follows from its distances
+(`calib.core.numerics.rigid`).
+
+When it fails. A distance of nothing has no derivative: the target must not be where the instrument is. A target that
+stays in one plane does not tell on which side of it the fixed point is; the side of the first value is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, DataError
+from calib.core.base.sections import (
+    KNOWN_ZERO,
+    LENGTH_COMPONENTS,
+    Length,
+    LengthOrUnknown,
+    OwnLength,
+    PositiveLength,
+    Section,
+)
+from calib.core.base.units import micrometres, millimetres
+from calib.core.instruments.kind import (
+    Column,
+    Comparison,
+    FrameInstrument,
+    Guess,
+    InstrumentSection,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.numerics.rigid import centre, common_offset
+
+DISTANCE = Part("distance", ("distance",), "length", is_distance=True)
+_NOTHING = 1e-6  # distance that has no direction [m]
+
+
+class EndSection(Section):
+    """The fixed point that distances are measured from.
+
+    Attributes:
+        frame: Link that it is fixed to.
+        xyz: Where it is in that link [m].
+        position: `known`: it is there; `unknown`: found from the measurements.
+        sigma: How far an unknown one may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+    """
+
+    frame: str
+    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    position: Literal["known", "unknown"] = "known"
+    sigma: PositiveLength | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> EndSection:
+        if self.sigma is not None and self.position == "known":
+            raise ValueError("sigma is for a point whose position is unknown")
+        return self
+
+
+class DistanceSection(InstrumentSection):
+    """An instrument that measures how far a target is from a fixed point.
+
+    Attributes:
+        target: Which one; the instrument's own name if left out.
+        end: The fixed point; the origin of the measurement frame if left out.
+        offset: How much more it reads than the distance: a length; `{value, sigma}`; or `unknown`.
+        sigma: Its noise [m].
+    """
+
+    target: str | None = None
+    end: EndSection | None = None
+    offset: LengthOrUnknown = KNOWN_ZERO
+    sigma: PositiveLength | None = None
+
+
+@dataclass(frozen=True)
+class Distance(FrameInstrument):
+    """Distances of one target from a fixed point: one row."""
+
+    section = DistanceSection
+    parts = (DISTANCE,)
+    end: Place | None = None
+    offset: OwnLength = KNOWN_ZERO
+
+    @classmethod
+    def of(cls, name: str, section: DistanceSection) -> Distance:
+        """Return the instrument that an entry of a robot description means."""
+        end = None
+        if section.end is not None:
+            unknown = LENGTH_COMPONENTS if section.end.position == "unknown" else ()
+            end = Place(f"{name}_end", section.end.frame, section.end.xyz, unknown=unknown, sigma=section.end.sigma)
+        unknowns = section.offset.parameters(f"{name}.offset")
+        noise = Noise((PartNoise.of(section.sigma, 1),))
+        return cls(name, section.target or name, end, section.offset, noise=noise, unknowns=unknowns)
+
+    def places(self) -> tuple[Place, ...]:
+        """Return its fixed point, unless that is the origin of the measurement frame."""
+        return () if self.end is None else (self.end,)
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return fixed point and target."""
+        return ((base if self.end is None else self.end.name, self.target),)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return `<name>_distance`."""
+        return (Column(f"{self.name}_distance", "length"),)
+
+    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return distances, (n, 1) [m]."""
+        (column,) = self.columns()
+        read = columns[column.name]
+        negative = np.flatnonzero(read < min(self.offset.value, 0.0))
+        if len(negative) and not self.offset.unknown:
+            k = int(negative[0])
+            raise DataError(
+                f"instrument '{self.name}', reading {k + 1}: {column.name} is {millimetres(float(read[k])):g} mm, which"
+                " is not a distance; an instrument whose zero is elsewhere needs `offset` in the description"
+            )
+        return read[:, None]
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return |p_ab| + offset, (n, 1) [m]."""
+        return np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return what it would read minus what it read; motion along the line of sight moves it."""
+        length, unit = distances(view.translation, f"instrument '{self.name}': its target '{self.target}'")
+        n = len(readings)
+        by_twist = np.zeros((n, 1, 6))
+        by_twist[:, 0, :3] = unit
+        residuals = length[:, None] + self._offset(unknowns) - readings.values
+        return Comparison(residuals, by_twist, np.ones((n, 1, len(self.unknowns))))
+
+    def _offset(self, unknowns: FloatArray) -> float:
+        return float(unknowns[0]) if len(unknowns) else self.offset.value
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return the fixed point by multilateration, in each setup that moved it."""
+        if self.end is None:
+            return ()
+        read, offset = np.isfinite(scene.readings.values[:, 0]), self._offset(scene.unknowns)
+        places: dict[str, FloatArray] = {}
+        for number, (a, b) in enumerate(scene.pairs):
+            chosen = np.flatnonzero(read & (scene.readings.pairs == number))
+            if not scene.unknown[a] or len(chosen) < 3 + len(self.unknowns):
+                continue
+            points, lengths = (scene.links[chosen] @ scene.places[b][:, 3])[:, :3], scene.readings.values[chosen, 0]
+            near = scene.places[a][:3, 3]
+            if self.unknowns and not self.unknowns[0].prior:
+                offset = common_offset(points, lengths, near, offset)
+            places[a] = scene.places[a].copy()
+            places[a][:3, 3] = centre(points, lengths - offset, near)
+        return (Guess(places, np.array([offset][: len(self.unknowns)])),) if places else ()
+
+
+def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
+    """Return lengths (n,) and directions (n, 3) of vectors (n, 3) [m].
+
+    Args:
+        vectors: From fixed points to a target.
+        what: What to call the target in the message.
+
+    Raises:
+        ComputationError: One has no length.
+    """
+    length = np.linalg.norm(vectors, axis=1)
+    if np.any(length < _NOTHING):
+        raise ComputationError(
+            f"{what} is within {micrometres(_NOTHING):g} um of the point that its distance is measured from, so that"
+            " the distance has no direction; check both places in the description"
+        )
+    return length, vectors / length[:, None]

@@ -1,0 +1,133 @@
+"""Readings of a joint: an encoder on a joint that loops decide, or a second one on a joint that has a motor.
+
+One row: the joint's value, plus what the encoder reads where the joint is at zero,
+
+    q_j + zero - reading
+
+taken within half a turn where the joint turns: an encoder does not count turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Quantity
+from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
+from calib.core.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
+from calib.core.instruments.noise import Noise, PartNoise
+
+_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero that nothing is known of [rad, m]
+
+
+class JointReadingSection(InstrumentSection):
+    """An encoder on a joint.
+
+    Attributes:
+        joint: The joint.
+        dimension: `angle` for a joint that turns, `length` for one that slides.
+        sigma: Noise of a reading.
+        offset: What it reads where the joint is at zero.
+        zero: Whether that is right, or found from the measurements.
+        sigma_zero: How far an unknown zero may be from `offset`; left out, `offset` says nothing.
+    """
+
+    joint: str
+    dimension: Literal["angle", "length"] = "angle"
+    sigma: Quantity | None = None
+    offset: Quantity = 0.0
+    zero: Literal["known", "unknown"] = "known"
+    sigma_zero: Quantity | None = None
+
+    @model_validator(mode="after")
+    def _numbers(self) -> JointReadingSection:
+        for key in ("sigma", "sigma_zero"):
+            number = self.number(key)
+            if number is not None and number <= 0:
+                raise ValueError(f"{key} must be positive")
+        self.number("offset")
+        if self.sigma_zero is not None and self.zero == "known":
+            raise ValueError("sigma_zero is for an encoder whose zero is unknown")
+        return self
+
+    def number(self, key: str) -> float | None:
+        """Return a key's quantity [m or rad]; None where it is left out.
+
+        Raises:
+            ValueError: It has another dimension.
+        """
+        value = getattr(self, key)
+        try:
+            return None if value is None else quantity(value, self.dimension, key)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+
+@dataclass(frozen=True)
+class JointReading(JointInstrument):
+    """Values of one joint: one row."""
+
+    section = JointReadingSection
+    dimension: Dimension = "angle"
+    offset: float = 0.0
+
+    @classmethod
+    def of(cls, name: str, section: JointReadingSection) -> JointReading:
+        """Return the instrument that an entry of a robot description means."""
+        dimension, prior = section.dimension, section.number("sigma_zero")
+        offset = section.number("offset") or 0.0
+        zero = Parameter(
+            f"{name}.zero",
+            dimension,
+            offset,
+            prior or _SCALE[dimension],
+            DISPLAY_UNIT[dimension],
+            prior=prior is not None,
+            placement=True,
+        )
+        noise = Noise((PartNoise.of(section.number("sigma"), 1),))
+        unknowns = (zero,) if section.zero == "unknown" else ()
+        return cls(name, section.joint, dimension, offset, noise=noise, unknowns=unknowns)
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The joint."""
+        name = "angle" if self.dimension == "angle" else "slide"  # two kinds of joints are two parts
+        return (Part(name, (name,), self.dimension),)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return one column with the instrument's name."""
+        return (Column(self.name, self.dimension),)
+
+    def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return the joint's value and zero, (n, 1) [m or rad]."""
+        return (joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
+
+    def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
+        """Return errors of the joint, and how it and the zero move them."""
+        n = len(readings)
+        residuals = self._nearest(self.predict(joint, unknowns, readings.details) - readings.values)
+        return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
+
+    def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
+        """Return the zero that fits the joint as it is: the mean, or on a circle the direction of the mean."""
+        seen = np.isfinite(readings.values[:, 0]) & np.isfinite(joint)
+        if len(unknowns) == 0 or not np.any(seen):
+            return unknowns
+        off = (readings.values[:, 0] - joint)[seen]
+        if self.dimension == "length":
+            return np.array([np.mean(off)])
+        mean = float(np.angle(np.mean(np.exp(1j * off))))
+        turns = np.round((np.median(off) - mean) / (2 * np.pi))
+        return np.array([mean + 2 * np.pi * turns])
+
+    def _nearest(self, off: FloatArray) -> FloatArray:
+        if self.dimension == "length":
+            return off
+        return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -1,0 +1,413 @@
+"""What a kind of measurement is.
+
+An instrument looks from one frame a at another frame b (`FrameInstrument`); a reading is a few numbers about T_ab, b
+seen from a. Or it reads the value of a joint (`JointInstrument`). All that the engine needs of a kind is here: which
+frames it looks at and from, or which joint it reads, which columns of a file it reads, which unknown numbers it brings,
+what it predicts, how a prediction differs from what was read, and how that difference moves with T_ab or the joint, and
+with its unknowns. Kinematics, loops and parameters enter by the chain rule, which is written once
+(`calib.core.rows.observed`), so that a new kind is one small file, here with a line in `calib.core.instruments.kinds`,
+or in another package with an entry point.
+
+Derivatives are by the twist [dp; dw] of b seen from a, in the axes of a:
+
+    p_ab + dp,        exp([dw]) R_ab
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Component, Section
+from calib.core.base.units import Dimension
+from calib.core.instruments.noise import Noise
+
+
+@dataclass(frozen=True)
+class Part:
+    """Rows of a reading that belong together: one vector, one unit, one noise.
+
+    Attributes:
+        name: Such as `position`.
+        axes: What its rows are called.
+        dimension: What they measure.
+        usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
+        largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
+        is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
+            is told in them, and the noise of positions is theirs.
+        is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    dimension: Dimension
+    usual: float = float("inf")
+    largest: float = float("inf")
+    is_position: bool = False
+    is_distance: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a measurement file: its name, and what it measures (None: a pure number)."""
+
+    name: str
+    dimension: Dimension | None
+
+
+@dataclass(frozen=True)
+class Place:
+    """A frame fixed to a link, which an instrument looks from or at.
+
+    Attributes:
+        name: Its name, also of its origin.
+        link: Link or joint frame that it is fixed to.
+        xyz, rpy: Where it is in that link, or with `inverted` where that link is in it [m], [rad].
+        unknown: Components that the measurements must find.
+        sigma, sigma_angle: How far these are expected to be off [m], [rad]; None: the numbers say nothing.
+        inverted: Whether the place is given, and edited, the other way round.
+    """
+
+    name: str
+    link: str
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unknown: tuple[Component, ...] = ()
+    sigma: float | None = None
+    sigma_angle: float | None = None
+    inverted: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class View(ReadOnlyArrays):
+    """What n readings are about.
+
+    Attributes:
+        rotation: R_ab of frame b seen from frame a, (n, 3, 3).
+        translation: p_ab, (n, 3) [m].
+    """
+
+    rotation: FloatArray
+    translation: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Readings(ReadOnlyArrays):
+    """What one instrument read. Nothing is averaged.
+
+    Attributes:
+        visits: To which visit of the robot each reading belongs, (n,).
+        pairs: Which of the instrument's pairs of frames it looked at, (n,).
+        values: The numbers, (n, n_values); NaN where a component was not read.
+        covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
+        details: Further numbers of each reading that a kind needs, (n, n_details).
+    """
+
+    visits: IntArray
+    pairs: IntArray
+    values: FloatArray
+    covariance: FloatArray | None
+    details: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.visits)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(ReadOnlyArrays):
+    """Predicted minus read, of an instrument that looks at frames.
+
+    Attributes:
+        residuals: (n, n_rows) [SI]; NaN where a component was not read.
+        by_twist: Derivative by the twist of the module docstring, (n, n_rows, 6).
+        by_unknown: Derivative by the instrument's unknown numbers, (n, n_rows, n_unknowns).
+    """
+
+    residuals: FloatArray
+    by_twist: FloatArray
+    by_unknown: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class JointComparison(ReadOnlyArrays):
+    """Predicted minus read, of an instrument that reads a joint.
+
+    Attributes:
+        residuals: (n, n_rows) [SI]; NaN where a component was not read.
+        by_joint: Derivative by the joint's value, (n, n_rows).
+        by_unknown: Derivative by the instrument's unknown numbers, (n, n_rows, n_unknowns).
+    """
+
+    residuals: FloatArray
+    by_joint: FloatArray
+    by_unknown: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is known before anything is fitted, for a first guess at unknown places.
+
+    Attributes:
+        readings: Of the instrument, n of them.
+        links: Pose of the link of frame b in the link of frame a for each reading, by the robot as it is, (n, 4, 4).
+        pairs: Names of the places (a, b) of each pair.
+        places: Where each of these places is in its link now, (4, 4) [m].
+        unknown: Components of each place that the measurements must find.
+        unknowns: Unknown numbers of the instrument now, (n_unknowns,).
+    """
+
+    readings: Readings
+    links: FloatArray
+    pairs: tuple[tuple[str, str], ...]
+    places: Mapping[str, FloatArray]
+    unknown: Mapping[str, tuple[Component, ...]]
+    unknowns: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """First values of what is unknown.
+
+    Attributes:
+        places: Poses of places in their links, (4, 4) [m]; only unknown components are taken over.
+        unknowns: Unknown numbers of the instrument, (n_unknowns,); None: as they are.
+    """
+
+    places: Mapping[str, FloatArray]
+    unknowns: FloatArray | None = None
+
+
+class InstrumentSection(Section):
+    """The entry of an instrument in a robot description.
+
+    Attributes:
+        kind: Its kind of measurement.
+    """
+
+    kind: str
+
+
+@dataclass(frozen=True)
+class Instrument(ABC):
+    """A kind of measurement, as one instrument of a robot description makes it: what all kinds have.
+
+    Attributes:
+        section: Keys of its entry in a robot description (class attribute).
+        label_column: Text column whose cells say by name which instrument a row is of. Instruments that have the same
+            one may share their columns of numbers; a file may leave it out where they do not. None: there is none
+            (class attribute).
+        touches: Whether a reading has no numbers: to be there is all that it says (class attribute).
+        may_see_nothing: Whether there are poses at which it reads nothing, such as those at which a camera does not see
+            the board; then predictions are NaN (class attribute).
+        name: Its name in the description, and the beginning of its columns.
+        noise: What is stated of its noise.
+        unknowns: Unknown numbers of its own.
+    """
+
+    section: ClassVar[type[InstrumentSection]]
+    label_column: ClassVar[str | None] = None
+    touches: ClassVar[bool] = False
+    may_see_nothing: ClassVar[bool] = False
+    name: str
+    noise: Noise = field(kw_only=True)
+    unknowns: tuple[Parameter, ...] = field(default=(), kw_only=True)
+
+    @classmethod
+    @abstractmethod
+    def of(cls, name: str, section: Any) -> Instrument:
+        """Return the instrument that an entry of a robot description means.
+
+        Args:
+            name: Its name.
+            section: The entry.
+
+        Raises:
+            ValueError: The entry means none.
+        """
+
+    @property
+    @abstractmethod
+    def parts(self) -> tuple[Part, ...]:
+        """Its rows; most kinds have them as a class attribute."""
+
+    @property
+    def group(self) -> str:
+        """Instruments of one group share the scale of their noise; its own name unless a kind says more."""
+        return self.name
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of one reading."""
+        return sum(len(part.axes) for part in self.parts)
+
+    @property
+    def part_of_row(self) -> tuple[int, ...]:
+        """Index of the part of each row."""
+        return tuple(k for k, part in enumerate(self.parts) for _ in part.axes)
+
+    @property
+    def reads_positions(self) -> bool:
+        """Whether positions along three axes are all that it reads."""
+        return len(self.parts) == 1 and self.parts[0].is_position and len(self.columns()) == 3
+
+    def places(self) -> tuple[Place, ...]:
+        """Return places of its own, beside the measurement frame and the targets."""
+        return ()
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the names of the frames (a, b) that it can look from and at.
+
+        Args:
+            base: The measurement frame, from which a kind looks at its target that does not say otherwise.
+        """
+        return ()
+
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Return its columns in a measurement file."""
+
+    def text_columns(self) -> tuple[str, ...]:
+        """Return columns that say in words what was looked at."""
+        return ()
+
+    def looked_at(
+        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
+    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
+        """Say from the text columns which rows are readings of this instrument, along which pair, with which details.
+
+        Args:
+            texts: Text columns by name, n cells each.
+            where: What to call each row in messages.
+
+        Returns:
+            (n,) whether a row is a reading; pairs (n,); details (n, n_details).
+
+        Raises:
+            DataError: A text that means nothing.
+        """
+        n = len(where)
+        return [True] * n, np.zeros(n, dtype=np.intp), np.zeros((n, 0))
+
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return the text columns by name from pairs (n,) and details (n, n_details): the way back."""
+        return {}
+
+    def looks(self) -> tuple[IntArray, FloatArray]:
+        """Return all that it can read at one visit: pairs (n,) and details (n, n_details)."""
+        return np.zeros(1, dtype=np.intp), np.zeros((1, 0))
+
+    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Turn columns (n,) [SI] by name into values (n, n_values): the columns themselves, unless a kind says more."""
+        return np.stack([columns[column.name] for column in self.columns()], axis=1)
+
+    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Turn values (n, n_values) into columns (n,) [SI] by name: the way back."""
+        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
+
+    @abstractmethod
+    def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values), of what it has before it: frames or values of a joint."""
+
+    @abstractmethod
+    def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
+        """Compare what it would read with what it read; see `Comparison` and `JointComparison`."""
+
+    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
+        """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
+        return values + change
+
+    def points(self, values: FloatArray) -> FloatArray | None:
+        """Return where values (n, n_values) put the target, seen from a, (n, 3) [m]; None for kinds that do not."""
+        return None
+
+    def doubts(self, readings: Readings) -> tuple[str, ...]:
+        """Return what looks wrong about the readings by themselves, in words; nothing where nothing does."""
+        return ()
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield what else values (n, n_values) may mean, in words, and the values then; nothing where nothing else."""
+        yield from ()
+
+    def orientations(self, values: FloatArray) -> FloatArray | None:
+        """Return how values (n, n_values) turn the target, R_ab (n, 3, 3); None for kinds that do not."""
+        return None
+
+
+@dataclass(frozen=True)
+class FrameInstrument(Instrument):
+    """A kind that looks from one frame at another.
+
+    Attributes:
+        target: The target that it looks at.
+    """
+
+    target: str
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the measurement frame and the target."""
+        return ((base, self.target),)
+
+    @abstractmethod
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values).
+
+        Args:
+            view: The frames.
+            unknowns: Its unknown numbers, (n_unknowns,).
+            details: Of `Readings`, (n, n_details).
+        """
+
+    @abstractmethod
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Compare what it would read with what it read; see `Comparison`."""
+
+    def point_seen(self, view: View, details: FloatArray) -> FloatArray:
+        """Return the point that readings tell about, seen from a, (n, 3) [m]: the target, unless a kind says more.
+
+        Args:
+            view: The frames.
+            details: Of `Readings`, (n, n_details).
+        """
+        return view.translation
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
+
+        Measurement frame and targets that points show are placed before (`calib.core.rows.registration`).
+        """
+        return ()
+
+
+@dataclass(frozen=True)
+class JointInstrument(Instrument):
+    """A kind that reads the value of a joint.
+
+    Attributes:
+        joint: The joint.
+    """
+
+    joint: str
+
+    @abstractmethod
+    def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values).
+
+        Args:
+            joint: The joint's value, (n,) [m or rad].
+            unknowns: Its unknown numbers, (n_unknowns,).
+            details: Of `Readings`, (n, n_details).
+        """
+
+    @abstractmethod
+    def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
+        """Compare what it would read with what it read; see `JointComparison`."""
+
+    def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
+        """Return a first guess at its unknown numbers, (n_unknowns,), from the joint's value by the robot as it is."""
+        return unknowns

@@ -1,0 +1,164 @@
+"""How files write rotations, and the rows that a measured orientation gives.
+
+Rows are the rotation error as a rotation vector in the axes of the measurement frame,
+
+    r = log(R_ab R^T)            d r = J_l(r)^-1 dw,       J_l(r)^-1 = I - [r]x / 2 + c [r]x^2
+                                 c = (1 - (|r| / 2) cot(|r| / 2)) / |r|^2
+
+with J_l the left Jacobian of SO(3). r is small where the model fits; it is unique below half a turn.
+
+Reference: sola2018, equation 146.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError
+from calib.core.base.units import Dimension
+from calib.core.instruments.kind import Column, Part
+from calib.core.numerics.rigid import cross_matrices
+
+Form = Literal["quaternion", "rpy", "intrinsic_xyz", "intrinsic_zyx", "intrinsic_zyz", "rotation_vector", "matrix"]
+ORIENTATION = Part("orientation", ("rx", "ry", "rz"), "angle", largest=0.1)
+_COLUMNS: dict[Form, tuple[str, ...]] = {
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "rpy": ("roll", "pitch", "yaw"),
+    "intrinsic_xyz": ("rx", "ry", "rz"),
+    "intrinsic_zyx": ("rz", "ry", "rx"),
+    "intrinsic_zyz": ("rz", "ry", "rz2"),
+    "rotation_vector": ("rx", "ry", "rz"),
+    "matrix": tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+}
+_EULER: dict[str, str] = {"rpy": "xyz", "intrinsic_xyz": "XYZ", "intrinsic_zyx": "ZYX", "intrinsic_zyz": "ZYZ"}
+_UNIT_LENGTH = 0.05  # how far a quaternion may be from unit length, or a matrix from a rotation: rounded digits
+
+
+def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:
+    """Return the columns in which an instrument of this name finds rotations that are written in this form."""
+    pure = form in ("quaternion", "matrix")
+    dimension: Dimension | None = None if pure else "angle"
+    return tuple(Column(f"{name}_{part}", dimension) for part in _COLUMNS[form])
+
+
+def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
+    """Return rotation vectors (n, 3) [rad] of numbers (n, k) as the columns have them; NaN where some are missing.
+
+    Raises:
+        DataError: Numbers that are no rotation.
+    """
+    vectors = np.full((len(numbers), 3), np.nan)
+    complete = np.isfinite(numbers).all(axis=1)
+    if np.any(complete):
+        vectors[complete] = _rotations(name, form, numbers[complete]).as_rotvec()
+    return vectors
+
+
+def written_rotations(form: Form, vectors: FloatArray) -> FloatArray:
+    """Return rotation vectors (n, 3) [rad] as numbers (n, k) in this form: the way back."""
+    rotations = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy())
+    if form == "quaternion":
+        return np.asarray(rotations.as_quat(canonical=True))
+    if form == "matrix":
+        return np.asarray(rotations.as_matrix()).reshape(-1, 9)
+    if form == "rotation_vector":
+        return np.asarray(rotations.as_rotvec())
+    return np.asarray(rotations.as_euler(_EULER[form]))
+
+
+def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what else numbers may mean that were read in this form, in words, and the rotation vectors then, (n, 3).
+
+    Args:
+        form: As it was read.
+        vectors: Rotation vectors (n, 3) [rad] of complete readings.
+    """
+    numbers = written_rotations(form, vectors)
+    yield "its rotations were inverse (the frame seen from the sensor)", -vectors
+    if form == "quaternion":
+        for order, names in (((1, 2, 3, 0), "qw qx qy qz"), ((3, 0, 1, 2), "qy qz qw qx")):
+            other = scipy.spatial.transform.Rotation.from_quat(numbers[:, order]).as_rotvec()
+            yield f"its columns qx qy qz qw held {names}", other
+            yield f"its columns qx qy qz qw held {names}, of inverse rotations", -other
+    elif form != "matrix":
+        for other_form in (*_EULER, "rotation_vector"):
+            if other_form != form:
+                other = _rotations("", other_form, numbers).as_rotvec()  # type: ignore[arg-type]
+                yield f"its angles were of the form {other_form}", other
+        yield "its angles were degrees read as radians", _rotations("", form, np.radians(numbers)).as_rotvec()
+
+
+def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rows r of the module docstring (n, 3) [rad], and their derivative by dw (n, 3, 3).
+
+    Args:
+        rotations: R_ab, (n, 3, 3).
+        vectors: Measured rotation vectors, (n, 3) [rad].
+    """
+    if len(vectors) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+    turned = (
+        scipy.spatial.transform.Rotation.from_matrix(rotations.copy())
+        * scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).inv()
+    ).as_rotvec()
+    return turned, inverse_left_jacobian(turned)
+
+
+def rotation_vectors(rotations: FloatArray) -> FloatArray:
+    """Return rotation matrices (n, 3, 3) as rotation vectors, (n, 3) [rad]."""
+    if len(rotations) == 0:
+        return np.zeros((0, 3))
+    return scipy.spatial.transform.Rotation.from_matrix(rotations.copy()).as_rotvec()
+
+
+def rotation_matrices(vectors: FloatArray) -> FloatArray:
+    """Return rotation vectors (n, 3) [rad] as rotation matrices, (n, 3, 3)."""
+    return scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).as_matrix()
+
+
+def turned_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
+    """Return rotation vectors (n, 3) turned by small errors in the axes of the measurement frame, (n, 3) [rad]."""
+    turned = scipy.spatial.transform.Rotation.from_rotvec(change.copy()) * scipy.spatial.transform.Rotation.from_rotvec(
+        vectors.copy()
+    )
+    return turned.as_rotvec()
+
+
+def _rotations(name: str, form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
+    if form == "quaternion":
+        length = np.linalg.norm(numbers, axis=1)
+        _check(name, form, np.abs(length - 1.0), "a quaternion of length 1")
+        return scipy.spatial.transform.Rotation.from_quat(numbers)
+    if form == "matrix":
+        matrices = numbers.reshape(-1, 3, 3)
+        off = matrices @ matrices.transpose(0, 2, 1) - np.eye(3)
+        wrong = np.max(np.abs(off), axis=(1, 2)) + (np.linalg.det(matrices) < 0)
+        _check(name, form, wrong, "a rotation matrix")
+        return scipy.spatial.transform.Rotation.from_matrix(matrices)
+    if form == "rotation_vector":
+        return scipy.spatial.transform.Rotation.from_rotvec(numbers)
+    return scipy.spatial.transform.Rotation.from_euler(_EULER[form], numbers)
+
+
+def _check(name: str, form: Form, off: FloatArray, what: str) -> None:
+    bad = np.flatnonzero(off > _UNIT_LENGTH)
+    if len(bad):
+        columns = ", ".join(column.name for column in rotation_columns(name, form))
+        raise DataError(
+            f"instrument '{name}', reading {int(bad[0]) + 1}: is not {what}; check the columns {columns}, and"
+            " `rotation` in the description"
+        )
+
+
+def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:
+    """Return J_l(r)^-1 of rotation vectors r, (n, 3) [rad] -> (n, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    half = np.maximum(angle, 1e-8) / 2.0
+    factor = np.where(angle > 1e-4, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
+    cross = cross_matrices(vectors)
+    return np.eye(3) - cross / 2.0 + factor[:, None, None] * (cross @ cross)

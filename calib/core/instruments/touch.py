@@ -1,0 +1,224 @@
+"""Touches: the robot brings its target, a ball's centre or a probe's tip, to something fixed, and nothing is read but
+the joints.
+
+With p = p_ab, the target seen from what it touches, point c of an artefact (0 without one), its error e where a
+tolerance is stated, and radii r of the ball and R of the sphere:
+
+    socket   p - c - e                     three rows
+    plane    p_z - r                       one row; the ball is on the side where z > 0
+    sphere   |p - c - e| - (R + r)         one row
+
+Where the places are, and the ball on its link, is mostly not known. First values: sockets and ball solve a linear
+system, R_k t + t_k = s in every pose (R_k, t_k) of the ball's link; an artefact is then laid onto its sockets; planes
+and spheres are laid through the ball's centres.
+
+When it fails. A ball whose link hardly turns is not told apart from the sockets: the linear system keeps it near where
+the description has it. A turn about the line of all points of an artefact moves none of them and is not free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError, nearest
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import LENGTH_COMPONENTS, OwnLength
+from calib.core.instruments.distance import distances
+from calib.core.instruments.kind import (
+    Column,
+    Comparison,
+    FrameInstrument,
+    Guess,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.touch_places import first_touches
+from calib.core.instruments.touch_sections import Surface, TouchSection
+
+_PARTS: dict[Surface, Part] = {
+    "socket": Part("contact", LENGTH_COMPONENTS, "length"),
+    "plane": Part("gap", ("gap",), "length"),
+    "sphere": Part("gap", ("gap",), "length"),
+}
+_RADIUS = 0.01  # where an unknown radius starts [m]
+
+
+@dataclass(frozen=True)
+class Touch(FrameInstrument):
+    """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
+
+    Attributes:
+        surface: What is touched.
+        touched: Names of what is touched, in the order of the detail.
+        own: Place of each of them; or that of the artefact alone.
+        points_of_artefact: In the artefact [m]; none without one.
+        ball: Radius of the ball [m].
+        radii: Of each sphere; or the one of all spheres of the artefact.
+        tolerance: Of the coordinates of the points of the artefact [m]; None: they are right.
+    """
+
+    section = TouchSection
+    touches = True
+    surface: Surface
+    touched: tuple[str, ...]
+    own: tuple[Place, ...]
+    points_of_artefact: tuple[tuple[float, float, float], ...] = ()
+    ball: float = 0.0
+    radii: tuple[OwnLength, ...] = ()
+    tolerance: float | None = None
+
+    @classmethod
+    def of(cls, name: str, section: TouchSection) -> Touch:
+        """Return the instrument that an entry of a robot description means."""
+        piece, part = section.artefact, _PARTS[section.surface]
+        places = section.places.items() if piece is None else ()
+        own = tuple(place.place(key, section.surface) for key, place in places)
+        radii = [(key, place.radius) for key, place in places] if piece is None else [(name, piece.radius)]
+        unknowns = () if piece is None else _tolerances(name, piece.points, piece.tolerance)
+        for key, radius in radii:
+            unknowns += () if radius is None else radius.parameters(f"{key}.radius", _RADIUS)
+        return cls(
+            name,
+            section.target or name,
+            section.surface,
+            tuple(section.places if piece is None else piece.points),
+            own if piece is None else (piece.place(f"{name}_artefact"),),
+            () if piece is None else tuple(piece.points.values()),
+            section.radius,
+            tuple(radius or OwnLength() for _, radius in radii),
+            None if piece is None else piece.tolerance,
+            noise=Noise((PartNoise.of(section.sigma, len(part.axes)),)),
+            unknowns=unknowns,
+        )
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Three coordinates of a socket, or the gap to a surface."""
+        return (_PARTS[self.surface],)
+
+    def places(self) -> tuple[Place, ...]:
+        """Return what is touched."""
+        return self.own
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the target, seen from each place."""
+        return tuple((place.name, self.target) for place in self.own)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return nothing: a touch has no numbers."""
+        return ()
+
+    def text_columns(self) -> tuple[str, ...]:
+        """Return `<name>`: what was touched."""
+        return (self.name,)
+
+    def looked_at(
+        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
+    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
+        """Say what was touched; an empty cell is no touch."""
+        which = np.zeros(len(where), dtype=np.intp)
+        for k, text in enumerate(texts[self.name]):
+            if text and text not in self.touched:
+                raise DataError(
+                    f"{where[k]}, column '{self.name}': '{self.name}' touches nothing called '{text:.60}'"
+                    f"{nearest(text, self.touched)}"
+                )
+            which[k] = self.touched.index(text) if text else 0
+        pairs = np.zeros_like(which) if self.points_of_artefact else which
+        return [bool(text) for text in texts[self.name]], pairs, which[:, None].astype(float)
+
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return what was touched."""
+        return {self.name: [self.touched[int(which)] for which in details[:, 0]]}
+
+    def looks(self) -> tuple[IntArray, FloatArray]:
+        """Return all that can be touched."""
+        which = np.arange(len(self.touched))
+        return (np.zeros_like(which) if self.points_of_artefact else which), which[:, None].astype(float)
+
+    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return what a touch reads: nothing, one row of zeros that stands for all [m]."""
+        return np.zeros((1, self.n_rows))
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return how far the ball is from touching, (n, 3) or (n, 1) [m]."""
+        return self._gap(view, unknowns, details)[0]
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return how far the ball is from touching, and how dp moves that."""
+        gap, by_motion, by_unknown = self._gap(view, unknowns, readings.details)
+        by_twist = np.zeros((len(readings), self.n_rows, 6))
+        by_twist[:, :, :3] = by_motion
+        return Comparison(gap - readings.values, by_twist, by_unknown)
+
+    def _gap(self, view: View, unknowns: FloatArray, details: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Gaps (n, n_rows), their derivative by dp (n, n_rows, 3) and by the unknowns (n, n_rows, n_unknowns)."""
+        n = len(details)
+        which = details[:, 0].astype(np.intp)
+        point_unknown = self._point_unknown(which)
+        ball = view.translation.copy()
+        if self.points_of_artefact:
+            ball -= np.array(self.points_of_artefact)[which] + np.where(
+                point_unknown >= 0, np.append(unknowns, 0.0)[point_unknown], 0.0
+            )
+        gap: FloatArray
+        by_motion: FloatArray
+        if self.surface == "socket":
+            gap, by_motion = ball, np.tile(np.eye(3), (n, 1, 1))
+        elif self.surface == "plane":
+            gap, by_motion = ball[:, 2:] - self.ball, np.tile(np.eye(3)[2:], (n, 1, 1))
+        else:
+            length, unit = distances(ball, f"instrument '{self.name}': its ball '{self.target}'")
+            gap, by_motion = (length - self.ball - self._radius(which, unknowns))[:, None], unit[:, None, :]
+        by_unknown = np.zeros((n, self.n_rows, len(self.unknowns)))
+        k = np.arange(n)
+        for axis in range(3 if self.tolerance is not None else 0):
+            by_unknown[k, :, point_unknown[:, axis]] = -by_motion[:, :, axis]
+        radius = self.radius_unknown(which)
+        by_unknown[k[radius >= 0], :, radius[radius >= 0]] = -1.0
+        return gap, by_motion, by_unknown
+
+    def _point_unknown(self, which: IntArray) -> IntArray:
+        """Which unknown is the error of each coordinate of the point touched, (n, 3); -1: it has none."""
+        if self.tolerance is None:
+            return np.full((len(which), 3), -1)
+        return 3 * which[:, None] + np.arange(3)
+
+    def radius_unknown(self, which: IntArray) -> IntArray:
+        """Which unknown is the radius of the sphere touched, (n,); -1: it is known."""
+        first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
+        unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
+        number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)
+        return number[np.zeros_like(which) if self.points_of_artefact else which]
+
+    def _radius(self, which: IntArray, unknowns: FloatArray) -> FloatArray:
+        """Radius of the sphere touched, (n,) [m]."""
+        known = np.array([radius.value for radius in self.radii])
+        number = self.radius_unknown(which)
+        stated = known[np.zeros_like(which) if self.points_of_artefact else which]
+        return np.where(number >= 0, np.append(unknowns, 0.0)[number], stated)
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return places of what is touched, and of the ball, as the module docstring says."""
+        return (first_touches(self, scene),) if len(scene.readings) else ()
+
+
+def _tolerances(
+    name: str, points: Mapping[str, tuple[float, float, float]], tolerance: float | None
+) -> tuple[Parameter, ...]:
+    """The errors of the points of an artefact, point by point."""
+    if tolerance is None:
+        return ()
+    return tuple(
+        Parameter(f"{name}.{point}.{axis}", "length", 0.0, tolerance, "mm", True, True)
+        for point in points
+        for axis in LENGTH_COMPONENTS
+    )

@@ -1,0 +1,247 @@
+"""New measurements of a calibrated robot judge it: is it as accurate as expected, has it drifted, by what?
+
+The promise. With r the whitened residuals of the new readings (prediction minus read), J their derivative by the scaled
+parameters u, C the covariance of u that the calibration left, and P the columns of base and targets, which are placed
+anew (the tracker stood up again, the reflector screwed on again):
+
+    r = J du + P dp + noise,      du ~ N(0, C),  dp anything,  noise ~ N(0, I)
+
+With C = L L^T this is the least-squares problem y = X b + e of
+
+    y = [r; 0],      X = [J L, P; I, 0],      |e|^2 = Q ~ chi^2_m,   m = readings' rows - rank P
+
+As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts what the calibration
+did not know exactly; residuals against the noise alone would condemn every calibration.
+
+Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
+readings (`calib.core.numerics.clusters`), m readings tell as much as m / rho^2 of them: so many degrees of freedom
+count beside nu, and z is divided by rho.
+
+Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' what of [B; 0]
+is orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing changed.
+The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
+chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
+is within 3.84 of the largest explain the readings about as well, and are named beside it. If one change does not
+explain them, the robot needs a new calibration. The level of either test is half of `FALSE_ALARM`.
+
+Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
+chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
+
+Noise. Readings that repeat a pose show noise without model. Where they scatter more than promised, and with that
+scatter as noise the readings agree, the instrument or the robot's repeatability is worse, and no calibration helps.
+
+When it fails. Readings far from the rest are left out first, up to one in twenty, and named. Several changes at once
+are not told apart: that is a new calibration's work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.core.base.errors import DataError, nearest
+from calib.core.base.other_words import Worded, worded
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.judging.promise import Change, HasPromise, Promise, System, candidates, six_digits, without_outliers
+from calib.core.judging.repeatability import repeatability
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.rows.simulate import simulate
+
+_SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Acceptance(Worded):
+    """What new measurements say about a calibrated robot.
+
+    Attributes:
+        verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
+        ratio: Root mean square whitened residual, expected: 1; it decides the verdict. It weights each direction by
+            its uncertainty.
+        low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
+        p_value: Chance of so large a ratio, if the robot is as calibrated.
+        p_drift: Chance of so large a largest change of a single parameter, if the robot is as calibrated.
+        p_rest: Chance of so large residuals beside that change.
+        freedom: Degrees of freedom of the ratio.
+        placed: How many degrees of freedom placing base and targets took.
+        changes: Every candidate, the one with the largest z first.
+        alike: Significant changes that explain the readings as well as the first one, itself included.
+        outliers: Labels of readings that were left out.
+        errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
+        promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
+        left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+    """
+
+    _other_words = "judgement of new measurements"
+
+    verdict: str
+    ratio: float
+    low95: float
+    high95: float
+    p_value: float
+    p_drift: float
+    p_rest: float
+    freedom: int
+    placed: int
+    changes: tuple[Change, ...]
+    alike: tuple[str, ...]
+    outliers: tuple[str, ...]
+    errors: ErrorSet
+    promised: float
+    left_open: float
+
+    def __repr__(self) -> str:
+        return (
+            f"<Acceptance: {self.verdict}; residuals {self.ratio:.3g} times those expected"
+            f" ({self.low95:.3g} to {self.high95:.3g}), p {self.p_value:.2g}>"
+        )
+
+    def __str__(self) -> str:
+        following = (
+            "go on using the robot" if self.verdict == "agrees" else "calib.fit(robot, data) of new measurements"
+        )
+        return (
+            f"{repr(self)[1:-1]}\n"
+            "Inside: verdict, p_value; errors, at the new poses; changes, of which each could explain the readings;"
+            " outliers\n"
+            f"Next: {following}"
+        )
+
+
+@worded
+@one_blas_thread
+def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, same_setup: bool = False) -> Acceptance:
+    """Judge a calibrated robot by new measurements.
+
+    Args:
+        calibrated: The fit, or what `load_result` loads; or the `promise` of a result.
+        data: Measurements that the calibration has not used; or files or data frames of them.
+        same_setup: Whether unknown base and targets are where the calibration found them; else they are placed anew.
+
+    Raises:
+        InputError: What is given is not a calibration.
+        DataError: Too few readings to judge anything.
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    promise = Promise.of(calibrated)
+    data = as_measurements(promise.robot, data)
+    system = System.of(promise, data, same_setup)
+    system, left_out = without_outliers(system)
+    outliers = tuple(data.labels[system.visit[k]] for k in left_out)
+    if left_out:  # base and targets are placed without them too
+        system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
+    independent = system.freedom / promise.shared**2
+    p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
+    changes = system.changes()
+    p_drift = p_rest = 1.0
+    if changes:
+        p_drift = changes[0].p_value
+        rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
+        p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
+    level = FALSE_ALARM / 2
+    verdict = "agrees"
+    if p_value < level or p_drift < level:
+        explained = "drifted" if p_drift < level <= p_rest else "calibrate again"
+        verdict = "noisier" if p_drift >= level and _is_noise(promise, system, level) else explained
+    low, high = scipy.special.fdtri(independent, promise.freedom, [0.025, 0.975])
+    alike = tuple(c.name for c in changes if c.significant and c.z**2 > changes[0].z ** 2 - _SUPPORT)
+    return Acceptance(
+        verdict,
+        float(np.sqrt(system.square / system.freedom)),
+        float(np.sqrt(low)),
+        float(np.sqrt(high)),
+        p_value,
+        p_drift,
+        p_rest,
+        system.freedom,
+        system.placed,
+        changes,
+        alike,
+        outliers,
+        system.errors,
+        system.promised,
+        system.left_open,
+    )
+
+
+@one_blas_thread
+def visible_changes(
+    calibrated: Fit | HasPromise | Promise, poses: PosesLike, *, same_setup: bool = False
+) -> tuple[Change, ...]:
+    """Return the smallest change of every candidate that readings at these poses will show.
+
+    The first ones are the smallest beside what the description expects of them.
+
+    Args:
+        calibrated: What the calibration promises, or the fit itself.
+        poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
+        same_setup: As in `verify`.
+    """
+    promise = Promise.of(calibrated)
+    data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
+    scale = {c.name: c.scale for c in candidates(promise.robot)}
+    changes = System.of(promise, data, same_setup).changes()
+    nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
+    return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
+
+
+@one_blas_thread
+def poses_needed(
+    calibrated: Fit | HasPromise | Promise, poses: PosesLike, name: str, size: float, *, same_setup: bool = False
+) -> int | None:
+    """Return how many of these poses, from the first, show a change with the chance `POWER`; None: all do not.
+
+    Args:
+        calibrated: What the calibration promises, or the fit itself.
+        poses: Where will be measured, or joint values (n, n_actuated) [m or rad].
+        name: A parameter, or `zero of JOINT`.
+        size: The change [m or rad].
+        same_setup: As in `verify`.
+
+    Raises:
+        DataError: No such candidate, or no size.
+    """
+    promise = Promise.of(calibrated)
+    planned = as_poses(promise.robot, poses)
+    if not (np.isfinite(size) and size != 0):
+        raise DataError(f"change of '{name}': {size:g} is not a change; give a number other than zero")
+
+    def shows(n: int) -> bool:
+        try:
+            changes = visible_changes(promise, planned.joints[:n], same_setup=same_setup)
+        except DataError:  # too few to judge anything
+            return False
+        return any(c.name == name and c.visible <= abs(size) for c in changes)
+
+    names = [c.name for c in candidates(promise.robot)]
+    if name not in names:
+        raise DataError(f"'{name}' is no parameter or joint zero that can change{nearest(name, names)}")
+    if not shows(len(planned)):
+        return None
+    low, high = 0, len(planned)  # more poses show more
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if shows(middle) else (middle, high)
+    return high
+
+
+def _is_noise(promise: Promise, system: System, level: float) -> bool:
+    """Whether repeats scatter more than expected, and the readings agree with as much noise."""
+    scatter, freedom = repeatability(system.errors)
+    instruments = promise.robot.instruments
+    positions = {
+        (instrument.group, part.name) for instrument in instruments for part in instrument.parts if part.is_position
+    }
+    sigma = [size for key, size in promise.sigma.items() if key in positions]
+    if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
+        return False
+    more = (scatter / sigma[0]) ** 2
+    if scipy.special.fdtrc(freedom, promise.freedom, more) >= level:
+        return False
+    independent = system.freedom / promise.shared**2
+    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= level)

@@ -1,0 +1,133 @@
+"""Whether a calibration makes poses that were not used better or worse, against chance.
+
+For the same readings k, whitened by the noise that was found, the errors before b_k and after a_k:
+
+    change  T = sum |a_k|^2 - |b_k|^2
+
+A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) what the fit is off by
+its own noise: the change is then positive, though nothing is wrong. With G = sum B_k^T B_k,
+
+    E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
+
+The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
+each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. All is in units
+of a noise that was itself found, with f degrees of freedom: so F stands for the chi-square, and Student's t for the
+normal distribution. In the place of e, which is not known, stand the errors of the better state, where they are larger
+than the noise: that is what the model leaves out. Where poses scatter by more than independent readings would
+(`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
+
+This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
+used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
+`HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
+a chance of 0.1 % by Student's t; and `better` where they are as much smaller.
+
+When it fails. Both parts of the change grow with the same d: of robots that need no correction, up to 0.25 % are called
+worse instead of 0.1 %. What the model leaves out is no noise, and follows the poses: where the poses not used are few
+and alike, the chance is larger.
+
+Reference: satterthwaite1946.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.numerics.chances import FEWEST, UNLIKELY
+
+HARM = 1.25
+"""Errors after over errors before from which a fit harms. With twice as many rows as parameters, the least that is
+enough, the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
+
+
+@dataclass(frozen=True)
+class UnusedErrors:
+    """Errors on one set of poses that were not used.
+
+    Attributes:
+        name: What to call these poses.
+        before, after: Root mean square error of the main part of the readings [SI].
+        dimension: What that part measures.
+        better, worse: Whether the calibration made them so, beyond chance.
+    """
+
+    name: str
+    before: float
+    after: float
+    dimension: Dimension
+    better: bool
+    worse: bool
+
+    @property
+    def words(self) -> str:
+        """Both root mean squares in words."""
+        scale, unit = error_scale(self.dimension), ERROR_UNIT[self.dimension]
+        return f"RMS {scale * self.after:.4f} {unit} after, {scale * self.before:.4f} {unit} before"
+
+
+def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
+    """Compare before and after on the validation poses and on poses left out in turn, as far as there are any."""
+    if fit.computed:
+        return
+    if fit.validation is not None:
+        yield _compare(fit, "the validation poses", fit.validation, 1.0)
+    if fit.folds is not None:
+        fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
+        left_out = "setups" if fit.folds.setups else "poses"
+        yield _compare(fit, f"{left_out} left out in turn", fit.folds.errors, fewer)
+
+
+def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> UnusedErrors:
+    before, rows = fit.whitened(errors)
+    scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
+    squares = float(before @ before), float(rows.residuals @ rows.residuals)
+    change, expected = squares[1] - squares[0], float(np.trace(product))
+    pose = np.unique(rows.layout.pose_of_row, return_inverse=True)[1]
+    if fit.statistics.shared is not None:
+        left = rows.residuals if squares[1] < squares[0] else before
+        felt = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
+        mixed = float(np.sum((felt @ (covariance * scaled)) * felt))
+    else:
+        mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
+    spread = _spread(product, mixed, fit.statistics.freedom)
+    return UnusedErrors(
+        name,
+        errors.rms("before"),
+        errors.rms("after"),
+        errors.main_part.dimension,
+        better=change < min(0.0, expected - spread) or _grown(pose, rows.residuals, before),
+        worse=change > expected + spread or _grown(pose, before, rows.residuals),
+    )
+
+
+def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
+    """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
+    squares = [np.bincount(pose, errors**2) for errors in (before, after)]
+    n, change = len(squares[0]), squares[1] - squares[0]
+    if n < FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
+        return False
+    t = float(np.mean(change) / (np.std(change, ddof=1) / np.sqrt(n)))
+    return bool(scipy.special.stdtr(n - 1, -t) < UNLIKELY)
+
+
+def _spread(product: FloatArray, mixed: float, freedom: float) -> float:
+    """Return how far above its mean T goes with `UNLIKELY`.
+
+    Args:
+        product: GC, (n_free, n_free).
+        mixed: Variance of e^T B d.
+        freedom: Degrees of freedom that the noise was found with.
+    """
+    mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
+    if mean <= 0:
+        return 0.0
+    quadratic = mean * float(scipy.special.fdtri(mean**2 / squares, freedom, 1.0 - UNLIKELY)) - mean
+    return float(np.hypot(quadratic, -2.0 * float(scipy.special.stdtrit(freedom, UNLIKELY)) * np.sqrt(mixed)))

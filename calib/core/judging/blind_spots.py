@@ -1,0 +1,82 @@
+"""What could be wrong without any trace in the measurements, so that no verdict on them covers it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.core.base.units import millimetres
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.judging.effects import has_time, scale
+from calib.core.judging.error_budget import ENOUGH_REPEATS
+from calib.core.judging.repeatability import repeatability
+from calib.core.judging.residual_patterns import PARTS_PER_MILLION, visible
+from calib.core.judging.rules_reach import terms_beyond
+
+NO_MATTER = 0.25
+"""Errors that a scale makes where it begins to show, over the noise, below which they do not matter."""
+LARGE_SCALE = 1e-3
+"""Error of the scale that would be noticed otherwise."""
+LIKE_SHUFFLED = 0.8
+"""Way from row to row, over that between rows far apart, from which rows may have been shuffled."""
+_FEW = 10  # rows from which their order can be told
+
+
+def not_covered(fit: Fit) -> tuple[str, ...]:
+    """Return what the measurements of a fit cannot show, a line each."""
+    if fit.computed:
+        return ()
+    return (*_scale(fit), *_whose_noise(fit), *unordered(fit.identification.data), *terms_beyond(fit))
+
+
+def _scale(fit: Fit) -> Iterator[str]:
+    """Whether all lengths could be too long: an instrument's scale, or heat."""
+    column = scale(findings.setting(fit))
+    if not np.any(column):
+        return
+    least = visible(findings.linear(fit), column)
+    made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
+    if made > NO_MATTER * findings.linear(fit).factor:
+        below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
+        yield f"no known length was measured: a scale error{below} (of the instrument, or from heat) does not show"
+
+
+def _whose_noise(fit: Fit) -> Iterator[str]:
+    """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
+    estimate = fit.first_noise
+    measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
+    if estimate.stated is None and not measured and estimate.group.part.is_position:
+        predicted = float(np.mean(fit.identification_uncertainty.located**2))
+        single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
+        yield (
+            "the noise of the instrument was not stated, so that scatter of the robot (play, changing loads) looks the"
+            f" same as this noise. If the robot makes all of it, single positions are known to {single:.2g} mm RMS."
+            " State the noise of the instrument (--sigma-mm)"
+        )
+
+
+def unordered(poses: Poses) -> tuple[str, ...]:
+    """Say where rows without a time stand in no order that shows a drift.
+
+    Args:
+        poses: The rows, as they stand.
+    """
+    n = len(poses)
+    reach = np.ptp(poses.joints, axis=0)
+    if n < _FEW or has_time(poses) or not np.any(reach > 0):
+        return ()
+    q = poses.joints[:, reach > 0] / reach[reach > 0]
+    near = float(np.mean(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+    apart = [float(np.mean(np.linalg.norm(q - np.roll(q, n // part, axis=0), axis=1))) for part in (2, 3, 4)]
+    if near < LIKE_SHUFFLED * float(np.mean(apart)):
+        return ()
+    assumed = isinstance(poses, Measurements) and poses.approach_assumed
+    stated = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
+    unseen = "a drift or a slip" if stated else "a drift, a slip or a backlash"
+    return (
+        f"the rows have no time and seem to be in random order. If they were not measured in this order, {unseen} does"
+        " not show: sort them, or add a column 'time'",
+    )

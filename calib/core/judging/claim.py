@@ -1,0 +1,281 @@
+"""What a calibration claims of the robot where it was measured, and whether poses that it has not used bear it out.
+
+The claim. Each pose that was used is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of
+these errors, 95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They count what
+the model leaves out as well as noise; the covariance of the parameters counts noise alone.
+
+Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
+`MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
+as many degrees of freedom as coordinates were read, or as poses where the readings of a pose share errors).
+
+Whether the robot gets better. On poses that were not used, if there are any, by `calib.core.judging.better_or_worse`;
+else by Student's t of what each pose's squared error, left out, is above that of the nominal robot.
+
+At other poses. The mean square error claimed is that of what no parameter describes, and of what the measurements leave
+uncertain of the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean
+squares (`calib.core.rows.prediction`),
+
+    rms'^2 = rms^2 + k'^2 - k^2        where k' is larger
+
+and `limit95` grows in proportion. In `rms`, each pose is predicted without its own readings, so k counts that, too:
+k^2 = k_all^2 + s^2, k_all by the covariance of the fit of all poses, and s the root mean square by which predictions
+move where the pose itself is left out. For independent noise f, the covariance of what they move by is that by which
+the pose makes itself better known: cov r_k = f^2 (1 - H_k), so that with the step du of
+`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. How well that holds on real robots is in
+docs/verdict.md.
+
+Like those measured. Poses that were not used may lie elsewhere: in a setup that was not used, or apart from all poses
+used (`calib.core.data.pose_groups.apart`). Are more of them apart than chance explains (one case in a thousand), errors
+there say little about the claim.
+
+When it fails. New poses unlike those measured may be worse by what the model leaves out there: in another region, under
+another load, at another place of what was touched. What changes in the course of the measurement goes on changing after
+it. Poses that are copies of others foretell each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, Self
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.words import listed
+from calib.core.data.pose_groups import APART, apart
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.unseen_errors import left_out_one_by_one, moved_left_out, of_errors
+from calib.core.judging.better_or_worse import comparisons
+from calib.core.numerics.chances import FEWEST, UNLIKELY
+from calib.core.robots.held import Accuracy, SeenAt
+
+MORE = 1.25
+"""Errors at poses that were not used, over those claimed, up to which a claim holds."""
+_HALF = 0.5  # part of what a joint's limits allow, below which its reach is told
+
+
+class Benefit(Enum):
+    """What a calibration does to poses that it has not used."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    NONE = "neither better nor worse"
+
+
+@dataclass(frozen=True)
+class ErrorElsewhere:
+    """How far off a robot is expected to be at other poses than those measured.
+
+    Attributes:
+        rms, limit95: As of `Accuracy`, in the unit of the claim.
+        times: How many times as far as at the poses measured.
+    """
+
+    rms: float
+    limit95: float
+    times: float
+
+    @staticmethod
+    def of(rms: float, limit95: float, known: float, known_there: float) -> ErrorElsewhere:
+        """Return it by the module docstring.
+
+        Args:
+            rms, limit95: Claimed at the poses measured.
+            known: Root mean square to which positions are known there.
+            known_there: The same at the other poses. All in one unit.
+        """
+        times = float(np.sqrt(1.0 + max(known_there**2 - known**2, 0.0) / rms**2))
+        return ErrorElsewhere(times * rms, times * limit95, times)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a calibration claims.
+
+    Attributes:
+        told: How far off the robot is at poses like those measured. `before` is NaN if only places were sought, which
+            the robot before has by all poses, those left out among them.
+        shown: The same as seen at poses that had no part in the fit.
+        broken: Those of them that the claim does not hold for.
+        gain: What becomes of poses that were not used.
+        region: Which poses it is about, in words.
+        narrow: Joints that moved through less than half of their range at these poses, and how far.
+        known: Root mean square to which positions are known at these poses, each by the readings of all others [m];
+            NaN where it is not about positions.
+    """
+
+    told: Accuracy
+    shown: tuple[Accuracy, ...]
+    broken: tuple[Accuracy, ...]
+    gain: Benefit
+    region: str
+    narrow: tuple[str, ...]
+    known: float
+
+    def at(self, known: float) -> ErrorElsewhere:
+        """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
+        return ErrorElsewhere.of(self.told.rms, self.told.limit95, self.known, known)
+
+    @property
+    def holds(self) -> bool:
+        """Whether poses that were not used are as far off as claimed."""
+        return not self.broken
+
+    @property
+    def words(self) -> str:
+        """The claim as a sentence."""
+        told = self.told
+        subject = "The tool is" if told.is_position else f"Readings ({told.part}) are"
+        if np.isfinite(told.limit95):
+            off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
+            off += f" RMS {told.shown(told.rms)}"
+        else:
+            off = f"off by {told.shown(told.rms)} RMS, {self.region}"
+        if np.isfinite(told.before):
+            off += f"{'; before' if np.isfinite(told.limit95) else '. Before'}: {told.shown(told.before)}"
+        shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
+        narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
+        return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the entry of `result.json`; errors in the unit of errors."""
+        told, scale = self.told, error_scale(self.told.dimension)
+        return {
+            "part": told.part,
+            "unit": ERROR_UNIT[told.dimension],
+            "dimension": told.dimension,
+            "is_position": told.is_position,
+            "limit95": scale * told.limit95,
+            "rms": scale * told.rms,
+            "rms_before": scale * told.before if np.isfinite(told.before) else None,
+            "n_poses": told.n_poses,
+            "known": scale * self.known,
+            "region": self.region,
+            "joints_moved_little": list(self.narrow),
+            "not_used": [
+                {
+                    "poses": accuracy.poses.name.lower(),
+                    "n_poses": accuracy.n_poses,
+                    "rms": scale * accuracy.rms,
+                    "holds": accuracy not in self.broken,
+                }
+                for accuracy in self.shown
+            ],
+            "holds": self.holds,
+            "gain": self.gain.value,
+        }
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> Self:
+        """Return the claim of an entry of `result.json`; what is not stored of poses that were not used is NaN.
+
+        Raises:
+            KeyError, TypeError, ValueError: The entry is not one of `to_dict`.
+        """
+        dimension: Dimension = entry["dimension"]
+        scale, is_position = error_scale(dimension), bool(entry["is_position"])
+
+        def error(number: float | None) -> float:
+            return np.nan if number is None else float(number) / scale
+
+        def seen(of: Mapping[str, Any], poses: SeenAt) -> Accuracy:
+            before, rms, limit95 = (error(of.get(key)) for key in ("rms_before", "rms", "limit95"))
+            n_poses, part = int(of["n_poses"]), str(entry["part"])
+            return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position)
+
+        shown = [(seen(other, SeenAt[other["poses"].upper()]), bool(other["holds"])) for other in entry["not_used"]]
+        return cls(
+            seen(entry, SeenAt.ONE_BY_ONE),
+            tuple(accuracy for accuracy, _ in shown),
+            tuple(accuracy for accuracy, holds in shown if not holds),
+            Benefit(entry["gain"]),
+            str(entry["region"]),
+            tuple(entry["joints_moved_little"]),
+            error(entry["known"]),
+        )
+
+
+def claim_of(fit: Fit) -> Claim | None:
+    """Return what a fit claims; None where its data do not tell (they were computed, or each pose stands alone)."""
+    foretold = None if fit.computed else left_out_one_by_one(fit)
+    if foretold is None:
+        return None
+    told = of_errors(foretold, SeenAt.ONE_BY_ONE)
+    if np.all(fit.unknowns.placement):
+        told = replace(told, before=float("nan"))
+    unused = []
+    if fit.validation is not None:
+        unused.append(of_errors(fit.validation, SeenAt.VALIDATION))
+    if fit.folds is not None:
+        unused.append(of_errors(fit.folds.errors, SeenAt.FOLDS))
+    shown = tuple(accuracy for accuracy in unused if (accuracy.part, accuracy.dimension) == (told.part, told.dimension))
+    broken = tuple(accuracy for accuracy in shown if accuracy.rms > _most(fit, told, accuracy) * told.rms)
+    n = fit.identification.data.n_poses
+    region = f"at poses like the {n} measured"
+    return Claim(told, shown, broken, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+
+
+def unlike_measured(fit: Fit) -> BoolArray:
+    """Return which validation visits are unlike those measured, (n_visits,), by the module docstring."""
+    if fit.validation is None:
+        return np.zeros(0, dtype=bool)
+    used, other = fit.identification.data, fit.validation.data
+    if used.setups is None or other.setups is None:
+        return apart(other.joints, used.joints)
+    return apart(other.joints, used.joints) | ~np.isin(other.setups, used.setups)
+
+
+def elsewhere(unlike: BoolArray) -> bool:
+    """Return whether more visits are unlike those measured, (n_visits,), than chance explains."""
+    return bool(scipy.special.bdtrc(np.sum(unlike) - 1, len(unlike), APART) < UNLIKELY) if np.any(unlike) else False
+
+
+def _known(fit: Fit, told: Accuracy) -> float:
+    """Return `Claim.known`."""
+    if not told.is_position:
+        return float("nan")
+    return math.hypot(float(np.sqrt(np.mean(fit.identification_uncertainty.located**2))), moved_left_out(fit))
+
+
+def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:
+    """Return how many times the error claimed another one may be."""
+    coordinates = 1 if fit.statistics.shared is not None else len(fit.identification.main_part.axes)
+    bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * told.n_poses, 1.0 - UNLIKELY)
+    return max(MORE, float(np.sqrt(bound)))
+
+
+def _squares(errors: ErrorSet, state: str) -> FloatArray:
+    """Squared error of each visit, (n_visits,), of the main part of its readings."""
+    lengths = errors.errors(state, errors.main_part.name)
+    return np.asarray(np.nansum(np.square(lengths).reshape(len(lengths), -1), axis=1))
+
+
+def _gain(fit: Fit, foretold: ErrorSet) -> Benefit:
+    compared = list(comparisons(fit))
+    if any(comparison.worse for comparison in compared):
+        return Benefit.WORSE
+    if compared:
+        return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
+    change = _squares(foretold, "after") - _squares(foretold, "before")
+    if len(change) < FEWEST:
+        return Benefit.NONE
+    spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
+    t = float(np.mean(change)) / spread if spread > 0 else 0.0
+    chance = scipy.special.stdtr(len(change) - 1, np.array([t, -t]))
+    return Benefit.BETTER if chance[0] < UNLIKELY else Benefit.WORSE if chance[1] < UNLIKELY else Benefit.NONE
+
+
+def _narrow(fit: Fit) -> tuple[str, ...]:
+    """Joints that moved through less than half of their range, and the part that they moved through."""
+    robot = fit.nominal
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    parts = np.ptp(fit.identification.data.joints, axis=0) / (upper - lower)
+    known = np.isfinite(upper - lower)
+    names = zip(robot.joint_names, parts, known, strict=True)
+    return tuple(f"{name} {100 * part:.0f} %" for name, part, limited in names if limited and part < _HALF)

@@ -1,0 +1,323 @@
+"""The error budget: of the error before calibration, how much each cause made, and what is left.
+
+Between the robot before (values p_0) and after (p_1), let e(t) be the errors of the readings at p_0 + t (p_1 - p_0),
+J(t) their derivative, and d_k the change of the parameters of cause k. By the chain rule
+
+    |e(0)|^2 - |e(1)|^2  =  sum over k of  s_k,        s_k = - integral over t of 2 e(t)^T J_k(t) d_k
+
+which adds up exactly and knows no order: s_k is the Aumann-Shapley value, and where e is linear in t, as it nearly is,
+the mean of what cause k brings over all orders in which the causes can be added (the Shapley value; adding them one
+after another gives other numbers for every order, because causes such as a gain and a length explain partly the same).
+Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
+
+The robot before has its unknown base and targets placed as well as possible. So what these can take up of the change
+J_k d_k of another cause, its projection on the columns of the places, is counted with them: a base that stands lower
+and a first joint that is higher are the same robot, and the split must not depend on which of both was found. Their own
+part is then near zero, because what they could explain is not in the error before.
+
+On readings that were not used (validation), s_k is what the calibration really removes, and e(1) what it leaves. On the
+readings that were used, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the
+rows of J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in
+the mean, and |e(1)|^2 as much too small; that is set right.
+
+What is left splits into noise and the unexplained rest only if the noise is known from elsewhere: from repeats of poses
+(which hold the robot's repeatability too), or as stated. Noise that was found from the residuals is all that is left.
+
+Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of
+their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
+J_k projected. The J that is transposed is that of the end: what the readings leave open moves no reading there, and
+must not count, however far it may be off.
+
+When it fails: with few poses the split of the rest is loose. Parameters of a named parametrisation all count as
+geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.instruments.kind import Part
+from calib.core.judging.repeatability import repeatability
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.numerics.tall import Tall, in_parts
+from calib.core.robots.robot import Robot
+from calib.core.rows.batches import Batch, batches_of, observed_in
+from calib.core.rows.rows import Layout, Rows
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
+
+PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
+NOISE, UNEXPLAINED = "noise", "not explained"
+REST = "noise or not explained: cannot be told apart"
+ENOUGH_REPEATS = 10.0
+"""Degrees of freedom that repeats need to count as known noise."""
+_AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
+_SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
+
+
+@dataclass(frozen=True)
+class CauseShare:
+    """One cause: its part of the mean square error before, and the standard deviation of that [SI, squared]."""
+
+    cause: str
+    mean_square: float
+    std: float
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """What made the error before.
+
+    Attributes:
+        used: Whether of the readings that were used, corrected for that; else of those that were not.
+        part: The part of the readings that it is about.
+        n_readings, n_poses: How many.
+        before, after: Mean square error of a reading before, and what is left of it [SI, squared].
+        shares: The causes, then the rest; they add up to `before`.
+        noise_from: `repeats` or `stated`; empty where the noise is not known.
+        advice: Whether more modelling may help, in one sentence.
+    """
+
+    used: bool
+    part: Part
+    n_readings: int
+    n_poses: int
+    before: float
+    after: float
+    shares: tuple[CauseShare, ...]
+    noise_from: str
+    advice: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """Readings on the way: sums over the rows of each reading, and what the covariance needs.
+
+    Attributes:
+        before: |e(0)|^2 of each reading, (n_readings,).
+        removed: s_k of each reading and cause, (n_readings, n_causes).
+        gradient: Of the sum of s_k by the unknowns, (n_causes, n_free).
+        pose: Pose of each reading, (n_readings,).
+    """
+
+    before: FloatArray
+    removed: FloatArray
+    gradient: FloatArray
+    pose: IntArray
+
+
+def causes_of(robot: Robot) -> tuple[str, ...]:
+    """Return the cause that each parameter stands for, (n_parameters,)."""
+    places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
+    parameters = robot.parametrisation.parameters
+    causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in parameters]
+    causes += [PLACES for instrument in robot.instruments for _ in instrument.unknowns]
+    return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
+
+
+def error_budget(
+    before: Robot,
+    after: Robot,
+    errors: ErrorSet,
+    unknowns: Unknowns,
+    covariance: FloatArray,
+    rows: Rows | None,
+    sigma: float | None,
+) -> ErrorBudget:
+    """Return the error budget of a set of readings.
+
+    Args:
+        before, after: The robot with its base and targets placed alone, and calibrated.
+        errors: The readings.
+        unknowns: The free parameters.
+        covariance: Of these, (n_free, n_free).
+        rows: Whitened rows at the solution, if these readings were used.
+        sigma: Noise of positions that replaces what is stated [m].
+    """
+    of_parameter = np.array(causes_of(after))[unknowns.index]
+    causes = list(dict.fromkeys(of_parameter.tolist()))
+    members = np.array([of_parameter == cause for cause in causes])
+    layout = Whitening(after, errors.data, sigma).layout if rows is None else rows.layout
+    counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
+    path = _along(before, after, errors, unknowns, members, layout, counted)
+    n, width, removed = len(path.before), int(np.sum(counted)), path.removed
+    if rows is not None:
+        leverage = _leverage(rows, unknowns, members, counted)
+        left = float(np.sum(path.before) - np.sum(removed))
+        removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
+    rest = path.before - np.sum(removed, axis=1)
+    spread = np.einsum("kf,fg,kg->k", path.gradient, covariance, path.gradient) / n**2
+    shares = [
+        CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
+        for cause, part, extra in zip(causes, removed.T, spread, strict=True)
+    ]
+    typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
+    stated = float(np.sum(typical[layout.group[counted]] ** 2)) / n
+    noise, noise_std, source = _noise(errors, stated, width / n)
+    left, left_std = float(np.mean(rest)), _std(rest, path.pose)
+    if source:
+        beyond = CauseShare(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
+        shares += [CauseShare(NOISE, noise, noise_std), beyond]
+    else:
+        shares.append(CauseShare(REST, left, left_std))
+    return ErrorBudget(
+        rows is not None,
+        errors.main_part,
+        n,
+        len(np.unique(path.pose)),
+        float(np.mean(path.before)),
+        left,
+        tuple(shares),
+        source,
+        _advice(left, noise, shares[-1], source),
+    )
+
+
+def _along(
+    before: Robot,
+    after: Robot,
+    errors: ErrorSet,
+    unknowns: Unknowns,
+    members: BoolArray,
+    layout: Layout,
+    counted: BoolArray,
+) -> _Path:
+    """Integrate over the way from before to after.
+
+    Args:
+        before, after, errors, unknowns: As in `error_budget`.
+        members: Which parameters belong to which cause, (n_causes, n_free).
+        layout: Which row is what.
+        counted: Which rows count, (n_rows,).
+    """
+    way = after.values - before.values
+    steps = (members * way[unknowns.index]).T
+    places, n_causes = _cause_of_places(unknowns, members), len(members)
+    removed = np.zeros((layout.n_rows, n_causes))
+    pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
+    of_counted = slice(None) if np.all(counted) else counted
+    residuals, along, at_places = _empty(layout.n_rows, 1, n_causes, int(np.sum(unknowns.placement)))
+    for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
+        robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
+        for batch, jacobian, there in _seen(robot, errors, unknowns, layout):
+            residuals[batch.rows, 0], along[batch.rows] = there, jacobian @ steps
+            at_places[batch.rows] = jacobian[:, unknowns.placement]
+        by_places, moved = at_places[of_counted], along[of_counted]
+        root, total = _root_of_span(by_places), np.sum(moved, axis=1)
+        absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
+        moved -= by_places @ (root @ (root.T @ (by_places.T @ moved)))
+        moved[:, places] += absorbed
+        removed[of_counted] -= weight * residuals[of_counted] * moved
+        for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
+            pulling[of_counted, k] += weight / 2.0 * column
+    pulled = np.zeros((len(unknowns), pulling.shape[1]))
+    for batch, jacobian, _ in _seen(after, errors, unknowns, layout):
+        own = counted[batch.rows]
+        pulled += _counted(jacobian, own).T @ _counted(pulling[batch.rows], own)
+    gradient = members * pulled[:, 0] + pulled[:, 2:].T
+    gradient[places] += pulled[:, 1]
+    chosen = np.unique(layout.reading[counted])
+    squares = np.where(counted, _flat(errors.before, layout), 0.0) ** 2
+    columns = (np.bincount(layout.reading, column) for column in (squares, *removed.T))
+    sums: FloatArray = np.stack([column[chosen] for column in columns], axis=1).astype(float)
+    return _Path(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
+
+
+def _empty(n_rows: int, *widths: int) -> list[FloatArray]:
+    """Arrays to fill, (n_rows, width) each."""
+    return [np.empty((n_rows, width)) for width in widths]
+
+
+def _seen(
+    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout
+) -> Iterator[tuple[Batch, FloatArray, FloatArray]]:
+    """Yield batches of rows with their derivative (n, n_free) and residuals (n,), under a robot on the way."""
+    data = errors.data
+    conditions = data.conditions if robot.terms else None
+    configurations = robot.assemble(data.joints, errors.passive, data.labels, conditions)
+    for batch, observed in observed_in(robot, configurations, data.readings, batches_of(layout), index=unknowns.index):
+        jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
+        yield batch, jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
+
+
+def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
+    """Return h_k of the module docstring, (n_causes,)."""
+    n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
+    jacobian = rows.factor[:n, :-1] if np.all(counted) else _reduced(rows.jacobian, counted)
+    pulled = (jacobian @ rows.known.root) @ rows.known.root.T
+    placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
+    absorbed = placing.T @ jacobian
+    leverage: FloatArray = members @ np.sum((jacobian - placing @ absorbed) * pulled, axis=0)
+    leverage[_cause_of_places(unknowns, members)] += float(np.sum(absorbed * (placing.T @ pulled)))
+    return leverage
+
+
+def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
+    """Number of the cause that unknown places belong to; without any, of any cause: nothing is added to it."""
+    return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
+
+
+def _root_of_span(columns: FloatArray) -> FloatArray:
+    """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
+    factor = reduced(columns)
+    length = np.linalg.norm(factor, axis=0)
+    nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
+    _, s, right = np.linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
+    kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
+    root = np.zeros((columns.shape[1], int(np.sum(kept))))
+    root[nonzero] = (right[kept] / s[kept, None]).T / length[nonzero, None]
+    return root
+
+
+def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
+    """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
+    parts = [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _counted(jacobian: FloatArray, counted: BoolArray) -> FloatArray:
+    """The rows that count; without a copy where all do, as it is large for many poses."""
+    return jacobian if np.all(counted) else jacobian[counted]
+
+
+def _reduced(rows: FloatArray, counted: BoolArray) -> FloatArray:
+    """Return the triangular factor of the rows that count."""
+    parts = ((part, _counted(rows[part], counted[part])) for part in in_parts(len(rows)))
+    return Tall((len(rows), rows.shape[1]), lambda: parts).factor()
+
+
+def _std(parts: FloatArray, pose: IntArray) -> float:
+    """Standard deviation of the mean of parts (n_readings,), by the poses that they belong to; NaN for one pose."""
+    number = np.unique(pose, return_inverse=True)[1]
+    sums = np.bincount(number, parts - np.mean(parts))
+    if len(sums) < 2:
+        return float("nan")
+    return float(np.sqrt(len(sums) / (len(sums) - 1) * np.sum(sums**2)) / len(parts))
+
+
+def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
+    """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
+    scatter, freedom = repeatability(errors)
+    if freedom >= ENOUGH_REPEATS and errors.main_part.is_position:
+        return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"
+    return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
+
+
+def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
+    """One sentence on whether to go on modelling."""
+    if not source:
+        return (
+            "Whether more modelling would help cannot be known: the noise is not stated, and too few poses were read"
+            " more than once to tell it from what the model leaves out"
+        )
+    known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
+    if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:
+        return f"The rest is as large as {known}; more modelling will not help"
+    if beyond.mean_square > 2.0 * beyond.std and left > _AS_LARGE**2 * noise:
+        return f"The rest is larger than {known}: more modelling may help, or the noise is larger than that"
+    return f"Too few poses to tell whether the rest is larger than {known}"

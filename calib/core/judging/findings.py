@@ -1,0 +1,153 @@
+"""What a fit shows beside its numbers: readings far off, patterns that noise does not make, what made the error.
+
+Each finding is a function of a fit, made when it is first asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.remembered import remembered
+from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fit import errors_on
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.outliers import Outlier, blocks, left_out_with, outliers_of
+from calib.core.judging import residual_patterns
+from calib.core.judging.effect_kinds import Kind, Trait
+from calib.core.judging.effects import Effect, EffectSetting, effects
+from calib.core.judging.error_budget import ErrorBudget, error_budget
+from calib.core.judging.residual_patterns import LinearFit, Pattern
+from calib.core.numerics import losses
+from calib.core.numerics.losses import Studentised
+
+_LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
+
+
+@remembered
+def studentised(fit: Fit) -> Studentised:
+    """Return how far off every reading is that was used; see `calib.core.numerics.losses`."""
+    factors, number = fit.statistics.factors.values, fit.rows.layout.group
+    # groups whose stated noise is off by different factors are judged by what each of them really has
+    relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
+    divisor = np.where(number >= 0, relative[number], 1.0)
+    rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
+    return losses.studentised(blocks(rows, fit.weights), fit.root, fit.statistics.freedom)
+
+
+@remembered
+def validation_studentised(fit: Fit) -> Studentised | None:
+    """Return how far off every reading is that was not used; None without them."""
+    rows = fit.validation_rows
+    if rows is None:
+        return None
+    known = fit.covariance.values / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    values, vectors = np.linalg.eigh(known)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    scale = studentised(fit).scale / _factor(fit)
+    return losses.studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, fit.statistics.freedom, scale)
+
+
+def _factor(fit: Fit) -> float:
+    """Found over assumed noise, of all groups together."""
+    return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
+
+
+@remembered
+def outliers(fit: Fit) -> tuple[Outlier, ...]:
+    """Return readings that were used and lie further off than noise explains, worst first."""
+    return outliers_of(studentised(fit), fit.identification, fit.rows.layout)
+
+
+@remembered
+def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
+    """Return readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+    rows, far_off = fit.validation_rows, validation_studentised(fit)
+    if fit.validation is None or rows is None or far_off is None:
+        return ()
+    return outliers_of(far_off, fit.validation, rows.layout)
+
+
+@remembered
+def excluded_errors(fit: Fit) -> ErrorSet | None:
+    """Return the errors of the readings that were left out as outliers, by the fit without them.
+
+    None where none were, or where the robot cannot be assembled at their visits.
+    """
+    if fit.with_all is None:
+        return None
+    gone = left_out_with(fit.excluded, fit.with_all.rows.layout)
+    try:
+        return errors_on(fit.placed, fit.robot, fit.with_all.identification.data.of_readings(gone))
+    except (UnreachablePoseError, ComputationError):
+        return None
+
+
+@remembered
+def setting(fit: Fit) -> EffectSetting:
+    """Return what effects that the model may leave out are made of."""
+    data = fit.identification.data
+    return EffectSetting(fit.robot, data, fit.configurations, fit.by_joint, fit.whitening, fit.scales, fit.weights)
+
+
+@remembered
+def linear(fit: Fit) -> LinearFit:
+    """Return the fit as a linear model, in which effects are looked for."""
+    factors = fit.statistics.factors
+    factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
+    rows = fit.weighted_rows
+    shared = fit.statistics.shared
+    pose_freedom = np.inf if shared is None else shared.freedom
+    return LinearFit(rows, rows.span, fit.statistics.freedom, factor, pose_freedom)
+
+
+@remembered
+@one_blas_thread
+def patterns(fit: Fit) -> tuple[Pattern, ...]:
+    """Return systematic patterns that were looked for in the residuals, most significant first."""
+    return () if fit.computed else residual_patterns.patterns(linear(fit), setting(fit))
+
+
+@remembered
+@one_blas_thread
+def changes(fit: Fit) -> tuple[Pattern, ...]:
+    """Return what surely changes in the course of the measurement, beside all that follows the values of joints.
+
+    Where poses were measured in the order of their joint values, an error that follows a joint looks like a change. So
+    errors that follow joints are parameters here.
+    """
+    in_course = [kind for kind in Kind if Trait.IN_COURSE in kind.traits]
+    if not any(pattern.significant and pattern.kind in in_course for pattern in patterns(fit)):
+        return ()
+    columns = [
+        effect.columns
+        for effect in effects(setting(fit))
+        if isinstance(effect, Effect) and Trait.FOLLOWS_JOINTS in effect.kind.traits
+    ]
+    beside = linear(fit).beside(np.hstack(columns)) if columns else linear(fit)
+    return tuple(p for p in residual_patterns.patterns(beside, setting(fit), in_course) if p.significant)
+
+
+@remembered
+@one_blas_thread
+def budget(fit: Fit) -> ErrorBudget | None:
+    """Return what made the error before, and what is left: of the readings that were not used, or of all there are.
+
+    None where the robot cannot be assembled on the way from before to after.
+    """
+    used = fit.validation is None
+    try:
+        return error_budget(
+            fit.placed,
+            fit.robot,
+            fit.validation or fit.identification,
+            fit.unknowns,
+            fit.statistics.covariance,
+            fit.rows if used else None,
+            fit.sigma_given,
+        )
+    except UnreachablePoseError:
+        return None

@@ -1,0 +1,126 @@
+"""What to do after a fit, as one sentence and one command to type: for the terminal, `result.json` and the viewer."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from calib.core.base.units import millimetres
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.terms.term_choice import LEAST_POSES
+from calib.core.fitting.validation import stretches
+from calib.core.judging.reasons import Answer
+from calib.core.judging.rules_model import why_no_origins
+from calib.core.judging.verdict import judge
+from calib.printers.linear_delta import is_linear_delta
+
+_OPTIONS: dict[Answer, tuple[str, ...]] = {
+    Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
+    Answer.ADD_TERMS: ("fit again with joint terms that explain the errors", "--terms", "auto"),
+    Answer.TRY_STARTS: ("fit again from several starting points", "--starts", "5"),
+    Answer.HOLD_OUT: ("test the result on poses of the file that it is fitted to", "--validate", "0.25"),
+    Answer.STATE_NOISE: ("state a smaller noise, or leave out what was read twice, and fit again",),
+}
+"""Answers that are another `calib fit`: what for, and with which option."""
+ROBOT, DATA, FOLDER, AGAIN = "ROBOT", "DATA", "DIR", "DIR-2"
+"""What stands in a command for the files of a user: robot, measurements, result folder, folder of the next result."""
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do next.
+
+    Attributes:
+        aim: What it is for, in words that begin with a verb.
+        command: What to type, in words; `ROBOT`, `DATA` and `DIR` stand for files.
+        without: Options of the fit that are not to be given again.
+    """
+
+    aim: str
+    command: str
+    without: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.aim}: {self.command}"
+
+    @property
+    def needs_folder(self) -> bool:
+        """Whether it uses the result folder, and does not write it."""
+        return FOLDER in self.aim or FOLDER in self.command.removesuffix(f"--out {FOLDER}").split()
+
+    def typed(self, robot: str, data: Sequence[str], folder: str, options: Mapping[str, Sequence[str]]) -> str:
+        """Return the sentence with the files that were typed in place of `ROBOT`, `DATA` and `DIR`.
+
+        Args:
+            robot, data, folder: The files.
+            options: Options that were typed, with their values, by name: those that a command like this one needs, too.
+        """
+        files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
+        files[AGAIN] = shlex.quote(f"{folder}-2")
+        words = shlex.split(self.command)
+        more = [
+            word for name, values in options.items() if name not in (*words, *self.without) for word in (name, *values)
+        ]
+        end = words.index("--out") if "--out" in words else len(words)
+        said = (*words[:end], *more, *words[end:])
+        return f"{self.aim.replace(FOLDER, folder)}: {' '.join(files.get(word, shlex.quote(word)) for word in said)}"
+
+
+def next_step(fit: Fit) -> NextStep:
+    """Return what answers the first reason of the verdict, or how the result is tested or used."""
+    verdict, done = judge(fit), _done(fit)
+    answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
+    open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
+    if Answer.CORRECT in open_answers:  # what else is seen comes from the mistake
+        return _again(fit, "correct the data or the description as the reasons say, and fit again")
+    data = fit.identification.data
+    if Answer.ADD_TERMS in open_answers and len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+        open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
+    if fit.convergence.receding:  # from every start
+        open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
+    first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
+    if first in _OPTIONS:  # outliers come first: what they do looks like noise, and like joint terms
+        return _again(fit, *_OPTIONS[first], noise_stands=first is not Answer.STATE_NOISE)
+    if first is Answer.OTHER_POSES:
+        return NextStep("see what these poses do not determine, and measure others", f"calib check {ROBOT} {DATA}")
+    if verdict.grade != "FAIL" and fit.validation is None and fit.folds is None:
+        aim = "test the result on poses that the fit does not use"
+        return _again(fit, aim, "--validate", "0.25", folder=FOLDER)
+    if answers:
+        return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
+    return _use(fit)
+
+
+def _done(fit: Fit) -> set[Answer]:
+    """What this fit has tried already, so that it would lead nowhere."""
+    by_auto = fit.terms is not None and fit.terms.automatic
+    tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
+    return {answer for answer, was in tried.items() if was}
+
+
+def _again(fit: Fit, aim: str, *words: str, folder: str = AGAIN, noise_stands: bool = True) -> NextStep:
+    """Return a fit with the options of this one, as far as it knows them, and another."""
+    options = {} if fit.sigma_given is None or not noise_stands else {"--sigma-mm": f"{millimetres(fit.sigma_given):g}"}
+    options |= {} if fit.loss == "none" else {"--loss": fit.loss}
+    options |= {} if fit.terms is None else {"--terms": fit.terms.requested}
+    options |= {} if fit.starts is None else {"--starts": str(fit.starts.total)}
+    options |= {} if fit.with_all is None else {"--exclude-outliers": ""}
+    options |= fit.asked.options() | ({"--seed": str(fit.seed)} if fit.seed else {})
+    options |= {words[0]: " ".join(words[1:])} if words else {}
+    said = (shlex.quote(word) for option in options.items() for word in option if word)
+    without = () if noise_stands else ("--sigma-mm",)
+    return NextStep(aim, " ".join(("calib fit", ROBOT, DATA, *said, "--out", folder)), without)
+
+
+def _use(fit: Fit) -> NextStep:
+    """How to use a result that nothing speaks against, by what its robot is and what files can hold of it."""
+    if judge(fit).nothing_to_correct:
+        return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
+    if is_linear_delta(fit.nominal.description):
+        aim = "write the lines for the printer's settings (or --format marlin, duet)"
+        return NextStep(aim, f"calib export {FOLDER} --format klipper --out settings.cfg")
+    program = f"calib compensate {FOLDER} program.csv --out compensated.csv"
+    if why_no_origins(fit):
+        return NextStep("correct a program by the whole model", program)
+    return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)

@@ -1,0 +1,293 @@
+"""What repeated readings of a pose say: the figures of ISO 9283.
+
+ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
+takes the one that the model predicts for the reading's own joint values; what the joints say that they moved between
+two readings is no scatter. With fewer readings the numbers are the same, only less sure; readings taken without moving
+the robot show the instrument alone. `calib.core.numerics.iso9283` has the equations.
+
+Reference: iso9283.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.units import millimetres
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.numerics import iso9283
+from calib.core.numerics.iso9283 import CYCLES, Figure
+
+CONDITIONS = ("load", "speed", "temperature", "warm-up", "instrument", "certificate", "operator")
+"""Conditions of a test that a file states in comments, such as `# load: 5 kg`."""
+_FIVE = 5  # poses of the standard
+_BLOCK = 10  # cycles of a block of the drift test
+_HOURS = 8.0  # that the drift test takes
+_SECONDS = 3600.0
+
+
+@dataclass(frozen=True)
+class IsoFigure:
+    """One figure of ISO 9283.
+
+    Attributes:
+        name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; of orientations with the axis, such as `AP_rx`.
+        poses: The pose, or the two poses of a distance.
+        cycles: How many there were, of the pose with fewest.
+        figure: Value and interval [m or rad].
+    """
+
+    name: str
+    poses: str
+    cycles: int
+    figure: Figure
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is an angle."""
+        return "_" in self.name
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats(ReadOnlyArrays):
+    """Accuracy and repeatability of the points that were read more than once at a pose.
+
+    Attributes:
+        poses: Pose of each, (n,).
+        readings: How many readings each has, (n,).
+        accuracy_before, accuracy_after: AP, (n,) [m].
+        repeatability: RP, (n,) [m].
+    """
+
+    poses: IntArray
+    readings: IntArray
+    accuracy_before: FloatArray
+    accuracy_after: FloatArray
+    repeatability: FloatArray
+
+    def table(self) -> dict[str, object]:
+        """Return mean and largest values [mm]."""
+
+        def both(values: FloatArray) -> dict[str, float]:
+            return {"mean": millimetres(float(np.mean(values))), "max": millimetres(float(np.max(values)))}
+
+        return {
+            "n_poses": len(np.unique(self.poses)),
+            "n_readings": int(np.sum(self.readings)),
+            "pose_accuracy": {"before": both(self.accuracy_before), "after": both(self.accuracy_after)},
+            "pose_repeatability": both(self.repeatability),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PoseScatter:
+    """Errors of one instrument at one pose, reading by reading."""
+
+    instrument: str
+    pose: int
+    readings: IntArray
+    visits: IntArray
+    before: FloatArray
+    after: FloatArray
+
+
+def _repeated(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
+    """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
+    result = []
+    for instrument, part, rows in errors.parts():
+        if part.name != part_name if part_name else not part.is_position:
+            continue
+        readings = errors.data.readings[instrument.name]
+        pose = errors.data.pose_numbers[readings.visits]
+        _, number, count = np.unique(
+            pose * (1 + np.max(readings.pairs, initial=0)) + readings.pairs, return_inverse=True, return_counts=True
+        )
+        several = np.flatnonzero(count[number] > 1)
+        several = several[np.argsort(number[several], kind="stable")]
+        for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
+            before, after = errors.before[instrument.name][group], errors.after[instrument.name][group]
+            visits = readings.visits[group]
+            result.append(
+                PoseScatter(instrument.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows])
+            )
+    return result
+
+
+def repeats(errors: ErrorSet) -> Repeats | None:
+    """Return accuracy and repeatability; None where no point was read more than once at a pose."""
+    several = _repeated(errors)
+    if not several:
+        return None
+    return Repeats(
+        np.array([scatter.pose for scatter in several], dtype=np.intp),
+        np.array([len(scatter.after) for scatter in several], dtype=np.intp),
+        np.array([np.linalg.norm(scatter.before.mean(axis=0)) for scatter in several]),
+        np.array([np.linalg.norm(scatter.after.mean(axis=0)) for scatter in several]),
+        np.array([iso9283.repeatability(scatter.after) for scatter in several]),
+    )
+
+
+def repeatability(errors: ErrorSet) -> tuple[float, int]:
+    """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], and its freedom.
+
+    NaN and 0 where no point was read more than once at a pose.
+    """
+    several = _repeated(errors)
+    freedom = sum(scatter.after.shape[1] * (len(scatter.after) - 1) for scatter in several)
+    if freedom == 0:
+        return float("nan"), 0
+    squares = sum(float(np.sum((scatter.after - scatter.after.mean(axis=0)) ** 2)) for scatter in several)
+    return float(np.sqrt(squares / freedom)), freedom
+
+
+def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
+    """Return what pose means are off, as noise of one reading, over the scatter of repeats, and the chance of that.
+
+    If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
+    and 1 where there are no repeats, or where they do not scatter at all.
+
+    Args:
+        errors: Errors of the visits that were used.
+        n_effective: Parameters that they decided.
+    """
+    deviation, n_free = repeatability(errors)
+    several = _repeated(errors)
+    freedom = 3.0 * len(several) - n_effective
+    if not (np.isfinite(deviation) and deviation > 0 and freedom >= 1 - 1e-9):
+        return float("nan"), 1.0
+    squares = sum(len(scatter.after) * float(np.sum(scatter.after.mean(axis=0) ** 2)) for scatter in several)
+    ratio = float(np.sqrt(squares / freedom)) / deviation
+    return ratio, float(scipy.special.fdtrc(freedom, n_free, ratio**2))
+
+
+def conditions(comments: Sequence[str], keys: Sequence[str] = CONDITIONS) -> dict[str, str]:
+    """Return what comment lines `key: value` of a file say of the test, by key."""
+    stated = {}
+    for line in comments:
+        key, _, value = line.partition(":")
+        if key.strip().lower() in keys and value.strip():
+            stated[key.strip().lower()] = value.strip()
+    return stated
+
+
+def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFigure], list[str]]:
+    """Return the figures of ISO 9283 that the cycles allow, and what is missing for those that the standard asks for.
+
+    Args:
+        errors: Errors after calibration, prediction minus read.
+        rng: Source of the draws that make intervals.
+    """
+    names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
+    several = _repeated(errors)
+    figures: list[IsoFigure] = []
+    for scatter in several:
+        label, n = names[scatter.pose], len(scatter.after)
+        figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-scatter.after)))
+        figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-scatter.after, rng)))
+    turned = _repeated(errors, "orientation")
+    for scatter in turned:
+        for k, axis in enumerate(("rx", "ry", "rz")):
+            label, n = names[scatter.pose], len(scatter.after)
+            figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-scatter.after[:, k])))
+            figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(scatter.after[:, k])))
+    figures += _distances(errors, several, names)
+    figures += _directions(errors, several, names)
+    figures += _drifts(errors, several, names, rng)
+    return figures, _missing(errors, several, turned, figures)
+
+
+def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
+    """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
+    best: tuple[float, PoseScatter, PoseScatter, FloatArray] | None = None
+    commanded = [_commanded(errors, scatter) for scatter in several]
+    for (a, start), (b, end) in combinations(enumerate(several), 2):
+        apart: FloatArray = commanded[b] - commanded[a]
+        if start.instrument == end.instrument and (best is None or np.linalg.norm(apart) > best[0]):
+            best = float(np.linalg.norm(apart)), start, end, apart
+    if best is None or best[0] == 0:
+        return []
+    _, start, end, apart = best
+    n = min(len(start.after), len(end.after))
+    off = iso9283.distances(-start.after[:n], -end.after[:n], apart)
+    label = f"{names[start.pose]} to {names[end.pose]}"
+    return [
+        IsoFigure("AD", label, n, iso9283.mean_of(off)),
+        IsoFigure("RD", label, n, iso9283.three_deviations(off)),
+    ]
+
+
+def _commanded(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
+    """Mean position that was predicted, (3,) [m]."""
+    instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
+    read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
+    if read is None:
+        raise TypeError(f"'{scatter.instrument}' reads positions, but shows no points")
+    return np.asarray((read + scatter.after).mean(axis=0))
+
+
+def _directions(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
+    """The vAP of every pose that was reached from several directions, where the file says from which."""
+    if errors.data.approach is None:
+        return []
+    result = []
+    for scatter in several:
+        _, number = np.unique(errors.data.approach[scatter.visits], axis=0, return_inverse=True)
+        groups = [-scatter.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
+        groups = [group for group in groups if len(group) > 1]
+        if len(groups) > 1:
+            n = min(len(group) for group in groups)
+            result.append(IsoFigure("vAP", names[scatter.pose], n, iso9283.direction_variation(groups)))
+    return result
+
+
+def _drifts(
+    errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str], rng: np.random.Generator
+) -> list[IsoFigure]:
+    """Both dAP and dRP of every pose with several blocks of cycles, where the file has a time."""
+    time, result = errors.data.context.get("time"), []
+    if time is None or not np.all(np.isfinite(time)):
+        return []
+    for scatter in several:
+        n_blocks = len(scatter.after) // _BLOCK
+        if n_blocks > 1:
+            order = np.argsort(time[scatter.visits], kind="stable")[: n_blocks * _BLOCK]
+            figures = iso9283.drift(np.split(-scatter.after[order], n_blocks), rng)
+            for name, figure in zip(("dAP", "dRP"), figures, strict=True):
+                result.append(IsoFigure(name, names[scatter.pose], _BLOCK, figure))
+    return result
+
+
+def _missing(
+    errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
+) -> list[str]:
+    """Say what the standard asks for and the data do not have."""
+    cycles = [len(scatter.after) for scatter in several]
+    result = []
+    if not several:
+        return [
+            "no pose was read more than once: AP, RP, AD, RD are not known; give rows that repeat a pose the same name"
+        ]
+    if len(several) != _FIVE:
+        result.append(f"{len(several)} repeated poses where ISO 9283 has five")
+    if min(cycles) < CYCLES:
+        result.append(f"{min(cycles)} cycles of a pose where ISO 9283 has {CYCLES}")
+    if not turned:
+        result.append("no orientation was read: no AP and RP of angles")
+    present = {figure.name for figure in figures}
+    if "vAP" not in present:
+        result.append("no vAP: it takes cycles from several directions, told apart by columns approach_<joint>")
+    time = errors.data.context.get("time")
+    if "dAP" not in present:
+        result.append(f"no drift: it takes a column time, and {2 * _BLOCK} cycles or more of a pose over {_HOURS:g} h")
+    elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
+        result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
+    stated = conditions(errors.data.comments)
+    unstated = [key for key in CONDITIONS if key not in stated]
+    if unstated:
+        result.append(f"conditions not stated: {', '.join(unstated)} (a comment line such as '# load: 5 kg')")
+    return result

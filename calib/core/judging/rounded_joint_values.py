@@ -1,0 +1,122 @@
+"""Joint values that were rounded: seen in their digits, and in how residuals scatter.
+
+Values in steps of s are off by up to s/2, with a standard deviation of s / sqrt(12), if they were rounded; not at all,
+if the robot was sent to round values. Digits do not tell these apart. Residuals may: rounding scatters the target
+along the motion of the joints, further where the arm is longer. With A_v what rounding does to the rows of visit v
+(one column for each joint, each times s / sqrt(12)), Q = diag(A_v A_v^T), and r = M e (e normal noise of variance f^2,
+M what a fit leaves; see `calib.core.judging.residual_patterns`),
+
+    T = r^T Q r        mean f^2 tr(MQ)        variance 2 f^4 tr(MQMQ)
+
+is the score for a variance along Q. Its chance is that of a scaled chi-square of the same mean and variance. The part
+of the noise that rounding can make is tr(MQ) / (f^2 tr M); far beyond 1, the values cannot have been rounded.
+
+When it fails. f is found from the same residuals: where rounding scatters all rows alike, T says nothing.
+
+Reference: satterthwaite1946.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, display_scale
+from calib.core.base.words import listed
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.numerics.clusters import of_equal_length
+from calib.core.robots.robot import Robot
+
+_STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
+_CLOSE = 1e-6  # of a step, by which a value that stands on it may be off
+_DIFFERENT = 8  # values that a joint must take for its steps to show
+_UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """What digits and residuals say.
+
+    Attributes:
+        steps: Of the joints that have any, in words.
+        part: Part of the noise, squared, that rounding to them makes.
+        chance: Chance of residuals that scatter so much along the joints without it.
+    """
+
+    steps: str
+    part: float
+    chance: float
+
+
+def rounding(fit: Fit) -> Rounding | None:
+    """Look for joint values in steps; None where there are none.
+
+    Args:
+        fit: The fit.
+    """
+    robot = fit.nominal
+    steps = joint_steps(robot, fit.identification.data.joints)
+    if not np.any(steps > 0):
+        return None
+    words: dict[str, None] = {}
+    for name, step in zip(robot.joint_names, steps, strict=True):
+        dimension = robot.mechanism.dimensions[name]
+        if step > 0:
+            words[f"{step * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]}"] = None
+    scatter = steps / np.sqrt(12.0)
+    return Rounding(listed(list(words), " and "), *_score(fit, scatter))
+
+
+def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
+    """Return the step in which all values of each joint stand, (n_actuated,) [m or rad]; 0 for none.
+
+    Args:
+        robot: Whose joints they are.
+        joints: (n, n_actuated) [m or rad].
+    """
+    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+    return np.array([_step(values, dimension) for values, dimension in zip(joints.T, dimensions, strict=True)])
+
+
+def _step(values: FloatArray, dimension: Dimension) -> float:
+    """The largest usual step that some values (n,) stand in [m or rad]; 0 for none."""
+    if len(np.unique(values)) < _DIFFERENT:
+        return 0.0
+    steps = [0.0]
+    for unit in _UNITS[dimension]:
+        in_unit = values * PER_SI[dimension][unit]
+        for step in _STEPS:
+            if np.all(np.abs(in_unit / step - np.round(in_unit / step)) < _CLOSE):
+                steps.append(step / PER_SI[dimension][unit])
+                break
+    return max(steps)
+
+
+def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
+    """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
+    linear, setting = findings.linear(fit), findings.setting(fit)
+    by_joint = setting.whitened(setting.by_joint) * scatter
+    visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
+    mean = square = statistic = 0.0
+    through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
+    twice = 0.0
+    for rows in of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
+        across = by_joint[rows].transpose(0, 2, 1)
+        ap, aa = np.matmul(across, linear.span[rows]), np.matmul(across, across.transpose(0, 2, 1))
+        statistic += float(np.sum(np.matmul(across, linear.rows.residuals[rows][:, :, None]) ** 2))
+        mean += float(np.einsum("njj->", aa))
+        square += float(np.sum(aa**2))
+        twice += float(np.sum(np.matmul(ap, ap.transpose(0, 2, 1)) * aa))  # tr(P^T Q Q P)
+        flat = ap.reshape(-1, ap.shape[2])
+        through += flat.T @ flat  # P^T Q P
+    mean -= float(np.trace(through))
+    square += -2.0 * twice + float(np.sum(through**2))
+    if mean <= 0 or square <= 0:
+        return 0.0, 1.0
+    variance = float(np.sum(linear.rows.residuals**2)) / linear.freedom
+    chance = float(scipy.special.chdtrc(mean**2 / square, statistic / variance * mean / square))
+    return mean / (variance * linear.freedom), chance

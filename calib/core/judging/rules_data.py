@@ -1,0 +1,301 @@
+"""Rules of the verdict about the measurements: poses, outliers, repeats, digits. Each gives at most a few reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.words import counted, joints_named, listed
+from calib.core.data.measurements import Measurements
+from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
+from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
+from calib.core.fitting.pose_checks import directions_moved, unmoved_joints
+from calib.core.judging import findings
+from calib.core.judging.reasons import Answer, Code, Reason
+from calib.core.judging.repeatability import beyond_repeatability
+from calib.core.judging.rounded_joint_values import rounding
+from calib.core.judging.rules_model import frame_moved
+from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
+from calib.core.numerics.losses import HIGH_LEVERAGE, studentised
+from calib.core.rows.rows import Rows
+
+FEW = 10.0 - 1e-6  # ten, also where rounding took a little
+"""Degrees of freedom below which intervals are very wide."""
+FEW_SHARED = 5
+"""The same of poses whose readings share errors; poses from which distances of targets say something."""
+RIGID = 1e-6
+"""Scatter of the distance of two targets below which no instrument read both [m]."""
+COSTLY = 0.36
+"""Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
+EXCLUDED = 0.1
+"""Part of the poses, or of the readings, that may be outliers."""
+BEYOND_REPEATS = 1.5
+"""Found noise over the scatter of repeats from which something systematic is left."""
+ROUNDED = 0.2
+"""Part of the noise, squared, that steps of the joint values must be able to make to be named."""
+ALL_ROUNDED = 2.0
+"""The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
+COPIED = 0.1
+"""Part of the readings that may equal another one; coarse readings may do so by chance."""
+FAR = 3.0
+"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
+USED_FOR_BOTH = 0.1
+"""Part of the validation poses that may be poses of the fit, measured again."""
+ANOTHER = {"load": 0.05, "temperature": 2.0}
+"""Differences in stated conditions [kg, K] that make a measurement at the same joint values another one."""
+
+
+def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that never moved, and poses near a singularity."""
+    data = fit.identification.data
+    still = unmoved_joints(fit.nominal, data.joints)
+    if len(still) == len(fit.nominal.joint_names):
+        yield Code.POSES_EQUAL.says(
+            "all poses are the same, so the parameters come from their priors alone; move the robot"
+        )
+    elif still:
+        yield Code.JOINT_NEVER_MOVED.says(
+            f"{joints_named(*still, shown=len(still))} never moved: poses that move"
+            f" {'it' if len(still) == 1 else 'them'} are not calibrated"
+        )
+    n_moved = len(fit.nominal.joint_names) - len(still)
+    directions = directions_moved(data.joints)
+    if directions < min(n_moved, len(data) - 1):
+        yield Code.JOINTS_MOVE_TOGETHER.says(
+            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space: the"
+            " errors of single joints come from priors alone. Move each joint by itself"
+        )
+    limit = fit.nominal.description.singularity_limit
+    near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
+    if near:
+        yield Code.NEAR_SINGULAR.says(
+            f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
+            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out"
+        )
+
+
+def too_few_poses(fit: Fit) -> Iterator[Reason]:
+    """Count degrees of freedom. Poses left out one by one are few as well: only poses that were not used count it."""
+    rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
+    if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
+        yield Code.TOO_FEW_POSES.says(
+            f"too few poses: {rows} measured coordinates determine {used:.1f} parameters and leave"
+            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many poses",
+            counted=fit.statistics.freedom >= FEW and fit.validation is not None,
+        )
+
+
+def few_shared(fit: Fit) -> Iterator[Reason]:
+    """Count poses whose readings share errors."""
+    statistics = fit.statistics
+    if statistics.shared is not None and statistics.interval_freedom < FEW_SHARED:
+        yield Code.TOO_FEW_POSES.says(
+            "too few poses: the readings of a pose share errors, so that intervals come from only"
+            f" {statistics.interval_freedom:.1f} independent errors. Measure several times as many poses, not more"
+            " readings of each pose"
+        )
+
+
+def moves_as_one(fit: Fit) -> Iterator[Reason]:
+    """Look for targets that keep their distances so exactly that they were computed from one pose."""
+    data, names = fit.identification.data, fit.nominal.target_names
+    if len(names) < 2 or fit.computed:
+        return
+    points = data.points(fit.nominal)
+    rigid = set()
+    for a, b in combinations(range(len(names)), 2):
+        distances = np.linalg.norm(points[:, a] - points[:, b], axis=1)
+        distances = distances[np.isfinite(distances)]
+        if len(distances) >= FEW_SHARED and np.std(distances) < RIGID < fit.sigma:
+            rigid |= {names[a], names[b]}
+    if rigid:
+        yield Code.MOVES_AS_ONE.says(
+            f"the distances between targets {listed([name for name in names if name in rigid])} are the same at every"
+            f" pose, to {1e6 * RIGID:g} um, while readings are off by {millimetres(fit.sigma):.3g} mm per axis: these"
+            " targets were computed from one measured pose. Intervals count each pose once. Give that pose itself,"
+            " with an instrument of kind pose"
+        )
+
+
+def outliers(fit: Fit) -> Iterator[Reason]:
+    """List outliers, and count the excluded ones. Where a frame moved, all readings from there look like outliers."""
+    for where, outlying in (
+        ("", findings.outliers(fit)),
+        (" among the poses that were not used", findings.validation_outliers(fit)),
+    ):
+        if outlying and not (where and any(frame_moved(fit))):
+            words = listed(outliers_in_words(outlying), "; ")
+            yield Code.OUTLIERS.says(
+                f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
+                f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
+                + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
+                counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
+                answer=Answer.LOOK if where else None,
+            )
+    if fit.with_all is not None:
+        total = len(fit.with_all.identification.data)
+        poses = total - len(fit.identification.data)
+        readings = fit.with_all.rows.layout.n_readings
+        gone = readings - fit.rows.layout.n_readings
+        if poses > EXCLUDED * total or gone > EXCLUDED * readings:
+            of_all = f"{poses} of {total} poses" if poses > EXCLUDED * total else f"{gone} of {readings} readings"
+            yield Code.MANY_EXCLUDED.says(
+                f"{of_all} were excluded: so many cannot be outliers; the model or the measurements are wrong"
+            )
+
+
+def used_for_both(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses that the fit has used."""
+    if fit.validation is None:
+        return
+    used, other = fit.identification.data, fit.validation.data
+    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
+    same_pose = np.isin(label[len(used) :], label[: len(used)])
+    known = {key for keys in _reading_keys(used, np.arange(len(used))) for key in keys}
+    same_reading = [bool(keys & known) for keys in _reading_keys(other, np.flatnonzero(same_pose))]
+    if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
+        overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
+        yield Code.USED_FOR_BOTH.says(
+            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {overlap}: they"
+            " prove little; validate with other poses"
+        )
+
+
+def doubtful_readings(fit: Fit) -> Iterator[Reason]:
+    """Ask the instruments what looks wrong about their readings.
+
+    A fit bends the robot until such readings fit, and readings left out of the same files agree: only another kind of
+    instrument can bear the result out.
+    """
+    readings_of = fit.identification.data.readings
+    instruments = {name: fit.nominal.instrument(name) for name in readings_of}
+    doubts = {name: instruments[name].doubts(readings) for name, readings in readings_of.items()}
+    doubted = {type(instruments[name]) for name, texts in doubts.items() if texts}
+    alone = doubted.issuperset(type(instrument) for instrument in instruments.values())
+    for texts in doubts.values():
+        for text in texts:
+            yield Code.DOUBTFUL_READINGS.says(text, grade="FAIL" if alone else None)
+
+
+def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
+    """Part of the squared residuals that outliers make."""
+    if rows is None:
+        return 1.0
+    squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
+    return float(np.sum(squares[[outlier.reading for outlier in outlying]]) / max(float(np.sum(squares)), 1e-300))
+
+
+def copied(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that are in the data more than once, to the last digit."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    repeated = _same_joints(data.joints)
+    read = zip(data.joints[repeated], _reading_keys(data, repeated), strict=True)
+    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in read]
+    copies = len(rows) - len(set(rows))
+    if copies > COPIED * len(data):
+        yield Code.COPIED.says(
+            f"{copies} of {counted(len(data), 'reading')} are copies of others to the last digit, so intervals are too"
+            " narrow. Leave the copies out"
+        )
+
+
+def _conditions(used: Measurements, other: Measurements) -> FloatArray:
+    """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
+    both = (used, other)
+    columns = [np.concatenate([np.zeros(len(visits)) if visits.setups is None else visits.setups for visits in both])]
+    for name, size in ANOTHER.items():
+        values = [np.nan_to_num(visits.context.get(name, np.zeros(len(visits)))) for visits in both]
+        columns.append(SAME_JOINTS / size * np.concatenate(values))
+    return np.column_stack(columns)
+
+
+def _same_joints(joints: FloatArray) -> IntArray:
+    """Visits whose joint values (n_visits, n_actuated) may be those of another one, (n,)."""
+    left = np.arange(len(joints))
+    for column in joints.T:
+        _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
+        left = left[count[number] > 1]
+    return left
+
+
+def _reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:
+    """What was read at some visits (n,), to the last digit."""
+    place = np.full(len(data), -1)
+    place[visits] = np.arange(len(visits))
+    keys: list[set[bytes]] = [set() for _ in range(len(visits))]
+    for name, readings in data.readings.items():
+        of_these = place[readings.visits] >= 0
+        parts = (readings.visits, readings.values, readings.details)
+        for visit, values, details in zip(*(part[of_these] for part in parts), strict=True):
+            keys[place[visit]].add(name.encode() + values.tobytes() + details.tobytes())
+    return keys
+
+
+def dead_readings(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that no instrument took: exactly 0, 0, 0 and not fitting, and columns that are copies."""
+    data = fit.identification.data
+    zeros = zero_visits(data, fit.nominal)
+    left = np.zeros(len(data))
+    np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
+    if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
+        yield Code.ZERO_READINGS.says(zeros_in_words(data, fit.nominal))
+    for first, second in equal_columns(data, fit.nominal):
+        yield Code.EQUAL_COLUMNS.says(
+            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again"
+        )
+
+
+def repeats(fit: Fit) -> Iterator[Reason]:
+    """Compare residuals with the scatter of repeats."""
+    ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
+    if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
+        yield Code.REPEATABILITY.says(
+            f"means of repeats are off by {ratio:.1f} times what their scatter explains: the model leaves something"
+            " out, or the repeats were read without moving the robot"
+        )
+
+
+def rounded(fit: Fit) -> Iterator[Reason]:
+    """See whether joint values were rounded to so few digits that this makes much of the noise."""
+    steps = None if fit.computed else rounding(fit)
+    if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
+        estimate, part = fit.first_noise, fit.first_noise.group.part
+        size = error_scale(part.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
+        yield Code.ROUNDED.says(
+            f"joint values were rounded to steps of {steps.steps}, which makes about {size:.2g}"
+            f" {ERROR_UNIT[part.dimension]} of noise. Export joint values with all digits of the controller"
+        )
+
+
+def leverage(fit: Fit) -> Iterator[Reason]:
+    """List poses that decide their own prediction, curves aside.
+
+    A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
+    """
+    deciding = findings.studentised(fit).largest_leverage > HIGH_LEVERAGE
+    lasting = fit.unknowns.family < 0
+    if np.any(deciding) and not np.all(lasting):
+        rows = fit.rows.only(lasting)
+        root = rows.weighted(fit.weights).known.root
+        deciding &= (
+            studentised(blocks(rows, fit.weights), root, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
+        )
+    high = _visits(fit, np.flatnonzero(deciding))
+    if high and fit.statistics.freedom >= FEW:
+        yield Code.LEVERAGE.says(
+            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
+            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
+        )
+
+
+def _visits(fit: Fit, readings: IntArray) -> list[str]:
+    """Labels of the visits of some readings, each once."""
+    return [fit.identification.data.labels[k] for k in dict.fromkeys(fit.rows.layout.visit[readings].tolist())]

@@ -1,0 +1,358 @@
+"""Rules of the verdict about the fit: convergence, validation, what the model leaves out, other minima."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError
+from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
+from calib.core.base.words import counted, joints_named, listed
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.judging.better_or_worse import HARM, comparisons
+from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
+from calib.core.judging.effect_kinds import Trait
+from calib.core.judging.reasons import Answer, Code, Reason
+from calib.core.judging.residual_patterns import describe
+from calib.core.judging.rules_noise import impossible, in_words
+from calib.core.numerics.chances import EXACT, UNLIKELY
+from calib.core.numerics.rigid import best_transform
+from calib.core.robots.held import Accuracy, Holds, SeenAt
+from calib.core.robots.robot_files import lost_by
+from calib.core.rows.registration import registration
+
+ELSEWHERE = 0.2
+"""Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
+BELIEVED = 0.5
+"""Weight of a robust loss from which a reading counts."""
+FEW_POSES = 6
+"""Validation poses from which a rigid motion explains errors only if there is one."""
+CLOSE = 0.3
+"""Spread of validation points, over that of the points used, up to which errors of the robot move them as one."""
+EXPLAINED = 0.3
+"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
+AT_END = 0.55
+"""What looks like a change in the course of the measurement, over all that is left, up to which a claim holds at its
+end: what grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of
+all."""
+AFTER = 0.3
+"""What surely changes in that course, over all that is left, up to which a claim holds afterwards, for half as long as
+the measurement took: what grows evenly has seven times its mean square there, so that all is 1.25 times as large at
+sqrt(0.09) of all."""
+_NOT_THE_ROBOT = (
+    ". The fit describes its own measurements, not the robot. Measure more poses, spread over the space where the robot"
+    " will work"
+)
+_FURTHER_ERRORS = ". There the robot has errors that the poses used do not show. Measure there too"
+_AT_LIMIT = 1e-6  # distance of a passive joint from its limit, where it stopped a fit [m, rad]
+_MOST_PATTERNS = 3  # that the sentence names
+OTHER_MINIMUM = 10.0
+"""Difference of the cost within which another minimum explains the data as well."""
+
+
+def not_converged(fit: Fit) -> Iterator[Reason]:
+    """Judge how the iteration ended."""
+    end = fit.convergence
+    advice = "check units, joint order and signs, or try --starts"
+    if end.converged:
+        return
+    if not end.weights_stand:
+        text = (
+            f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
+        )
+    elif end.receding:
+        text = (
+            f"not converged: these poses do not determine {listed(end.receding)}: the farther the fit moves"
+            f" {'it' if len(end.receding) == 1 else 'them'}, the farther there is to go"
+        )
+        advice = f"measure poses that differ more, or hold what they do not determine (--fix {end.receding[0]})"
+    elif not end.step_left < np.inf or end.step_left > 1.0:
+        text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
+    else:
+        text = f"not converged: {end.message}"
+    for name in _at_limit(fit):
+        text += f"; passive {joints_named(name)} is at its limit in the URDF, which may be too narrow"
+    yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
+
+
+def _at_limit(fit: Fit) -> list[str]:
+    """Name the passive joints that are at a limit at a pose."""
+    mechanism, passive = fit.robot.mechanism, fit.configurations.passive
+    gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
+    return [mechanism.passive[k] for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0))]
+
+
+def not_assembled(fit: Fit) -> Iterator[Reason]:
+    """Assemble the calibrated robot afresh."""
+    if not fit.assembles:
+        yield Code.NOT_ASSEMBLED.says(
+            "with the parameters found, the robot cannot be assembled from its home configuration, so they are wrong;"
+            " check units, joint order and signs"
+        )
+
+
+def worse_on_validation(fit: Fit) -> Iterator[Reason]:
+    """Compare errors on unused poses before and after."""
+    moved = any(frame_moved(fit))
+    for comparison in comparisons(fit):
+        if comparison.worse:
+            yield Code.WORSE_ON_VALIDATION.says(
+                f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
+                f" {100 * UNLIKELY:g} %){'' if moved else _NOT_THE_ROBOT}",
+                answer=Answer.HOLD_OUT if moved else None,
+            )
+
+
+def residuals_grew(fit: Fit) -> Iterator[Reason]:
+    """See whether readings that were used are explained worse than by the nominal robot, in sum or of one instrument.
+
+    Least squares make their sum smaller. Where it grew, weights or priors were believed more than the readings.
+    """
+    if fit.computed:
+        return
+    layout, believed = fit.rows.layout, fit.weights > BELIEVED
+    whitened = fit.whitened_errors(fit.identification)
+    squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in whitened]
+    sums = [float(np.sum(by_reading[believed])) for by_reading in squares]
+    if sums[1] > HARM**2 * sums[0]:
+        yield Code.RESIDUALS_GREW.says(
+            f"errors at the poses used are {np.sqrt(sums[1] / sums[0]):.2f} times those of the nominal robot with base"
+            " and targets placed: priors or weights count more in this fit than the measurements; check the stated"
+            " noise and the sigmas of the description"
+        )
+        return
+    for instrument, part, of_part in fit.identification.parts():
+        kept = believed[layout.readings_of(instrument.name)]
+        if not np.any(kept):
+            continue
+        states = fit.identification.before, fit.identification.after
+        sizes = [float(np.nanmean(errors[instrument.name][kept][:, of_part] ** 2)) for errors in states]
+        if sizes[1] > HARM**2 * sizes[0]:
+            scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
+            before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
+            yield Code.INSTRUMENTS_DISAGREE.says(
+                f"readings of {instrument.name}, {part.name}, fit worse than before ({after_rms:.4g} {unit} RMS,"
+                f" {before_rms:.4g} before), while those of other instruments fit better: the instruments contradict"
+                " each other; check the description of each, and its stated noise"
+            )
+
+
+def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
+    """Compare errors on poses that were not used with what is claimed.
+
+    Args:
+        fit: The fit.
+        claim: Its claim.
+        needless: Whether the robot needs no correction.
+    """
+    moved = any(frame_moved(fit))
+    worse, further = ("", "") if moved else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
+    for accuracy in claim.broken:
+        times, claimed = accuracy.rms / claim.told.rms, claim.told
+        if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
+            yield Code.WORSE_ON_VALIDATION.says(
+                f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
+                f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
+                f" ({claimed.shown(claimed.rms)}){worse}",
+                answer=Answer.HOLD_OUT if moved else None,
+            )
+        else:
+            yield Code.VALIDATION.says(
+                f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS;"
+                f" claimed: {claimed.shown(claimed.rms)}){'' if moved else _where(fit, accuracy)}{further}"
+            )
+
+
+def _where(fit: Fit, accuracy: Accuracy) -> str:
+    """Say so if more validation poses than chance explains are unlike those measured."""
+    unlike = unlike_measured(fit)
+    if accuracy.poses is not SeenAt.VALIDATION or fit.validation is None or not elsewhere(unlike):
+        return ""
+    setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
+    if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
+        return ". They are of a setup that was not used"
+    return f". {np.sum(unlike)} of them are farther from the poses used for the fit than those are from each other"
+
+
+def base_elsewhere(fit: Fit) -> str:
+    """Return what to do if the nominal robot fits with its base anywhere but where it is stated; else nothing."""
+    robot, data = fit.nominal, fit.identification.data
+    if robot.description.base.pose == "unknown":
+        return ""
+    try:
+        stated, placed = (registration(robot, data, frame_known=known) for known in (True, False))
+    except DataError:  # no points were measured
+        return ""
+    if placed.rms > ELSEWHERE * stated.rms:
+        return ""
+    pose = placed.T_base_measurement.inverse()
+    xyz = ", ".join(f"{millimetres(value):.2f} mm" for value in pose.translation)
+    rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
+    has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
+    unknown = "" if has_own_base else "set base: pose: unknown, or "
+    return (
+        f"base: pose: known does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the data:"
+        f" {millimetres(placed.rms):.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
+    )
+
+
+def frame_moved(fit: Fit) -> Iterator[Reason]:
+    """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
+        return
+    measured, errors = _points(fit.validation)
+    if len(measured) < FEW_POSES:
+        return
+    spread, used = (np.std(points - np.mean(points, axis=0)) for points in (measured, _points(fit.identification)[0]))
+    if spread < CLOSE * used:
+        return
+    predicted = measured + errors
+    rotation, translation = best_transform(measured, predicted)
+    left = _rms(predicted - measured @ rotation.T - translation)
+    if left < EXPLAINED * _rms(errors):
+        centre = measured.mean(axis=0)
+        shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
+        yield Code.FRAME_MOVED.says(
+            "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
+            f" {shift:.3g} mm and {angle:.2g} deg: such a motion explains all but {millimetres(left):.3g} mm RMS;"
+            " measure both from one place, or hold out poses of one file (--validate 0.25)"
+        )
+
+
+def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
+    """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
+    if fit.computed:
+        return
+    entries = list(comparisons(fit))
+    if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
+        return
+    chance = _chance_of_gain(fit)
+    evidence = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
+    if chance > UNLIKELY:
+        evidence += f"{'; ' if evidence else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
+        yield Code.NOTHING_TO_CORRECT.says(
+            f"nothing to correct: {evidence}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
+            " error of the nominal robot"
+        )
+    elif entries and all(entry.after >= entry.before for entry in entries):
+        yield Code.NO_GAIN.says(
+            f"poses that were not used get no better: {evidence}. Only the poses used get better: the fit describes"
+            " what is special about them. Measure more poses, spread over the space where the robot will work"
+        )
+
+
+def _chance_of_gain(fit: Fit) -> float:
+    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone.
+
+    Few poses hardly show their noise, so that by it alone almost any gain may be chance. Where all noise is stated, and
+    what was found does not contradict it, the statement is a second measure: the gain is chi-square by it.
+    """
+    layout = fit.rows.layout
+    root = np.sqrt(fit.weights)[layout.reading]
+    before, after = ((root * residuals) ** 2 for residuals in fit.whitened_errors(fit.identification))
+    k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
+    if k < 0.5 or np.sum(after) <= 0:
+        return 0.0
+    gained = max(float(np.sum(before - after)), 0.0)
+    chance = float(scipy.special.fdtrc(k, fit.statistics.freedom, gained / k))
+    over_stated = np.array([estimate.sigma / (estimate.stated or np.nan) for estimate in fit.noise])
+    freedoms = np.array([estimate.freedom for estimate in fit.noise])
+    if np.all(scipy.special.chdtrc(freedoms, freedoms * over_stated**2) >= UNLIKELY):
+        by_stated = float(np.sum((over_stated[layout.group] ** 2 * (before - after))[layout.group >= 0]))
+        chance = min(chance, float(scipy.special.chdtrc(k, max(by_stated, 0.0))))
+    return chance
+
+
+def files_hold_less(fit: Fit) -> Iterator[Reason]:
+    """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
+    if fit.reduced is None:  # no files were asked for
+        return
+    why = why_no_origins(fit)
+    if why:
+        others = "calib's own commands use the terms" if fit.robot.terms else "the nominal robot is as good as any"
+        yield Code.FILE_WITHHELD.says(
+            f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them"
+        )
+    elif lost_by(fit.robot, Holds.ORIGINS):
+        origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
+        yield Code.FILE_HOLDS_LESS.says(
+            f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
+            f" {origins.words}. Nominal robot: {origins.shown(origins.before)}; whole model: {whole.shown(whole.rms)}"
+        )
+
+
+def why_no_origins(fit: Fit) -> str:
+    """Return why no file of joint origins is written of a fit that did not fail; empty if they are."""
+    known = fit.robot.files.get(Holds.ORIGINS)
+    if known is not None:
+        return known.withheld
+    return "no fit without its joint terms has succeeded" if lost_by(fit.robot, Holds.ORIGINS) else ""
+
+
+def systematic(fit: Fit) -> Iterator[Reason]:
+    """List patterns in the residuals: those that stay, and those that change in the course of the measurement."""
+    if impossible(fit):  # parts of what does not fit at all
+        return
+    patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
+    changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
+    left = fit.identification.rms("after")
+    grows = max((change.size for change in findings.changes(fit)), default=0.0)
+    for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
+        if kinds:
+            worst = max(kinds, key=lambda pattern: pattern.size)
+            moved = Trait.MOVED in worst.kind.traits
+            words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
+            yield Code.SYSTEMATIC.says(
+                f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
+                " intervals of parameters do not include it"
+                + ("; if something moved, use the rows before or after that, or describe setups" if moved else ""),
+                answer=Answer.CORRECT if moved else None,
+                counted=kinds is not changing or (worst.size < AT_END * left and grows < AFTER * left),
+            )
+
+
+def other_minima(fit: Fit) -> Iterator[Reason]:
+    """Look at what perturbed starts found."""
+    if fit.starts is None:
+        return
+    best, *others = fit.starts.minima
+    # without a statement the starts were weighed by a noise that was not found yet
+    started = fit.starts.groups[0] * fit.whitening.groups[0].typical
+    unit = 1.0 if fit.noise[0].stated is not None else (max(fit.noise[0].sigma, EXACT) / started) ** 2
+    near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
+    if near:
+        yield Code.OTHER_MINIMUM.says(
+            f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
+            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the measurements do not show"
+            " which of them is the robot; measure poses that differ more"
+        )
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
+    """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
+    measured: list[FloatArray] = [np.zeros((0, 3))]
+    errors: list[FloatArray] = [np.zeros((0, 3))]
+    for instrument, part, rows in error_set.parts():
+        points = instrument.points(error_set.data.readings[instrument.name].values)
+        if points is not None and part.is_position:
+            measured_rows = np.isfinite(points).all(axis=1)
+            measured.append(points[measured_rows])
+            errors.append(error_set.after[instrument.name][measured_rows][:, rows])
+    return np.concatenate(measured), np.concatenate(errors)
+
+
+def _from_one_file(fit: Fit) -> bool:
+    """Whether the validation poses were held out of the file that was fitted."""
+    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
+    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None

@@ -1,0 +1,236 @@
+"""Rules of the verdict about noise: what was found against what was stated, and against what such instruments have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.errors import CalibrationError
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fitted import Fit, NoiseEstimate
+from calib.core.judging import findings
+from calib.core.judging.better_or_worse import comparisons
+from calib.core.judging.reasons import Answer, Code, Reason
+from calib.core.numerics.chances import UNLIKELY
+from calib.core.numerics.statistics import chi_square
+from calib.core.robots.robot import Robot
+from calib.core.rows.observed import observe
+from calib.core.rows.registration import register
+
+NOISE_RATIO = 3.0
+"""Found over stated noise from which the statement, or the model, is wrong."""
+GROSS = 2.0
+"""Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
+LARGE_NOISE = 0.1
+"""Noise, over the spread of the measured positions, that means that nothing fits."""
+DOUBTFUL = 0.05
+"""Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
+LEFT_OUT = 0.01
+"""Noise, over the spread of the measured positions, that a model of a healthy robot may leave."""
+_CLOSER = 0.2  # error with another meaning over that with the present one
+_TRIED = 20  # of many poses, so many are enough
+_FEWEST_READINGS = 4
+
+
+def noise(fit: Fit) -> Iterator[Reason]:
+    """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
+    sigma, spread = fit.sigma, _spread(fit)
+    if sigma > LARGE_NOISE * spread:
+        yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
+            f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
+            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joint"
+            " values and positions of each row belong together",
+            answer=_first_answer(fit),
+        )
+    elif fit.computed:
+        yield Code.NO_NOISE.says(
+            f"noise found: {in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
+            " not measured, and the intervals say nothing about a real robot. Give measured readings, or simulated ones"
+            " that have noise"
+        )
+    else:
+        for estimate in fit.noise:
+            if estimate.freedom > 0:
+                yield from (
+                    _against_usual(fit, estimate) if estimate.stated is None else _against_statement(fit, estimate)
+                )
+
+
+def misread(fit: Fit) -> Iterator[Reason]:
+    """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
+    for estimate in fit.noise:
+        if not estimate.sigma > DOUBTFUL * estimate.group.part.largest:
+            continue
+        data, beyond = fit.identification.data, ""
+        readers = [name for name in data.readings if fit.nominal.instrument(name).group == estimate.group.name]
+        meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
+        if estimate.sigma > estimate.group.part.largest:
+            beyond = f", more than any such instrument has ({in_words(estimate, estimate.group.part.largest)})"
+        if meaning or beyond:
+            yield Code.MISREAD.says(
+                f"noise found of {estimate.group.name}, {estimate.group.part.name}, is"
+                f" {in_words(estimate, estimate.sigma)} per axis{beyond}: the numbers mean something else;"
+                f" {meaning or 'look at their order, form, unit and frame'}"
+            )
+
+
+def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
+    """Return what the numbers of an instrument look like in place of what they were read as; empty if nothing else.
+
+    Each meaning that a kind of measurement knows, such as quaternions in another order, is tried on the nominal robot,
+    with base and targets placed by it. One that brings the readings much nearer than they stand is named.
+    """
+    some = data.subset(np.unique(np.linspace(0, len(data) - 1, _TRIED).astype(np.intp)))
+    readings = some.readings.get(name)
+    if readings is None or len(readings) < _FEWEST_READINGS or not np.isfinite(readings.values).all():
+        return ""
+    tried = []
+    for words, values in robot.instrument(name).other_meanings(readings.values):
+        changed = replace(some, readings={**some.readings, name: replace(readings, values=values)})
+        tried.append((_nominal_error(robot, changed, name), words))
+    best, words = min(tried, default=(np.inf, ""))
+    now = _nominal_error(robot, some, name)
+    if not best < _CLOSER * now:
+        return ""
+    smaller = f"errors of the nominal robot are {now / max(best, 1e-9):.0f} times smaller"
+    return f"it looks as if {words}; if this is corrected, {smaller}"
+
+
+def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
+    """Root mean square error of the rows whose numbers may mean something else, by the nominal robot [SI]."""
+    instrument = robot.instrument(name)
+    rows = [k for k, part in enumerate(instrument.part_of_row) if np.isfinite(instrument.parts[part].largest)]
+    try:
+        placed = register(robot, data)
+        observed = observe(placed, placed.assemble(data.joints, context=data.conditions), data.readings)
+    except CalibrationError:
+        return float("inf")
+    return float(np.sqrt(np.mean(observed[name].residuals[:, rows] ** 2)))
+
+
+def in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
+    """A noise [SI] in the unit of its group."""
+    return f"{error_scale(estimate.group.part.dimension) * size:.{digits}g} {ERROR_UNIT[estimate.group.part.dimension]}"
+
+
+def _of(fit: Fit, estimate: NoiseEstimate) -> str:
+    return f" of {estimate.group.name}, {estimate.group.part.name}," if len(fit.noise) > 1 else ""
+
+
+def _against_usual(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+    usual = estimate.group.part.usual
+    if estimate.sigma > usual:
+        none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
+        yield Code.NOISE.says(
+            f"noise found{_of(fit, estimate)} is {in_words(estimate, estimate.sigma)} per axis, more than such an"
+            f" instrument has ({in_words(estimate, usual)} at most): the model does not explain the measurements, and"
+            " what it leaves out may have changed the parameters; look for what is missing or wrong in the"
+            " description of the instrument, and check the result with another instrument",
+            grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
+            counted=False,
+        )
+
+
+def _proven_by_another(fit: Fit) -> bool:
+    """Whether poses get better that an instrument judged with which nothing was fitted."""
+    used = fit.identification.data.readings.keys()
+    another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
+    return another and any(comparison.better for comparison in comparisons(fit))
+
+
+def unproven(fit: Fit) -> bool:
+    """Whether noise is so far above its statement that only poses that were not used tell whether the fit can be used.
+
+    Args:
+        fit: A fit that was judged with no such poses, or with some that prove nothing.
+    """
+    beyond = [] if fit.computed else [estimate for estimate in fit.noise if _beyond_statement(estimate)]
+    provable = bool(beyond) and all(_may_be_left_out(fit, estimate) for estimate in beyond)
+    return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
+
+
+def _beyond_statement(estimate: NoiseEstimate) -> bool:
+    if estimate.stated is None or estimate.freedom <= 0:
+        return False
+    ratio = estimate.sigma / estimate.stated
+    return ratio > NOISE_RATIO and chi_square(ratio, estimate.freedom).p_larger < UNLIKELY
+
+
+def impossible(fit: Fit) -> bool:
+    """Whether some noise is more than was stated, and more than the model of a healthy robot leaves."""
+    return not fit.computed and any(
+        _beyond_statement(estimate) and not _may_be_left_out(fit, estimate) for estimate in fit.noise
+    )
+
+
+def _first_answer(fit: Fit) -> Answer:
+    """What answers noise that no healthy robot leaves: a few readings can make all of it."""
+    return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
+
+
+def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
+    """Whether a noise may be what the model leaves out of a healthy robot."""
+    return estimate.group.part.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)
+
+
+def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+    stated = estimate.stated or 1.0
+    ratio = estimate.sigma / stated
+    chi = chi_square(ratio, estimate.freedom)
+    numbers = f"{in_words(estimate, estimate.sigma)} per axis where {in_words(estimate, stated)} was stated"
+    of = _of(fit, estimate)
+    if _beyond_statement(estimate):
+        yield _beyond(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+    elif chi.p_larger < UNLIKELY:
+        text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
+        yield Code.NOISE.says(
+            f"{text}: state the noise of robot and sensor together, or look for what the model leaves out"
+        )
+    elif chi.p_smaller < UNLIKELY:
+        text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
+        advice = "state a smaller noise; or the same reading was used more than once"
+        yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
+
+
+def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
+    """Judge a noise that is far above its statement."""
+    text += ": the model does not explain the measurements;"
+    compared = list(comparisons(fit))
+    better = any(comparison.better for comparison in compared)
+    bounded = estimate.group.part.dimension == "length" and np.isfinite(_spread(fit))
+    no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
+    if not _may_be_left_out(fit, estimate):
+        text += (
+            f" a healthy robot does not leave more than {100 * LEFT_OUT:g} % of the measured space"
+            f" ({millimetres(_spread(fit)):.4g} mm): check units, joint order and signs, and outliers; if all of it is"
+            " noise, state that noise (--sigma-mm)"
+        )
+        return Code.NOISE.says(text, grade="FAIL", answer=_first_answer(fit))
+    if better or no_worse:
+        outcome = "get better by more than chance explains" if better else "get neither better nor worse"
+        text += (
+            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers: the"
+            " uncertainty of positions counts it as errors of the joints. State the noise of robot and sensor together"
+            " (--sigma-mm)"
+        )
+        return Code.NOISE.says(text)
+    text += (
+        " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
+        " other poses (--validate, --folds)"
+    )
+    return Code.NOISE.says(text, grade="FAIL")
+
+
+def _spread(fit: Fit) -> float:
+    """Root mean square distance per axis of measured positions from their centre [m], of the widest; inf without."""
+    errors = fit.identification
+    spreads = [np.inf]
+    for instrument in errors.instruments:
+        readings = errors.data.readings.get(instrument.name)
+        points = None if readings is None else instrument.points(readings.values)
+        if points is not None and len(points):
+            spreads.append(float(np.sqrt(np.mean(np.nanvar(points, axis=0)))))
+    return max(spreads[1:], default=np.inf)

@@ -1,0 +1,213 @@
+"""Rules of the verdict about single parameters: how far from nominal they are, and how loosely they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import PER_SI
+from calib.core.base.words import listed
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.judging.effects import gains, scale
+from calib.core.judging.reasons import Code, Reason
+from calib.core.numerics.identifiability import reduced_with
+from calib.core.numerics.observability import information
+from calib.core.numerics.tall import in_parts
+
+PLAUSIBLE = 4.0
+"""Expected errors (sigmas) that a parameter may be away from nominal."""
+IMPOSSIBLE = 20.0
+"""Expected errors away from nominal that no error of the stated size explains: the edge of what is plausible, of a
+sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
+hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
+SMALLEST_SHARE = 0.05
+"""Share of a parameter that the data must decide for its deviation to say anything."""
+SCALED = 2e-3
+"""Part by which no robot and no instrument is longer as a whole: heat makes a tenth of it."""
+SCALED_SIGMAS = 6.0
+"""Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
+MOST = 0.5
+"""Part of squared residuals and deviations, beyond noise, that a scale must explain to be the cause: others look a bit
+like it."""
+_NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
+MANIFOLD = 0.3
+"""Scale of lengths beyond which their ratio is told, and not percent."""
+UNUSUAL = 10.0
+"""Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
+LOOSE_ANGLE = 0.1
+"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
+
+
+def far_from_nominal(fit: Fit) -> Iterator[Reason]:
+    """List parameters far from nominal.
+
+    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
+    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
+    prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
+    never impossible: what the description says of it may be no more than a guess.
+    """
+    far, impossible = [], []
+    for parameter, away in _deviations(fit):
+        if away > IMPOSSIBLE and not parameter.placement:
+            impossible.append((away, parameter))
+        elif away > PLAUSIBLE:
+            far.append((away, parameter))
+    if impossible:
+        impossible.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
+        yield Code.FAR_FROM_NOMINAL.says(
+            f"parameters are more than {IMPOSSIBLE:g} times as far from nominal as their stated sigma allows: {words}."
+            " No error of the stated size explains this: check signs, zeros and order of the joint columns, and units."
+            " If such an error is possible, state a larger sigma in the description"
+        )
+    elif far:
+        far.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
+        yield Code.AT_BOUNDS.says(
+            f"parameters are more than {PLAUSIBLE:g} times as far from nominal as their stated sigma allows: {words};"
+            " check zero positions and units. If such an error is possible, state a larger sigma in the description"
+        )
+
+
+def lengths_scaled(fit: Fit) -> Iterator[Reason]:
+    """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
+
+    In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
+    everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
+    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing. Residuals are over
+    the noise found, so that without a scale the squares add up to about the rows less the places. Joints that turn too
+    far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
+    """
+    setting = findings.setting(fit)
+    lengths = scale(setting)
+    if fit.computed or not np.any(lengths):
+        return
+    left, n_measured = _left_by_parameters(fit, np.hstack([lengths, gains(setting)]))
+    scaled, part = _cost_with(left[:, :1], left[:, -1], n_measured, is_scale=True)
+    if abs(part) <= SCALED:
+        return
+    alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
+    geared, _ = _cost_with(left[:, 1:-1], left[:, -1], n_measured)
+    by_noise = fit.rows.layout.n_read - int(np.sum(fit.unknowns.placement))
+    if alone - scaled > max(SCALED_SIGMAS**2, MOST * (alone - by_noise)) and scaled < geared:
+        yield Code.LENGTHS_SCALED.says(
+            f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
+            " of the measurements, the scale of the instrument and the size of the artefact"
+        )
+
+
+def _scaled(part: float) -> str:
+    """Say how long measured lengths are beside those of the description, which fit once they are scaled by 1 + part."""
+    if abs(part) > MANIFOLD:
+        return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as long as"
+    return f"{100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than"
+
+
+def _left_by_parameters(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
+    """Return what the parameters leave of further columns, and of the residuals as the last, over the noise found.
+
+    Args:
+        fit: The fit.
+        columns: What is tried, (n_rows, k).
+
+    Returns:
+        Few rows with the same products as all that were measured, above one for each deviation of a parameter,
+        (n, k + 1); and how many of them were measured.
+    """
+    linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
+    rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
+    known = information(rows.factor[:n, :-1] / linear.factor, np.eye(n)[inside])
+    told = np.zeros((n, tried.shape[1]))
+    told[inside, -1] = rows.deviations[inside]
+    step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + told))
+    measured: FloatArray = np.zeros((0, tried.shape[1]))
+    for part in in_parts(len(tried)):
+        measured = reduced_with(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
+    return np.vstack([measured, (told + step)[inside]]), len(measured)
+
+
+def _cost_with(
+    columns: FloatArray, right: FloatArray, n_measured: int, *, is_scale: bool = False
+) -> tuple[float, float]:
+    """Return the least cost with some of these columns (n, k) beside the residuals (n,), and the first's size.
+
+    Args:
+        columns, right: What the parameters leave of them.
+        n_measured: How many of the rows were measured; the others are priors.
+        is_scale: Whether the column scales all lengths, and noise with them.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    solution = np.linalg.lstsq(columns / size, -right, rcond=None)[0]
+    squares = (columns / size @ solution + right) ** 2
+    first = float(solution[0] / size[0]) if len(size) else 0.0
+    noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0
+    return float(np.sum(squares[:n_measured]) / noise + np.sum(squares[n_measured:])), first
+
+
+def large_terms(fit: Fit) -> Iterator[Reason]:
+    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
+    tried = () if fit.terms is None else fit.terms.tried
+    words = listed([f"{term.term} ({term.size:.0f} times)" for term in tried if term.added and term.size > UNUSUAL])
+    if words:
+        yield Code.LARGE_TERMS.says(
+            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
+            " ratio, unit, mass or load that is wrong in the description or the data"
+        )
+
+
+def unlike_fleet(fit: Fit) -> Iterator[Reason]:
+    """Say in what a robot is unlike the others of its model, so that these said nothing of it."""
+    fleet = fit.nominal.description.fleet
+    if fleet is not None and fleet.unlike:
+        whole = len(fleet.unlike) == len(fleet.parameters)
+        extent = "in every parameter" if whole else f"in {listed(fleet.unlike)}"
+        yield Code.UNLIKE_FLEET.says(
+            f"this robot is unlike the {fleet.robots} robots of its fleet {extent}: the fleet's prior was not used"
+            " there, so more poses are needed; look for a repair, a crash, another model or another convention"
+        )
+
+
+def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
+    """Yield each free parameter that has an expected error, and its deviation in units of what that allows."""
+    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
+    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
+        if not free:
+            continue
+        std, share = next(known)
+        if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
+            continue
+        away = abs(float(value) - parameter.expected_si) / parameter.sigma_si
+        if parameter.prior:
+            yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
+        else:
+            yield parameter, away - 2.0 * float(std) / parameter.sigma_si
+
+
+def unclear_rank(fit: Fit) -> Iterator[Reason]:
+    """See whether all that is free counts as determined only because of where the threshold lies."""
+    rank = fit.determination.together
+    if rank.unclear:
+        yield Code.RANK_UNCLEAR.says(
+            f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
+            " names it), or measure other poses"
+        )
+
+
+def loose(fit: Fit) -> Iterator[Reason]:
+    """List angles that are hardly determined."""
+    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
+    loose = [
+        f"{p.name} (+-{PER_SI['angle']['deg'] * std:.1f} deg)"
+        for p, std in zip(free, fit.statistics.std, strict=True)
+        if p.dimension == "angle" and std > LOOSE_ANGLE
+    ]
+    if loose:
+        yield Code.NOT_LINEAR.says(
+            f"hardly determined angles: {listed(loose)}. The model is not linear over such a range, so their intervals"
+            " mean nothing. Measure poses that differ more, or hold these parameters"
+        )

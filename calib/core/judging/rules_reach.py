@@ -1,0 +1,252 @@
+"""Rules of the verdict about where a calibration holds: how far joints moved, and where it was validated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.remembered import remembered
+from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.words import counted, joints_named, listed
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.joint_conventions import wrapped_terms
+from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.terms.joint_curves import beyond_learned
+from calib.core.judging.reasons import Code, Reason
+from calib.core.numerics.halton import halton
+from calib.core.robots.configurations import Configurations, configured
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.prediction import beside_common_motion, other_combinations
+
+BEYOND_LIMIT = 0.01
+"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+CORNER = 0.1
+"""Part of the range between its limits that at least one joint must move through."""
+LESS_KNOWN = 3.0
+"""Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
+WIDENED = np.sqrt(2.0)
+"""Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
+_TRIED = 50  # poses at which a joint is moved through its limits in the model
+_NO_VARIANCE = 1e-9  # of a variance, nothing
+_SAMPLED = 200  # poses at which uncertainties are looked at
+
+
+def one_corner(fit: Fit) -> Iterator[Reason]:
+    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
+    allowed = _allowed(robot)
+    known = np.isfinite(allowed) & (allowed > 0)
+    part = np.max(reach[known] / allowed[known], initial=0.0)
+    if np.all(known) and 0 < part < CORNER:
+        yield Code.ONE_CORNER.says(
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its range, and"
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work"
+        )
+
+
+def moved_little(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that moved so little that positions are unknown where they move further."""
+    data, robot = fit.identification.data, fit.nominal
+    allowed = _allowed(robot)
+    part = np.ptp(data.joints, axis=0) / allowed
+    still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
+    if np.all(part[~still] < CORNER):  # that is one corner
+        return
+    for j in np.flatnonzero((part < CORNER) & ~still):
+        elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
+        at_used = _uncertain_at_used(fit)
+        away = _uncertain(_relative(fit, elsewhere), fit.covariance.values)[0] if len(elsewhere.actuated) else 0.0
+        if away > _well_known(fit, at_used):
+            name = robot.joint_names[j]
+            dimension = robot.mechanism.dimensions[name]
+            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
+            yield Code.JOINT_MOVED_LITTLE.says(
+                f"{joints_named(name)} moved through only {reach:.2g} {unit}. Positions are known to"
+                f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
+                " moves further. Measure poses that move it through its range"
+            )
+
+
+def far_validation(fit: Fit) -> Iterator[Reason]:
+    """See whether the poses that were not used lie where the poses used tell little."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+        return
+    at_used = _rms(fit.identification_uncertainty.located)
+    away = float(np.median(fit.validation_uncertainty.located))
+    if away > _well_known(fit, at_used):
+        yield Code.VALIDATED_ELSEWHERE.says(
+            f"validation poses lie far from the poses used: positions are known to {millimetres(away):.2g} mm there,"
+            f" but to {millimetres(at_used):.2g} mm RMS at the poses used. Measure there too, and validate among the"
+            " poses used"
+        )
+
+
+def _elsewhere(fit: Fit, j: int, allowed: float) -> Configurations:
+    """Poses that were used with one joint spread over its limits, as far as they close."""
+    used = fit.identification.data.joints
+    q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
+    middle = np.mean(q[:, j])
+    lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
+    q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
+    return _as_far_as_closed(fit.robot, q)
+
+
+def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
+    """Those of the poses q (n, n_actuated) [m or rad] that close."""
+    closed = robot.close(q)
+    which = np.flatnonzero(closed.ok)
+    return configured(robot, q[which], closed.at(which))
+
+
+@remembered
+def _uncertain_at_used(fit: Fit) -> float:
+    """Root mean square uncertainty of positions at poses that were used, as many of them as are looked at [m]."""
+    data, passive = fit.identification.data, fit.identification.passive
+    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
+    near = None if passive is None else passive[used]
+    configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+    return _uncertain(_relative(fit, configurations), fit.covariance.values)[0]
+
+
+def _well_known(fit: Fit, at_used: float) -> float:
+    """Uncertainty of positions up to which they are known well enough [m], if it is `at_used` at the poses used."""
+    lengths = fit.first_noise.group.part.dimension == "length"
+    return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
+    """Look for joint values that the robot's own limits exclude."""
+    data, robot = fit.identification.data, fit.nominal
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
+    beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
+    if len(beyond):
+        joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
+        yield Code.BEYOND_JOINT_LIMITS.says(
+            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
+            f" {joints_named(*joints)}:"
+            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
+            " limits"
+        )
+
+
+def turns_not_counted(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that count turns of a joint whose values may be wrapped."""
+    for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
+        yield Code.TURNS_NOT_COUNTED.says(words)
+
+
+def _allowed(robot: Robot) -> FloatArray:
+    """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
+
+
+def beyond_curves(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses at joint values where no curve of a joint was learned, and where that matters."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+        return
+    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    at_used = _rms(fit.identification_uncertainty.located)
+    away = np.max(fit.validation_uncertainty.located, axis=1)
+    outside[away <= _well_known(fit, at_used)] = False
+    poses = np.flatnonzero(np.any(outside, axis=1))
+    if len(poses):
+        joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+        yield Code.BEYOND_CURVES.says(
+            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
+            f" {joints_named(*joints)} was learned:"
+            f" {listed([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
+            " before you rely on it"
+        )
+
+
+def blocks_disagree(fit: Fit) -> Iterator[Reason]:
+    """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
+    apart = fit.regions
+    if apart is not None and apart.surely:
+        yield Code.BLOCKS_DISAGREE.says(
+            f"if {apart.cut} are left out in turn, parameters change {apart.ratio:.2g} times as much as noise explains:"
+            " the model leaves out something that differs from place to place. Intervals and the"
+            " uncertainty of positions include it; in places unlike those measured, errors may be larger"
+        )
+
+
+def terms_untested(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
+    accuracy = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
+    if accuracy:
+        yield Code.TERMS_UNTESTED.says(
+            f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
+            f" are known to {accuracy}. Measure poses that combine joint values in other ways, or validate on such"
+            " poses (--validate)"
+        )
+
+
+def terms_beyond(fit: Fit) -> Iterator[str]:
+    """Say how sure positions are where joints go beyond the values from which terms were learned."""
+    q = fit.identification.data.joints
+    lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
+    half = _allowed(fit.nominal) / 2
+    low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
+    bounded = np.isfinite(half)
+    low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
+    accuracy = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    if accuracy:
+        yield (
+            f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"
+        )
+
+
+def _widened(fit: Fit, q: FloatArray) -> str:
+    """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
+
+    Base and tool placed anew: where they stand is no matter of the terms.
+    """
+    terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
+    if not np.any(terms) or fit.computed:
+        return ""
+    configurations = _as_far_as_closed(fit.robot, q)
+    if len(configurations.actuated) == 0:
+        return ""
+    covariance, flat = fit.covariance.values, _relative(fit, configurations)
+    at_used = _uncertain_at_used(fit)
+    away, alone = _uncertain(flat, covariance, _given(covariance, terms))
+    if away <= max(_well_known(fit, at_used), WIDENED * alone):
+        return ""
+    return f"{millimetres(away):.2g} mm RMS there, and to {millimetres(at_used):.2g} mm at the poses used"
+
+
+def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
+    """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
+    linear, targets = linearise(fit.robot, configurations), fit.robot.located
+    rows = beside_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
+    return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]
+
+
+def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
+    """Root mean square uncertainties of positions that move so with the unknowns, as by `_relative`, by each [m]."""
+    products = flat.T @ flat / len(flat)
+    return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
+
+
+def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
+    """Covariance of all unknowns if some of them were known (n,): that of the others, and zeros."""
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0, size, 1.0)
+    left, correlation = ~known, covariance / np.outer(size, size)
+    known_block = correlation[np.ix_(known, known)] + _NO_VARIANCE * np.eye(
+        int(np.sum(known))
+    )  # some may not be determined
+    across = correlation[np.ix_(left, known)]
+    result = np.zeros_like(covariance)
+    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(known_block, across.T)
+    return np.asarray(result * np.outer(size, size))

@@ -1,0 +1,222 @@
+"""PASS, CHECK or FAIL: whether a fit can be trusted, with reasons in words that say what to do.
+
+FAIL: the numbers must not be used (the robot is not exported as calibrated unless forced).
+CHECK: they can be used by someone who has read the reasons.
+PASS: nothing was found; that is no proof that nothing is wrong.
+
+Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons,
+repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about
+one fit of thirty (measured: docs/verdict.md).
+
+Rules of other packages come in by entry points of the group `calib.reasons`: functions of a fit that yield reasons.
+
+A `JudgedFit` is a fit that can be asked what it is worth: it has findings and verdict as attributes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from calib.core.base.errors import InputError
+from calib.core.base.registry import installed
+from calib.core.base.remembered import remembered
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.likely_mistakes import likely_mistake
+from calib.core.fitting.outliers import Outlier, Outliers
+from calib.core.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
+from calib.core.judging.blind_spots import not_covered
+from calib.core.judging.claim import Benefit, ErrorElsewhere, claim_of
+from calib.core.judging.error_budget import ErrorBudget
+from calib.core.judging.reasons import Code, Reason, Verdict
+from calib.core.judging.residual_patterns import Pattern
+from calib.core.robots.terms.term import Context
+from calib.core.rows.known_robot import KnownRobot
+
+_RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_model.worse_on_validation,
+    rules_data.dead_readings,
+    rules_model.residuals_grew,
+    rules_model.not_converged,
+    rules_model.not_assembled,
+    rules_noise.misread,
+    rules_noise.noise,
+    rules_data.doubtful_readings,
+    rules_model.frame_moved,
+    rules_parameters.lengths_scaled,
+    rules_parameters.far_from_nominal,
+    rules_data.poses_that_say_little,
+    rules_reach.one_corner,
+    rules_reach.moved_little,
+    rules_reach.far_validation,
+    rules_reach.beyond_joint_limits,
+    rules_reach.terms_untested,
+    rules_parameters.large_terms,
+    rules_parameters.unlike_fleet,
+    rules_reach.turns_not_counted,
+    rules_data.too_few_poses,
+    rules_data.few_shared,
+    rules_data.moves_as_one,
+    rules_parameters.unclear_rank,
+    rules_parameters.loose,
+    rules_model.nothing_to_correct,
+    rules_model.files_hold_less,
+    rules_model.systematic,
+    rules_reach.blocks_disagree,
+    rules_reach.beyond_curves,
+    rules_data.rounded,
+    rules_data.outliers,
+    rules_data.used_for_both,
+    rules_data.copied,
+    rules_data.repeats,
+    rules_model.other_minima,
+    rules_data.leverage,
+)
+_ORDER = ("FAIL", "CHECK", "PASS")
+_IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS}
+"""Reasons that the likely mistake says already."""
+_NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
+_MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
+
+
+@remembered
+@one_blas_thread
+def judge(fit: Fit) -> Verdict:
+    """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK.
+
+    Raises:
+        InputError: A rule of another package cannot be loaded, fails, or yields something else than reasons.
+    """
+    reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
+    codes, claim = {reason.code for reason in reasons}, claim_of(fit)
+    needless = Code.NOTHING_TO_CORRECT in codes
+    if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
+        reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
+    reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
+    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
+    elsewhere = rules_model.base_elsewhere(fit) if nothing_fits or codes & _MOVED else ""
+    if elsewhere:
+        reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if nothing_fits else "CHECK"))
+    elif nothing_fits:
+        mistake = likely_mistake(fit.nominal, fit.identification.data)
+        if mistake:
+            text = f"{mistake}; correct the data, or the description where that is wrong"
+            reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
+            reasons.insert(0, Code.LIKELY_MISTAKE.says(text))
+    if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or needless):
+        reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
+    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted))
+    grade = reasons[0].grade if reasons else "PASS"
+    if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
+        return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
+    return Verdict(grade, tuple(reasons), not_covered(fit), claim)
+
+
+def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
+    """What others take back, or say of its cause.
+
+    No gain, where there is harm; patterns in residuals that are as large as the robot; noise as large as it, where it
+    did not move; instruments that disagree, where a column was copied over another.
+    """
+    codes = {reason.code for reason in reasons}
+    pairs = (
+        (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
+        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+        (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),
+        (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
+    )
+    return {less for more, less in pairs if more in codes}
+
+
+def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
+    """Ask the rules of other packages, in the order of their names."""
+    for entry in installed("calib.reasons"):
+        whose = f"reason '{entry.name}' of the verdict ({entry.value})"
+        try:
+            given = list(entry.load()(fit))
+        except Exception as error:  # whatever another package does
+            raise InputError(
+                f"{whose}: {type(error).__name__}: {error}; mend or uninstall the package that has it"
+            ) from None
+        if not all(isinstance(reason, Reason) for reason in given):
+            raise InputError(
+                f"{whose}: yields something other than calib.core.judging.reasons.Reason; mend its package"
+            )
+        yield from given
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JudgedFit(Fit):
+    """A fit with its findings and its verdict, each made when it is first asked for."""
+
+    with_all: JudgedFit | None = None
+
+    @classmethod
+    def of(cls, fit: Fit) -> Self:
+        """Return a fit with what it is worth."""
+        values = {field.name: getattr(fit, field.name) for field in fields(fit)}
+        if fit.with_all is not None:
+            values["with_all"] = JudgedFit.of(fit.with_all)
+        if fit.reduced is not None:
+            values["reduced"] = {holds: JudgedFit.of(other) for holds, other in fit.reduced.items()}
+        return cls(**values)
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.verdict.grade}, {self.identification.data.n_poses}"
+            f" poses, {len(self.unknowns)} free parameters>"
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """PASS, CHECK or FAIL, with reasons."""
+        return judge(self)
+
+    def claim_at(self, poses: PosesLike, context: Context | None = None) -> ErrorElsewhere | None:
+        """Return how far off the tool is expected to be at other poses than those measured.
+
+        None where nothing is claimed, or nothing about positions.
+
+        Args:
+            poses, context: As of `predict`.
+
+        Raises:
+            DataError, UnreachablePoseError: As of `predict`.
+        """
+        claim = self.verdict.claim
+        if claim is None or not claim.told.is_position:
+            return None
+        told = as_poses(self.robot, poses)
+        known = self.told_positions.at(told.joints, told.conditions if context is None else context)
+        return claim.at(float(np.sqrt(np.mean(known.located**2))))
+
+    @property
+    def outliers(self) -> tuple[Outlier, ...]:
+        """Readings that were used and lie further off than noise explains, worst first."""
+        return Outliers(findings.outliers(self))
+
+    @property
+    def validation_outliers(self) -> tuple[Outlier, ...]:
+        """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+        return Outliers(findings.validation_outliers(self))
+
+    @property
+    def patterns(self) -> tuple[Pattern, ...]:
+        """Systematic patterns that were looked for in the residuals, most significant first."""
+        return findings.patterns(self)
+
+    @property
+    def budget(self) -> ErrorBudget | None:
+        """What made the error before, and what is left; None where the robot cannot be assembled on the way."""
+        return findings.budget(self)
+
+    @property
+    def known(self) -> KnownRobot:
+        """The calibrated robot, with how well it is known and where it was measured."""
+        joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
+        return KnownRobot(self.robot, self.uncertainty, joints, needless)

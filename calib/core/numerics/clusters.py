@@ -1,0 +1,262 @@
+"""Errors that rows of one block share: by how much they widen what is estimated, whatever their shape.
+
+Least squares with span U = J T (`calib.core.numerics.observability`: H = U U^T is the hat matrix, priors included)
+moves its solution, in the coordinates of T, by U^T e for errors e. Errors that are independent from row to row, with
+variance f^2, scatter it by f^2 U^T U. Where the rows of a block (the readings of a pose, the poses of a region) share
+errors, it scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. One need
+not know
+V_b: the residuals of each block are one draw of its errors. The solution follows them a little, so that for independent
+errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
+
+    g_b = U_b^T (1 - H_b)^(-1/2) r_b          core = sum over blocks of g_b g_b^T
+
+the core has the mean f^2 U^T U where errors are independent, and the right one up to the leverage of single blocks
+where they are not (Bell and McCaffrey's CR2). Directions that a block decides nearly alone leave no residual; there the
+noise of the rows counts.
+
+Test. With eigenvalues w of all H_b and y = r / f
+
+    D = sum over blocks of |g_b|^2 / f^2        mean of D = sum of w
+    variance of D = 2 (sum of w^2 + sum over b != c of tr(W_b W_c)),       W_b = U_b^T H_b (1 - H_b)^-1 U_b
+
+for independent errors; D over its mean is compared with F of the same mean and variance. The root of D over its mean
+says how many times too small standard deviations are that suppose independent rows. The same D is what parameters move
+by when blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
+D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No fit is needed for that.
+
+When it fails. A core of few blocks is known badly: `freedom` says how many squares stand behind one of its directions.
+What is off in the same way in every block moves nothing. Places unlike all blocks can be worse.
+
+Reference: bell2002; cook1982, chapter 3; roberts2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics.tall import Span
+
+_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
+_ROWS_AT_ONCE = 30_000
+_NONE = 1e-150  # noise of data that were computed, not measured
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter(ReadOnlyArrays):
+    """How the rows of blocks scatter together.
+
+    Attributes:
+        core: Covariance of U^T e of the module docstring, (k, k).
+        ratio: Root of D over its mean; NaN where no block shares a direction with another one, or there is no noise.
+        chance: Chance of such a D, or a larger one, from independent rows.
+        freedom: Number of squares behind a direction of the core.
+        total_freedom: Number of squares behind D.
+    """
+
+    core: FloatArray
+    ratio: float
+    chance: float
+    freedom: float
+    total_freedom: float
+
+    def beyond(self, finer: Scatter) -> tuple[float, float]:
+        """Return the ratio beside that of the smaller blocks within, and the chance of it.
+
+        Args:
+            finer: Of blocks, several of which make one of these.
+        """
+        ratio = self.ratio / finer.ratio
+        return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
+
+
+def scatter(
+    span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
+) -> Scatter:
+    """Return how the rows of blocks scatter together.
+
+    Args:
+        span: U = J T of whitened rows, (n_rows, k).
+        residuals: r, whitened, (n_rows,).
+        noise: f of each row, (n_rows,).
+        block: Block of each row, (n_rows,); -1 for rows that belong to none.
+        freedom: Degrees of freedom that f was found with.
+    """
+    parts = (
+        (*directions(span[rows][None], residuals[rows][None]), noise[rows][None]) for rows in of_equal_length(block)
+    )
+    core, *numbers = scatters(parts, (1, span.shape[1]), np.array([freedom]))
+    return Scatter(core[0], *(float(number[0]) for number in numbers))
+
+
+def scatters(
+    parts: Iterable[tuple[FloatArray, FloatArray, FloatArray, FloatArray]],
+    shape: tuple[int, int],
+    freedom: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """Return the attributes of `Scatter` for many sets of rows, in its order, each with one more axis.
+
+    Args:
+        parts: Blocks of equally many rows: what `directions` says of them, and their noise, (n_sets, n_blocks, m).
+        shape: Numbers of sets, and of columns k.
+        freedom: Degrees of freedom that the noise was found with, (n_sets,).
+    """
+    n, k = shape
+    core, leverage = np.zeros((n, k, k)), np.zeros((n, k, k))
+    moved, mean, squares, decided_parts, fourth = np.zeros((5, n))
+    noisy = np.zeros(n, dtype=bool)
+    for values, errors, turned, noise in parts:
+        along = turned.reshape(n, -1, k)  # of all blocks, one after another
+        level = np.sqrt(np.mean(noise**2, axis=2, keepdims=True))
+        alone = values >= _OWN
+        left = np.where(alone, 1.0, 1.0 - values)
+        drawn = np.where(alone, 0.0, errors / np.sqrt(left))
+        core += _products(np.matmul(drawn[:, :, None], turned)[:, :, 0])
+        if np.any(alone):
+            core += _products(along * np.where(alone, level, 0.0).reshape(n, -1, 1))
+        w = np.where(alone, 0.0, values)
+        moved += np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2, axis=(1, 2))
+        mean += np.sum(w, axis=(1, 2))
+        squares += np.sum(w**2, axis=(1, 2)) - np.sum((w**2 / left) ** 2, axis=(1, 2))
+        leverage += _products(np.sqrt(w / left).reshape(n, -1, 1) * along)
+        decided_parts += np.sum(values, axis=(1, 2))
+        fourth += 2.0 * np.sum(values**2, axis=(1, 2)) + np.sum(np.sum(values, axis=2) ** 2, axis=1)
+        noisy |= np.any(noise > _NONE, axis=(1, 2))
+    half_variance = squares + np.sum(leverage**2, axis=(1, 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        behind = np.where(fourth > 0, decided_parts**2 * (k + 2) / (k * fourth), 0.0)
+        tells = (mean > 0.0) & (half_variance > 0.0) & noisy
+        total_freedom, square = np.where(tells, mean**2 / half_variance, 0.0), np.where(tells, moved / mean, np.nan)
+        chance = np.where(tells, scipy.special.fdtrc(total_freedom, freedom, square), 1.0)
+    return core, np.sqrt(square), chance, behind, total_freedom
+
+
+def _products(rows: FloatArray) -> FloatArray:
+    """Return the products of the columns of each matrix (n, m, k) with each other, (n, k, k)."""
+    return np.matmul(rows.transpose(0, 2, 1), rows)
+
+
+def of_equal_length(block: IntArray) -> Iterator[IntArray]:
+    """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each).
+
+    Args:
+        block: Block of each row, (n_rows,); -1 for rows that belong to none.
+    """
+    order: IntArray | None = None
+    if np.any(block[1:] < block[:-1]) or np.any(block[:1] < 0):
+        order = np.argsort(block, kind="stable")
+        order = order[np.count_nonzero(block < 0) :]
+        block = block[order]
+    first = np.flatnonzero(np.append(np.ones(min(len(block), 1), dtype=bool), block[1:] != block[:-1]))
+    counts = np.diff(first, append=len(block))
+    for count in map(int, np.unique(counts)):
+        starts = first[counts == count]
+        at_once = max(_ROWS_AT_ONCE // count, 1)
+        for k in range(0, len(starts), at_once):
+            places = starts[k : k + at_once, None] + np.arange(count)
+            yield places if order is None else order[places]
+
+
+def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (..., d), (..., d), (..., d, k).
+
+    Args:
+        span: U of the rows of each block, (..., m, k).
+        residuals: (..., m).
+    """
+    n_rows, k = span.shape[-2:]
+    across, errors = np.swapaxes(span, -1, -2), residuals[..., None]
+    if n_rows <= k:
+        values, vectors = np.linalg.eigh(np.matmul(span, across))
+        turned = np.swapaxes(vectors, -1, -2)
+        return np.clip(values, 0.0, 1.0), np.matmul(turned, errors)[..., 0], np.matmul(turned, span)
+    values, vectors = np.linalg.eigh(np.matmul(across, span))
+    values, turned = np.clip(values, 0.0, 1.0), np.swapaxes(vectors, -1, -2)
+    size = np.sqrt(values)
+    felt = np.matmul(turned, np.matmul(across, errors))[..., 0]
+    errors = np.where(size > 0, felt / np.where(size > 0, size, 1.0), 0.0)
+    return values, errors, size[..., None] * turned
+
+
+def moved_without(
+    span: FloatArray | Span, residuals: FloatArray, block: IntArray, n_blocks: int, seen: FloatArray | Span
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far rows move where their own block is left out, (n_rows,), and the largest w of it, (n_blocks,).
+
+    Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on. Where w is nearly
+    1, a direction rests on that block alone, and c_b is not a number to rely on.
+
+    Args:
+        span: U = J T of whitened rows, (n_rows, k).
+        residuals: r, whitened, (n_rows,).
+        block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none, which do not move.
+        n_blocks: Number of blocks, some of which may have no rows.
+        seen: The same as `span` without the weights of a robust loss, (n_rows, k): the rows that move.
+    """
+    moved, largest = np.zeros(len(residuals)), np.zeros(n_blocks)
+    for rows in of_equal_length(block):
+        own, numbers = span[rows], block[rows[:, 0]]
+        if seen is span and rows.shape[1] <= span.shape[1]:  # U_b c_b = H_b (1 - H_b)^-1 r_b
+            values, vectors = np.linalg.eigh(np.matmul(own, own.transpose(0, 2, 1)))
+            values = np.clip(values, 0.0, 1.0)
+            along = np.matmul(residuals[rows][:, None], vectors) * (values / np.maximum(1.0 - values, _NONE))[:, None]
+            moved[rows] = np.matmul(along, vectors.transpose(0, 2, 1))[:, 0]
+            largest[numbers] = values[:, -1]
+            continue
+        values, errors, turned = directions(own, residuals[rows])
+        largest[numbers] = np.max(values, axis=1, initial=0.0)
+        pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), turned)
+        moved[rows] = np.matmul(own if seen is span else seen[rows], pulls[:, :, None])[:, :, 0]
+    return moved, largest
+
+
+class LeftOut:
+    """Blocks left out in turn, of a fit and of others that have further parameters each.
+
+    Args:
+        span: U = J T of whitened rows of the fit, (n_rows, k).
+        block: Block of each row, (n_rows,).
+    """
+
+    def __init__(self, span: FloatArray | Span, block: IntArray) -> None:
+        self._span = span
+        self._hats = [(rows, self._hat(rows)) for rows in of_equal_length(block)]
+
+    def _hat(self, rows: IntArray) -> FloatArray | None:
+        """H_b of blocks (n, m, m); None where it is larger than what it is made of."""
+        if rows.shape[1] > self._span.shape[1]:
+            return None
+        own = self._span[rows]
+        return np.matmul(own, own.transpose(0, 2, 1))
+
+    def foretold(self, residuals: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+        """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
+
+        Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
+
+        Args:
+            residuals: r, whitened, (n_rows,).
+            beside: Further columns of U, (n_rows, n_further); none if not given.
+        """
+        result = residuals.copy()
+        for rows, hat in self._hats:
+            errors, further = residuals[rows][:, :, None], None if beside is None else beside[rows]
+            if hat is not None:
+                if further is not None:
+                    hat = hat + np.matmul(further, further.transpose(0, 2, 1))
+                values, vectors = np.linalg.eigh(hat)
+                gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
+                added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
+            else:
+                own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
+                across = own.transpose(0, 2, 1)
+                values, vectors = np.linalg.eigh(np.matmul(across, own))
+                gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
+                pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
+                added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))
+            result[rows] += added[:, :, 0]
+        return result

@@ -1,0 +1,237 @@
+"""What the measurements can tell: the rank of the identification Jacobian, with the gap that shows it.
+
+Columns are scaled before anything is judged, so that metres and radians can be compared: by the parameters' sigma where
+it matters how far the target moves for an error of the expected size; to unit length where it only matters whether the
+target moves (`unit_columns`), because expected errors that are a million times apart would hide what is small. The
+Jacobian is exact to about 1e-12 of its largest entry, so singular values below 1e-9 of the largest are zero; the gap
+around that threshold is reported.
+
+Which parameters to hold so that the rest is determined: the paper's elimination, made repeatable.
+
+While the Jacobian has more columns than rank, drop one: of all columns whose removal keeps the rank, the one that
+leaves the smallest condition number. The condition number of a matrix that is short of rank is rounding noise, so here
+it is taken over the non-zero singular values, largest over smallest.
+
+Which columns of a dependent group go is free: any valid choice spans the same space, so it predicts the same
+positions. The condition number only says which choice is stated with the least rounding, and it depends on how columns
+are scaled. A difference of less than a factor `TIE` therefore counts as a tie, and the robot description's
+`elimination_order` breaks it: the first name in it that ties goes. Where it names none of them, the smallest condition
+number decides, and among equal ones (to six digits, so that every machine agrees) the later parameter.
+
+Reference: Joubair, Zhao, Bigras and Bonev 2015, section Identification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+
+_AT_ONCE = 1 << 14  # rows of one factorisation
+_BLOCK = 32  # columns that it works on at a time
+_INVERTED = 96  # columns of a triangle that LAPACK inverts as fast
+RANK_TOLERANCE = 1e-9
+"""Singular values of the scaled Jacobian below this part of the largest count as zero."""
+CLEAR_GAP = 30.0
+"""Factor between the singular values around the threshold below which the rank is a matter of where that lies."""
+NO_EFFECT = 1e-7
+"""Length of a column over that of the longest, in metres and radians, below which it is rounding."""
+TIE = 2.0
+"""Condition numbers within this factor of the smallest are equally good."""
+_DIGITS = 1e-6  # relative difference of condition numbers below which they are the same number
+
+
+@dataclass(frozen=True, eq=False)
+class Rank(ReadOnlyArrays):
+    """Rank of a Jacobian and how clearly it stands out.
+
+    Attributes:
+        rank: Number of singular values above the threshold.
+        n_columns: Number of columns.
+        singular_values: Of the scaled Jacobian, largest first, (n_columns,); zeros where there are fewer rows.
+        threshold: Largest singular value that counts as zero.
+        smallest_kept: Smallest singular value above the threshold; NaN when the rank is 0.
+        largest_dropped: Largest one below it; 0 at full rank.
+    """
+
+    rank: int
+    n_columns: int
+    singular_values: FloatArray
+    threshold: float
+    smallest_kept: float
+    largest_dropped: float
+
+    @property
+    def unclear(self) -> bool:
+        """Whether no clear gap lies at the threshold, so that the rank may as well be another one."""
+        below = self.largest_dropped if self.rank < self.n_columns else self.threshold
+        return self.rank > 0 and self.smallest_kept < CLEAR_GAP * below
+
+    @property
+    def doubt(self) -> str:
+        """Say that the rank is unclear, and why; empty where it is clear."""
+        if not self.unclear:
+            return ""
+        above = f"singular value {self.rank} ({self.smallest_kept:.2e})"
+        if self.rank == self.n_columns:
+            return f"no clear gap: {above} is hardly above the threshold ({self.threshold:.1e}), and may count as zero"
+        return (
+            f"no clear gap: {above} and the next ({self.largest_dropped:.2e}) lie within a factor {CLEAR_GAP:g} about"
+            f" the threshold ({self.threshold:.1e}), so that more or fewer combinations may be determined"
+        )
+
+    def __str__(self) -> str:
+        text = f"rank {self.rank} of {self.n_columns}"
+        if self.rank and self.rank < self.n_columns:
+            text += (
+                f" (gap: singular value {self.rank} is {self.smallest_kept:.2e}, the next {self.largest_dropped:.2e},"
+                f" threshold {self.threshold:.1e})"
+            )
+        elif self.rank:
+            text += f" (smallest singular value {self.smallest_kept:.2e}, threshold {self.threshold:.1e})"
+        return text
+
+
+def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
+    """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
+
+    Of very many rows, R of some and the next ones takes the place of both, so that no copy of all is made. LAPACK's
+    `geqrt` works on blocks of columns throughout: on tall matrices it takes half to three quarters of the time of
+    `geqrf`, which NumPy calls.
+
+    Args:
+        rows: (n_rows, n_columns).
+        right: One more column, (n_rows,).
+    """
+    return reduced_with(np.zeros((0, rows.shape[1] + (right is not None))), rows, right)
+
+
+def reduced_with(factor: FloatArray, rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
+    """Return what `reduced` gives of rows below others.
+
+    Args:
+        factor: What it gave of the others, (n, n_columns), with `right` (n, n_columns + 1).
+        rows: Further rows, (n_rows, n_columns).
+        right: One more column of these, (n_rows,).
+    """
+    for start in range(0, len(rows), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        above = len(factor)
+        more = np.empty((above + len(rows[part]), factor.shape[1]), order="F")  # as LAPACK has it: not copied again
+        more[:above], more[above:, : rows.shape[1]] = factor, rows[part]
+        if right is not None:
+            more[above:, -1] = right[part]
+        n = min(more.shape)
+        block = min(n, _BLOCK)
+        factor = np.triu(scipy.linalg.lapack.dgeqrt(block, more, overwrite_a=1)[0][:n]) if n else more[:n]
+    return factor
+
+
+def inverse_of_triangle(upper: FloatArray) -> FloatArray:
+    """Return the inverse of an upper triangular matrix, (n, n), by halves: nearly all of the work is in products."""
+    n = len(upper)
+    if n <= _INVERTED:
+        return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
+    first, last = slice(n // 2), slice(n // 2, n)
+    inverse = np.zeros((n, n), order="F")
+    above, below = (inverse_of_triangle(upper[part, part]) for part in (first, last))
+    between = scipy.linalg.blas.dtrmm(-1.0, above, upper[first, last])
+    inverse[first, first], inverse[last, last] = above, below
+    inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
+    return inverse
+
+
+def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Divide columns by their length; those that are rounding beside the longest become zero.
+
+    Args:
+        columns: Derivatives by metres and radians, not scaled, (n_rows, n_columns).
+
+    Returns:
+        The columns, each of length 1 or 0, and what each was divided by (as the longest, where it became zero, so that
+        rounding stays rounding), (n_columns,).
+    """
+    lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))  # numpy's norm would copy them twice
+    longest = float(np.max(lengths, initial=0.0))
+    has_effect = lengths > NO_EFFECT * longest
+    lengths = np.where(has_effect, lengths, longest or 1.0)
+    return columns / np.where(has_effect, lengths, np.inf), lengths
+
+
+def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
+    """Return the rank of a Jacobian whose columns are scaled, (n_rows, n_columns)."""
+    return rank_of(np.linalg.svd(scaled_jacobian, compute_uv=False), scaled_jacobian.shape[1])
+
+
+def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
+    """Return the rank of a matrix with these singular values, (n,), largest first, and so many columns."""
+    values = np.zeros(n_columns)
+    values[: len(singular_values)] = singular_values
+    threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0
+    rank = int(np.sum(values > threshold))
+    return Rank(
+        rank,
+        n_columns,
+        values,
+        threshold,
+        float(values[rank - 1]) if rank else float("nan"),
+        float(values[rank]) if rank < n_columns else 0.0,
+    )
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """A set of parameters to hold.
+
+    Attributes:
+        dropped: Columns in the order in which they went.
+        conditions: Condition number that each left behind.
+    """
+
+    dropped: tuple[int, ...]
+    conditions: tuple[float, ...]
+
+
+def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimination:
+    """Drop columns until the rest is independent.
+
+    Args:
+        scaled_jacobian: Columns that can be compared, such as unit columns, (n_rows, n_columns).
+        order: Columns to prefer for dropping where condition numbers tie, first one first.
+    """
+    factor = reduced(scaled_jacobian)
+    rank = numerical_rank(factor)
+    columns = list(range(factor.shape[1]))
+    dropped: list[int] = []
+    conditions: list[float] = []
+    while len(columns) > rank.rank:
+        condition_of = _conditions(factor, columns, rank.rank, rank.threshold)
+        column = _choose(condition_of, order)
+        columns.remove(column)
+        dropped.append(column)
+        conditions.append(condition_of[column])
+    return Elimination(tuple(dropped), tuple(conditions))
+
+
+def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: float) -> dict[int, float]:
+    """Condition number over the non-zero singular values after dropping each column that the rank can do without."""
+    condition_of = {}
+    for column in columns:
+        rest = [other for other in columns if other != column]
+        values = np.linalg.svd(factor[:, rest], compute_uv=False)
+        if rank == 0 or values[rank - 1] > threshold:
+            condition_of[column] = float(values[0] / values[rank - 1]) if rank else 1.0
+    return condition_of
+
+
+def _choose(condition_of: dict[int, float], order: Sequence[int]) -> int:
+    smallest = min(condition_of.values())
+    ties = {column for column, condition in condition_of.items() if condition <= TIE * (1 + _DIGITS) * smallest}
+    for column in order:
+        if column in ties:
+            return column
+    return max(column for column, condition in condition_of.items() if condition <= (1 + _DIGITS) * smallest)

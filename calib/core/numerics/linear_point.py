@@ -1,0 +1,158 @@
+"""The linear model of residuals at a point of an iteration, and steps to its minimum.
+
+r(x + d) is taken as r + J d, with J = Q R; what is known of the curvature of r stands beside it as K. Symbols and
+derivation are those of `calib.core.numerics.least_squares`, which goes from point to point.
+
+R is that of rotations, which lose nothing. Of many columns it is the Cholesky factor of J^T J, in a third of the time.
+That squares the condition of J: with 1e6 at most, a step is off by some ten-thousandths of itself at worst, which the
+next one takes away. Beyond, rotations are used, whatever time they take.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.numerics.tall import Tall
+
+ON_RADIUS = 0.1
+"""Relative length within which a step counts as being on the ball that holds it."""
+_BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
+_DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
+_SINGULAR = 1e-14  # the same for directions that the rows do not see
+_MANY = 128  # columns from which products are used
+_EXACT = 1e-6  # inverse of the condition down to which they are exact enough
+_CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
+
+
+class LinearPoint:
+    """A point, and the linear model there.
+
+    Args:
+        x: The unknowns, (n,).
+        residuals: r(x), (m,).
+        jacobian: J(x), (m, n).
+    """
+
+    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | Tall) -> None:
+        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, Tall.of(jacobian)
+        self.cost = float(residuals @ residuals)
+        self.triangle, self.projected, self.unseen = _reduced(self.jacobian, residuals)
+
+    @cached_property
+    def sees_all(self) -> bool:
+        """Whether the rows see every direction."""
+        diagonal = np.abs(np.diag(self.triangle))
+        return len(self.triangle) == len(self.x) and bool(np.min(diagonal) > _SINGULAR * np.max(diagonal))
+
+    @cached_property
+    def newton(self) -> FloatArray:
+        """Newton's step f; the shortest one where the rows do not see every direction, (n,)."""
+        if self.sees_all:
+            return -_solved(self.triangle, self.projected)
+        return np.asarray(-np.linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR)[0])
+
+    @cached_property
+    def decrease(self) -> float:
+        """What the linear model promises of the cost, |R f|^2."""
+        return float(np.sum((self.triangle @ self.newton) ** 2))
+
+    def curvature(self, past: list[LinearPoint]) -> FloatArray | None:
+        """Return K, (n, n), from the points before this one, oldest first; None if unknown."""
+        if not past or not self.sees_all:
+            return None
+        points = [*past, self]
+        left = self.residuals + self.jacobian.times(self.newton)
+        pulls = np.stack([point.jacobian.pulled(left) for point in points], axis=1)
+        steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
+        images = _solved(self.triangle, np.diff(pulls, axis=1), transposed=True)[:, ::-1]
+        length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
+        along, factor = np.linalg.qr(steps / length)
+        says_more = np.abs(np.diag(factor)) > _DEPENDENT
+        count = len(says_more) if np.all(says_more) else int(np.argmin(says_more))
+        along, factor = along[:, :count], factor[:count, :count]
+        images = _solved(factor, (images / length)[:, :count].T, transposed=True).T  # K times `along`
+        inside = along.T @ images
+        outside = (images - along @ inside) @ along.T
+        return np.asarray(outside + outside.T + along @ (inside + inside.T) @ along.T / 2)
+
+    def step(self, curvature: FloatArray | None, limit: float, scale: FloatArray) -> tuple[FloatArray, float]:
+        """Return the step d to the minimum of the model where |D d| <= limit, (n,), and the cost there."""
+        step, bent = self.newton, np.zeros((1, 1)) if curvature is None else curvature
+        hessian = np.eye(len(self.triangle)) + bent
+        if curvature is not None:
+            try:
+                root = np.linalg.cholesky(hessian)
+                image = scipy.linalg.cho_solve((root, True), self.triangle @ self.newton)
+                step = _solved(self.triangle, image)
+            except np.linalg.LinAlgError:  # there is no minimum
+                step = np.full(len(step), np.inf)
+                limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
+        if not np.linalg.norm(scale * step) <= limit:
+            step = self._within(hessian, self.projected, limit, scale)
+        image = self.triangle @ step
+        return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
+
+    def straightened(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
+        """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
+        if not self.sees_all:
+            return None
+        right = _solved(self.triangle, self.jacobian.pulled(bend), transposed=True)
+        step = -_solved(self.triangle, right)
+        if np.linalg.norm(scale * step) <= limit:
+            return np.asarray(step)
+        return self._within(np.eye(len(step)), right, limit, scale)
+
+    def _within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
+        """Return the minimum of a model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection.
+
+        Args:
+            hessian: 1 + K of the model, (n, n).
+            right: R^-T g of its gradient g, (n,).
+            limit: Radius of the ball.
+            scale: D, (n,).
+        """
+        scaled = self.triangle / scale
+        if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
+            left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+            values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
+        else:
+            values, vectors = np.linalg.eigh(scaled.T @ hessian @ scaled)
+            pull = vectors.T @ (scaled.T @ right)
+        low = max(0.0, -float(values.min()))
+        high = low + float(np.linalg.norm(pull)) / limit  # there it is shorter
+        low += float(np.finfo(float).eps) * (high - low)
+        step = -pull / (values + high)
+        while high > (1.0 + _CLOSE) * low:
+            middle = float(np.sqrt(low * high))
+            step = -pull / (values + middle)
+            length = np.linalg.norm(step)
+            if abs(length - limit) <= ON_RADIUS * limit:
+                break
+            if length > limit:
+                low = middle
+            else:
+                high = middle
+        return np.asarray((vectors @ step) / scale)
+
+
+def _solved(triangle: FloatArray, right: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Solve R x = b, or R^T x = b, for (n,) or (n, k); SciPy's own function takes ten times as long to call."""
+    solution: FloatArray = scipy.linalg.lapack.dtrtrs(triangle, right, trans=transposed)[0]
+    return solution
+
+
+def _reduced(jacobian: Tall, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return R, Q^T r, and the square of r that no step takes away, to first order."""
+    n = jacobian.shape[1]
+    if n >= _MANY:
+        products = jacobian.products(residuals)
+        triangle, failed = scipy.linalg.lapack.dpotrf(products[:n, :n])
+        if not failed and scipy.linalg.lapack.dtrcon(triangle)[0] >= _EXACT:
+            projected = _solved(triangle, products[:n, n], transposed=True)
+            return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
+    factor = jacobian.factor(residuals)
+    return factor[:n, :n], factor[:n, n], float(np.sum(factor[n:, n] ** 2))

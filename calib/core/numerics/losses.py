@@ -1,0 +1,338 @@
+"""Robust losses: how much a measured point counts, given how far it is from where the fit puts it.
+
+A reading is k whitened rows of one instrument at one visit. With d = |r| / scale the length of its residual over a
+scale found from the data, its squares count with the weight
+
+    none     1
+    huber    min(1, c / d)
+    cauchy   1 / (1 + (d/c)^2)
+    tukey    (1 - (d/c)^2)^2 for d < c, else 0
+
+Whole readings are weighed, not coordinates, so that the result does not depend on how the measurement frame is turned.
+The constants c lose 5 % of the information of normal data, for each k: with w' = dw/dd and E over the chi distribution
+of d with k degrees of freedom, the efficiency is
+
+    m^2 / b       m = E[w + w' d / k],   b = E[w^2 d^2] / k
+
+(for k = 1 this gives the usual 1.345, 2.385 and 4.685). The noise that goes with the weights, of readings whose rows
+are whitened:
+
+    scale       median of |r| / median of chi(k), times sqrt(rows / (rows - n_eff))
+    f^2         sum w |r|^2 / sum k w, over its expectation for normal data with noise 1; rows that a weight of zero
+                takes out do not count as rows
+    effective   K b / m from the actual residuals: what normal noise would scatter the parameters as much (Huber's K)
+
+When it fails. Outliers in more than about a third of the points, or in points that alone decide a parameter: then the
+fit follows them. A robust loss does not make systematic errors go away.
+
+Reference: huber1981, sections 7.6 and 8.8; maronna2019, chapter 6.
+
+Outliers: readings that lie further from where the fit puts them than noise explains.
+
+A reading has k whitened rows r with scaled Jacobian B. With h = B C B^T (k x k) its leverage on its own prediction, C
+the covariance of the parameters for noise 1, and w its weight in the fit (1 without a robust loss, 0 outside the fit),
+the residual of normal data has
+
+    cov r = f^2 V,      V = I + (1 - 2 w) h      (I - h for a reading that was used, I + h for one that was not)
+
+so that T^2 = r^T V^-1 r is the studentised residual: the same for a reading that pulls the fit towards itself as for
+one that does not. T / median of chi(k) is compared with a scale that outliers hardly move, its median over the
+readings. A reading is an outlier where k F(k, nu/2) exceeds (T / scale)^2 with a chance below 1 % over the number of
+readings: good measurements of any number show one in a set out of a hundred. (nu/2, because a median finds a scale
+about half as well as the squares.)
+
+Leverage is trace(h)/k: the part of a reading's own error that its prediction follows, the mean over its rows; leverages
+of all rows add up to the effective parameters. The largest eigenvalue of h is the same for the direction in which it is
+worst. Near 1 a reading cannot be judged there.
+
+When it fails. Several outliers that agree with each other pull a least-squares fit to them; fit with a robust loss to
+see them. A reading of leverage near 1 is never an outlier.
+
+Reference: cook1982, chapter 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import InputError, nearest
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.statistics import Factors
+from calib.core.numerics.tall import ROWS_AT_ONCE, in_parts
+from calib.core.numerics.variance_components import require_freedom
+
+Loss = Literal["none", "huber", "cauchy", "tukey"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
+EFFICIENCY = 0.95
+"""Part of the information of normal data that a robust loss keeps."""
+_BRACKET = (0.05, 60.0)
+HIGH_LEVERAGE = 0.9
+"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be judged."""
+_SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
+_NO_NOISE = 1e-12
+
+
+def checked_loss(name: str) -> Loss:
+    """Return the loss of this name; an unknown one is an `InputError`."""
+    for loss in LOSSES:
+        if loss == name:
+            return loss
+    raise InputError(f"unknown loss '{name}'{nearest(name, LOSSES)}")
+
+
+@lru_cache
+def constant(loss: Loss, k: int) -> float:
+    """Return c of the module docstring for readings of k rows."""
+    if loss == "none":
+        return np.inf
+    return float(scipy.optimize.brentq(lambda c: efficiency(loss, c, k) - EFFICIENCY, *_BRACKET, xtol=1e-10))
+
+
+def median_length(widths: IntArray) -> FloatArray:
+    """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
+    return _by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
+
+
+def _by_width(function: Callable[[int], float], widths: IntArray) -> FloatArray:
+    """A number for each reading that depends on its rows alone."""
+    different, index = np.unique(widths, return_inverse=True)
+    return np.array([function(int(k)) for k in different])[index.ravel()]
+
+
+def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArray:
+    """Return the weight of readings at these distances, in units of the scale.
+
+    Args:
+        loss: Which one.
+        distance: d >= 0, (n_readings,); the weights have its shape.
+        c: Constant of each, or of all.
+    """
+    d = np.asarray(distance, dtype=float)
+    if loss == "huber":
+        return np.minimum(1.0, c / np.maximum(d, 1e-300))
+    if loss == "cauchy":
+        return np.asarray(1.0 / (1.0 + (d / c) ** 2))
+    if loss == "tukey":
+        return np.asarray(np.where(d < c, (1.0 - (d / c) ** 2) ** 2, 0.0))
+    return np.ones_like(d)
+
+
+def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
+    """Return the weights of readings of these numbers of rows, (n_readings,)."""
+    return weights(loss, distance, _by_width(lambda k: constant(loss, k), widths))
+
+
+def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray | int) -> FloatArray:
+    """Return w + w' d / k, the mean over k rows of d(w r)/dr, of distances d (n_readings,)."""
+    d = np.asarray(distance, dtype=float)
+    w = weights(loss, d, c)
+    if loss == "huber":
+        return np.asarray(np.where(d > c, w * (1.0 - 1.0 / np.asarray(k)), w))
+    if loss == "cauchy":
+        return np.asarray(w - 2.0 * (d / c) ** 2 * w**2 / k)
+    if loss == "tukey":
+        inside = np.maximum(1.0 - (d / c) ** 2, 0.0)
+        return np.asarray(w - 4.0 * (d / c) ** 2 * inside / k)
+    return w
+
+
+def efficiency(loss: Loss, c: float, k: int) -> float:
+    """Return the part of the information of normal data that a loss keeps."""
+    slope = _mean(lambda d: float(slopes(loss, np.array(d), c, k)), c, k)
+    score = _mean(lambda d: float(weights(loss, np.array(d), c)) ** 2 * d**2, c, k) / k
+    return slope**2 / score
+
+
+def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
+    """Return the scale of whitened residual lengths, (n_readings,): a median, so that outliers hardly move it.
+
+    Args:
+        distances: Lengths.
+        widths: Rows of each reading.
+        n_effective: Effective parameters.
+    """
+    n_rows = int(np.sum(widths))
+    require_freedom(n_rows - n_effective, n_rows)
+    return float(np.median(distances / median_length(widths))) * float(np.sqrt(n_rows / (n_rows - n_effective)))
+
+
+def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: float, n_effective: float) -> Factors:
+    """Return what the residuals say about the assumed noise, one factor for all rows.
+
+    Args:
+        loss: The loss that weighed them.
+        distances: Lengths of whitened residuals, (n_readings,).
+        widths: Rows of each reading, (n_readings,).
+        scale: What they were divided by for the weights.
+        n_effective: Effective parameters.
+
+    Raises:
+        NotIdentifiableError: The loss leaves no degrees of freedom.
+    """
+    n_rows = float(np.sum(widths))
+    c = _by_width(lambda k: constant(loss, k), widths)
+    w, slope = weights(loss, distances / scale, c), slopes(loss, distances / scale, c, widths)
+    expected_weight = _by_width(lambda k: _normal_moments(loss, k)[0], widths)
+    expected_square = _by_width(lambda k: _normal_moments(loss, k)[1], widths)
+    counted = min(n_rows, float(np.sum(widths * w / expected_weight)))
+    freedom = counted - n_effective
+    require_freedom(freedom, int(n_rows))
+    expected = float(np.sum(widths * expected_square) / np.sum(widths * expected_weight))
+    ratio = float(np.sum(w * distances**2) / np.sum(widths * w)) / expected
+    factor = float(np.sqrt(ratio * counted / freedom))
+    score = float(np.sqrt(np.sum(w**2 * distances**2) / (n_rows - n_effective)))
+    m = float(np.average(slope, weights=widths))
+    if m <= 0:
+        require_freedom(0.0, int(n_rows))
+    variance = float(np.average((slope - m) ** 2, weights=widths))
+    correction = 1.0 + n_effective / n_rows * variance / m**2
+    return Factors(np.array([factor]), np.array([freedom]), np.array([correction * score / m]), m)
+
+
+@lru_cache
+def _normal_moments(loss: Loss, k: int) -> tuple[float, float]:
+    """E[w] and E[w d^2] / k for normal readings of k rows with noise 1."""
+    c = constant(loss, k)
+    return (
+        _mean(lambda d: float(weights(loss, np.array(d), c)), c, k),
+        _mean(lambda d: float(weights(loss, np.array(d), c)) * d**2, c, k) / k,
+    )
+
+
+def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
+    """Mean over the chi distribution with k degrees of freedom; the integrand may have a kink."""
+
+    def density(d: float) -> float:
+        return float(
+            d ** (k - 1) * np.exp(-0.5 * d**2 - (0.5 * k - 1.0) * np.log(2.0) - scipy.special.gammaln(0.5 * k))
+        )
+
+    middle = min(kink, 15.0)
+    inner, _ = scipy.integrate.quad(lambda d: function(d) * density(d), 0.0, middle)
+    outer, _ = scipy.integrate.quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
+    return float(inner + outer)
+
+
+@dataclass(frozen=True, eq=False)
+class Studentised(ReadOnlyArrays):
+    """Every reading of a set judged.
+
+    Attributes:
+        ratio: T over its scale, (n_readings,).
+        leverage: Mean over the rows, (n_readings,).
+        largest_leverage: That of the worst direction, (n_readings,).
+        chance: Chance of such a reading where it is the only one, (n_readings,).
+        scale: Scale of T.
+    """
+
+    ratio: FloatArray
+    leverage: FloatArray
+    largest_leverage: FloatArray
+    chance: FloatArray
+    scale: float
+
+    @property
+    def p_value(self) -> FloatArray:
+        """Chance of such a reading among good measurements of this number, (n_readings,)."""
+        return np.minimum(1.0, len(self.chance) * self.chance)
+
+    @property
+    def outliers(self) -> IntArray:
+        """Readings that are outliers, worst first, (n_outliers,)."""
+        outliers = np.flatnonzero(self.p_value < FALSE_ALARM)
+        return outliers[np.argsort(-self.ratio[outliers], kind="stable")]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Readings of equally many rows.
+
+    Attributes:
+        residuals: Whitened, (n, k); zero for rows that were not read.
+        columns: Whitened scaled Jacobian, (n, k, n_free).
+        widths: Rows that were read, (n,).
+        weights: w of the module docstring, (n,).
+    """
+
+    residuals: FloatArray
+    columns: FloatArray
+    widths: IntArray
+    weights: FloatArray
+
+
+def _leverage(columns: FloatArray, root: FloatArray) -> FloatArray:
+    """Return h of each reading, (n, k, k), from its columns (n, k, n_free) and T (n_free, rank)."""
+    n, width, n_free = columns.shape
+    leverage = np.empty((n, width, width))
+    for part in in_parts(n, max(ROWS_AT_ONCE // width, 1)):
+        pulled = (columns[part].reshape(-1, n_free) @ root).reshape(-1, width, root.shape[1])  # T is read once
+        leverage[part] = pulled @ pulled.transpose(0, 2, 1)
+    return leverage
+
+
+def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: float | None = None) -> Studentised:
+    """Judge every reading.
+
+    Args:
+        blocks: Readings, in order.
+        root: T of `calib.core.numerics.observability`, (n_free, rank).
+        freedom: Degrees of freedom of the fit.
+        scale: Scale of T, if it is known from other readings.
+    """
+    sizes, leverages, largest = [], [], []
+    for block in blocks:
+        leverage = _leverage(block.columns, root)
+        values, vectors = np.linalg.eigh(
+            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
+        )
+        turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
+        squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+        sizes.append(np.sqrt(np.sum(squares, axis=1)))
+        leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
+        largest.append(np.linalg.eigvalsh(leverage)[:, -1])
+    size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
+    scale = float(np.median(size / median_length(widths))) if scale is None else scale
+    scale = max(scale, _NO_NOISE)
+    ratio = size / scale
+    chance = _chance(ratio, widths, freedom)
+    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)
+
+
+def any_outlier(squares: FloatArray, widths: IntArray, freedom: FloatArray) -> BoolArray:
+    """Return which of many sets of readings, all used in their fit, name an outlier, (n_sets,).
+
+    Args:
+        squares: T^2, (n_sets, n_readings), from `studentised_squares`.
+        widths: Rows that were read of each, (n_readings,).
+        freedom: Degrees of freedom of each fit, (n_sets,).
+    """
+    sizes = np.sqrt(squares)
+    scale = np.maximum(np.median(sizes / median_length(widths), axis=1), _NO_NOISE)
+    chance = _chance(sizes / scale[:, None], widths, freedom[:, None])
+    return np.asarray(np.any(len(widths) * chance < FALSE_ALARM, axis=1))
+
+
+def studentised_squares(residuals: FloatArray, values: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return T^2 of readings that were used, (...,).
+
+    Args:
+        residuals: Whitened, (..., k).
+        values: Eigenvalues of h that are not 0, (..., d).
+        errors: Residuals along their eigenvectors, (..., d).
+    """
+    left = 1.0 - values
+    gain = np.where(left > _SMALLEST, values / np.maximum(left, _SMALLEST), -1.0)
+    squares = np.sum(residuals**2, axis=-1) + np.sum(gain * errors**2, axis=-1)
+    return np.asarray(np.maximum(squares, 0.0))
+
+
+def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:
+    """Chance of readings this far off, (..., n_readings)."""
+    return np.asarray(scipy.special.fdtrc(widths, np.maximum(freedom / 2.0, 1.0), ratio**2 / widths))

@@ -1,0 +1,231 @@
+"""Observability indices: how well a set of poses determines the parameters, as one number.
+
+With singular values s1 >= ... >= sn of the identification Jacobian (n kept columns, m poses):
+
+    O1 = (s1 s2 ... sn)^(1/n) / sqrt(m)      Borm and Menq 1989
+    O2 = sn / s1                             Driels and Pathre 1990
+    O3 = sn                                  Nahvi and Hollerbach 1994
+    O4 = sn^2 / s1                           Nahvi and Hollerbach 1996
+    O5 = 1 / (1/s1 + ... + 1/sn)             Sun and Hollerbach 2008
+
+Only the order that O1 gives does not depend on the units of the parameters (a change of units multiplies every O1 by
+the same number); the others are meaningful on scaled columns. None of them is what a user wants to know. That is the
+
+    task index: root mean square over poses of the predicted distance between true and predicted position,
+
+for poses where the robot will work, given the poses that were measured and the noise; and its largest value.
+
+Information, what rows and priors say about the unknowns, is how sure everything that follows from them is. With u = (p
+- p_expected) / s the scaled free parameters, J the whitened rows (each with noise 1) and P the rows of the prior
+(`calib.core.numerics.prior`: a unit row for each parameter that has one), all rows carry the same noise. So priors,
+readings already there and new readings simply stack,
+
+    R = [J; P] = U S V^T            covariance of u = V S^-2 V^T = T T^T,        T = V S^-1
+
+and every question is answered from T: directions outside V are not determined. The error that remains at another
+place with scaled derivative B is normal with covariance (B T)(B T)^T; where B reaches outside V it has no bound. Only
+noise is counted, not what the model leaves out.
+
+Method: QR of the rows, then SVD of the small factor, so that small singular values keep their digits (forming R^T R
+would lose half of them). Where that factor is far from singular, its inverse is a T as well, in a thirtieth of the
+time: T and T Q, with a rotation Q, say the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import PER_SI
+from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numerical_rank, rank_of, reduced
+
+INDICES = ("O1", "O2", "O3", "O4", "O5")
+OUTSIDE = 1e-6
+"""A unit vector that leaves the determined directions by more than this depends on what is not determined."""
+_CLEAR = 1e-6  # inverse of the condition of a factor from which no singular value is near the threshold of the rank
+
+
+def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]:
+    """Return O1 to O5.
+
+    >>> observability([4.0, 1.0], n_poses=4)
+    {'O1': 1.0, 'O2': 0.25, 'O3': 1.0, 'O4': 0.25, 'O5': 0.8}
+
+    Args:
+        singular_values: All singular values of the Jacobian, as many as it has columns, largest first, (n,).
+        n_poses: Number of poses m.
+
+    Returns:
+        Index by name; all are 0 where the Jacobian loses rank exactly.
+    """
+    s = np.asarray(singular_values, dtype=float)
+    if s[-1] <= 0:
+        return dict.fromkeys(INDICES, 0.0)
+    return {
+        "O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(n_poses)),
+        "O2": float(s[-1] / s[0]),
+        "O3": float(s[-1]),
+        "O4": float(s[-1] ** 2 / s[0]),
+        "O5": float(1.0 / np.sum(1.0 / s)),
+    }
+
+
+def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
+    """Return the Jacobian in the units of tables, as the paper has it: mm per unit of each parameter (mm or deg).
+
+    Args:
+        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
+        parameters: The parameters of its columns.
+        lengths: Whether its rows are lengths; else they are over their noise, and stay so.
+    """
+    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
+    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
+
+
+def observability_of(
+    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
+
+    Where the poses are short of rank they are taken over the singular values that are not zero.
+
+    Args:
+        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
+        parameters: The parameters of its columns.
+        n_poses: Number of poses that the rows are of.
+        lengths: Whether the rows are lengths; else they are over their noise, and so are the indices.
+    """
+    width = rows.shape[-1]
+    scales = np.array([parameter.sigma_si for parameter in parameters])
+    scaled = numerical_rank(rows.reshape(-1, width))
+    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
+    kept = slice(max(scaled.rank, 1))
+    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
+
+
+@dataclass(frozen=True)
+class TaskIndex:
+    """Predicted position error over a set of poses, from measurement noise and priors.
+
+    Attributes:
+        rms: Root mean square over poses and targets of the predicted distance [m]; infinite where a position depends on
+            parameters that nothing determines.
+        maximum: Largest predicted distance [m].
+        worst_pose: Pose of the largest.
+    """
+
+    rms: float
+    maximum: float
+    worst_pose: int
+
+
+def task_index(position_errors: FloatArray) -> TaskIndex:
+    """Summarise predicted position errors (n_poses, n_targets) [m], from `Information.position_errors`."""
+    return TaskIndex(
+        float(np.sqrt(np.mean(position_errors**2))),
+        float(np.max(position_errors)),
+        int(np.argmax(np.max(position_errors, axis=1))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Information(ReadOnlyArrays):
+    """What stacked rows determine.
+
+    Attributes:
+        factor: The triangular factor R of the rows, (n_parameters, n_parameters) or fewer rows.
+    """
+
+    factor: FloatArray
+
+    @cached_property
+    def _decomposed(self) -> tuple[Rank, FloatArray]:
+        """The rank, and V^T of all directions, (n_parameters, n_parameters)."""
+        _, values, directions = np.linalg.svd(self.factor)
+        return rank_of(values, self.factor.shape[1]), directions
+
+    @property
+    def rank(self) -> Rank:
+        """Rank of the rows."""
+        return self._decomposed[0]
+
+    @property
+    def directions(self) -> FloatArray:
+        """Orthonormal basis V of what they determine, (n_parameters, rank)."""
+        rank, directions = self._decomposed
+        return directions[: rank.rank].T
+
+    @property
+    def strengths(self) -> FloatArray:
+        """Singular value of each direction, largest first, (rank,)."""
+        return self.rank.singular_values[: self.rank.rank]
+
+    @cached_property
+    def _all_clear(self) -> bool:
+        """Whether the rows clearly determine every direction, so that no singular value needs to say so."""
+        rows, columns = self.factor.shape
+        return rows == columns > 0 and float(scipy.linalg.lapack.dtrcon(self.factor)[0]) >= _CLEAR
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """T of the module docstring, up to a rotation of its columns, (n_parameters, rank)."""
+        return inverse_of_triangle(self.factor) if self._all_clear else self.directions / self.strengths
+
+    @property
+    def log_determinant(self) -> float:
+        """The logarithm of the determinant of R^T R, of what it determines."""
+        sizes = np.abs(np.diag(self.factor)) if self._all_clear else self.strengths
+        return 2.0 * float(np.sum(np.log(sizes)))
+
+    @cached_property
+    def undetermined(self) -> BoolArray:
+        """Which parameters depend on a direction that nothing determines, (n_parameters,)."""
+        return np.sqrt(np.maximum(0.0, 1.0 - np.sum(self.directions**2, axis=1))) > OUTSIDE
+
+    def standard_deviations(self) -> FloatArray:
+        """Return the standard deviation of each scaled parameter, infinite where undetermined, (n_parameters,)."""
+        return np.where(self.undetermined, np.inf, np.linalg.norm(self.root, axis=1))
+
+    def correlations(self) -> FloatArray:
+        """Return correlation coefficients, NaN where a parameter is undetermined, (n_parameters, n_parameters)."""
+        norms = np.linalg.norm(self.root, axis=1)
+        determined = ~self.undetermined & (norms > 0)
+        unit = self.root / np.where(determined, norms, np.nan)[:, None]
+        return np.clip(unit @ unit.T, -1.0, 1.0)
+
+    def position_errors(self, rows: FloatArray) -> FloatArray:
+        """Return the predicted distance between true and predicted position (root of the mean square) at other poses.
+
+        Args:
+            rows: Scaled derivative of positions there, (n, 3 n_targets, n_parameters) [m].
+
+        Returns:
+            (n, n_targets) [m]; infinite where a position depends on what the rows do not determine.
+        """
+        projected = rows @ self.directions
+        outside = np.sqrt(np.maximum(0.0, np.sum(rows**2, axis=2) - np.sum(projected**2, axis=2)))
+        size = np.sqrt(np.max(np.sum(rows**2, axis=2), initial=0.0))
+        variance = np.sum((projected / self.strengths) ** 2, axis=2)
+        variance = np.where(outside > OUTSIDE * size, np.inf, variance)
+        return np.sqrt(np.sum(variance.reshape(len(rows), -1, 3), axis=2))
+
+
+def information(rows: FloatArray, priors: FloatArray | None = None) -> Information:
+    """Say what rows, and priors, determine.
+
+    Args:
+        rows: Whitened, of scaled parameters, (..., n_parameters); leading axes are flattened.
+        priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
+    """
+    rows, above = rows.reshape(-1, rows.shape[-1]), priors is not None and len(priors) > 0
+    factor = rows if above and len(rows) <= rows.shape[1] else reduced(rows)
+    if priors is not None and above:
+        factor = reduced(np.vstack([factor, priors]))
+    hold(factor)
+    return Information(factor)

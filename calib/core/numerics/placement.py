@@ -1,0 +1,325 @@
+"""Where the measurement frame and the measured points are, if they were not measured.
+
+Problem. A link has the poses (R_i, t_i) in the robot's base link, and one of its points p was seen at m_i from a frame
+X = (R, t). With other points of the same or other links, and w_i readings each,
+
+    sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2      shall be smallest.
+
+Method. For a given R this is linear in t and all p. Solved for them, what is left is linear in the nine entries of R,
+so that all poses shrink into ten rows: a quadratic function on the rotations, whatever the mechanism is. It may have
+several minima; damped Newton steps descend from each of the 60 rotations of the icosahedron, no rotation being more
+than 45 degrees away from one of them, and the lowest end is taken. Where sigma is given, the noise is found from the
+residuals. The more noise, the larger is the sum everywhere: where it is smallest now, it was no larger without noise.
+So only ends are descended from again that were lower then than the lowest one is now.
+
+What the poses cannot tell stays as near as it can to the guess: first the points (a link that never turns shows nothing
+of its point, one that turns about one axis does not tell the point's direction from that of X), then the rotation of X
+(points on one line, or all in one place). For that the distances to both count, too little to move what is known, and
+the last steps leave them out.
+
+When it fails. It does not: what is undetermined is the guess, and callers that need to know count ranks
+(`calib.core.numerics.identifiability`). Noise alone can seem to tell a direction that the poses hardly show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import scipy
+from numpy.typing import ArrayLike
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DataError
+from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.rigid import cross_matrices
+from calib.core.numerics.tall import in_parts
+
+_RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
+_OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
+_POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
+_STILL = 1e-11  # step below which a descent has ended [rad]
+_SAME = 1e-6  # difference of rotations below which they are one minimum
+_ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
+_RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # change of the noise below which it is found: as a part of it, and in m
+_SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPoint:
+    """A point of a link that was seen in several poses of that link.
+
+    Attributes:
+        T_base_link: Poses of the link in the base link, (n, 4, 4) [m].
+        measured: The point in the measurement frame, (n, 3) [m].
+        guess: Where it may be in its link, (3,) [m].
+        sigma: How far it may be from the guess along each axis: 0 where the guess is right, infinite where it says
+            nothing, (3,) [m].
+    """
+
+    T_base_link: FloatArray
+    measured: FloatArray
+    guess: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the measurement frame and the points are.
+
+    Attributes:
+        T_base_measurement: The measurement frame in the base link.
+        points: Each point in its link, (n_points, 3) [m].
+        rms: Root mean square distance between where the points were seen and where they are [m].
+    """
+
+    T_base_measurement: pin.SE3
+    points: FloatArray
+    rms: float
+
+
+def place(
+    points: Sequence[MovingPoint],
+    counts: ArrayLike,
+    guess: pin.SE3,
+    *,
+    frame_known: bool = False,
+    rough_beyond: float = np.inf,
+) -> Placement:
+    """Find the measurement frame, and points of links, from poses of those links.
+
+    Args:
+        points: The points, all seen in the same n poses.
+        counts: How many readings each pose is the mean of, (n,).
+        guess: Where the measurement frame may be in the base link.
+        frame_known: It is right; find the points alone.
+        rough_beyond: Root mean square error [m] from which the answer without distances to the guessed points will do.
+            No other has a smaller error.
+
+    Raises:
+        DataError: No pose, values that are not finite, or shapes that differ.
+    """
+    weights = np.asarray(counts, dtype=float)
+    for point in points:
+        _check(point, weights)
+    system = _system(points, weights, guess, frame_known)
+    noise, search = 0.0, _Search(system, guess.rotation)
+    for _ in range(_NOISE_ROUNDS):
+        rotation = guess.rotation if frame_known else search.best(noise)
+        moved = _reduced(system, noise).moved(rotation)
+        squares = float(np.sum(system.errors(rotation, moved) ** 2))
+        estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
+        if noise == 0.0 and squares > (rough_beyond * system.weight) ** 2:
+            break
+        if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_RELATIVE * estimate, _ABSOLUTE):
+            break
+        noise = estimate
+    result = np.array([point.guess for point in points], dtype=float)
+    result[system.free] += moved
+    translation = guess.translation if frame_known else system.translation(rotation, moved)
+    return Placement(pin.SE3(rotation, translation), result, float(np.sqrt(squares / weights.sum() / len(points))))
+
+
+def _check(point: MovingPoint, weights: FloatArray) -> None:
+    T, m = point.T_base_link, point.measured
+    if m.ndim != 2 or T.shape != (len(m), 4, 4) or m.shape != (len(m), 3) or len(m) == 0 or weights.shape != (len(m),):
+        raise DataError(
+            f"link poses {T.shape}, measured points {m.shape} and counts {weights.shape} do not belong together;"
+            " expected (n, 4, 4), (n, 3) and (n,)"
+        )
+    if point.guess.shape != (3,) or not np.all(np.isfinite(point.guess)):
+        raise DataError(f"guessed point {point.guess}: expected three finite numbers")
+    finite = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(m).all(axis=1)
+    if not finite.all():
+        raise DataError(f"row {int(np.argmin(finite))}: a pose or a measured point is not finite; leave the row out")
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Rows A dp - M vec(R) + s, of as many rows as there are columns, with the same sum of squares as all of them.
+
+    Attributes:
+        rows: [A M s], (n_rows, n_free + 10).
+        mean: What was taken off all rows because X's translation answers for it, (3, n_free + 10).
+        free: Which coordinates of the points are unknown, (n_points, 3).
+        sigma: Of those, (n_free,) [m].
+        weight: Root of the number of readings.
+        extent: Root mean square distance of the measured points from their centre [m].
+    """
+
+    rows: FloatArray
+    mean: FloatArray
+    free: BoolArray
+    sigma: FloatArray
+    weight: float
+    extent: float
+
+    def errors(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return the rows at R (3, 3) and dp (n_free,) [m]."""
+        return self.rows @ np.concatenate([moved, -rotation.ravel(), [1.0]])
+
+    def translation(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return t at R (3, 3) and dp (n_free,), (3,) [m]."""
+        return self.mean @ np.concatenate([moved, -rotation.ravel(), [1.0]])
+
+
+def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
+    free = np.array([point.sigma > 0 for point in points], dtype=bool)
+    n_free, parts = int(free.sum()), list(in_parts(len(weights)))  # rows of all readings at once take much memory
+    mean = np.zeros((3, n_free + 10))
+    if frame_known:
+        mean[:, -1] = guess.translation
+    else:
+        sums = (np.einsum("n,jnac->ac", weights[part], _plain_rows(points, free, part)) for part in parts)
+        mean += sum(sums) / weights.sum() / len(points)
+    factor: FloatArray = np.zeros((0, n_free + 10))
+    squares = 0.0
+    for part in parts:
+        rows = np.sqrt(weights[part])[:, None, None] * (_plain_rows(points, free, part) - mean)
+        squares += float(np.sum(rows[..., n_free:-1] ** 2))
+        factor = reduced_with(factor, rows.reshape(-1, n_free + 10))
+    extent = float(np.sqrt(squares / weights.sum() / len(points) / 3))
+    sigma = np.concatenate([point.sigma[point.sigma > 0] for point in points])
+    return _System(factor, mean, free, sigma, float(np.sqrt(weights.sum() * len(points))), extent)
+
+
+def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> FloatArray:
+    """[A M s] of some readings of each point, (n_points, n, 3, n_free + 10), before anything is taken off."""
+    n_free = int(free.sum())
+    rows = np.zeros((len(points), part.stop - part.start, 3, n_free + 10))
+    for j, point in enumerate(points):
+        first, poses = int(free[:j].sum()), point.T_base_link[part]
+        turns = poses[:, :3, :3]
+        rows[j, :, :, first : first + int(free[j].sum())] = turns[:, :, free[j]]
+        for axis in range(3):
+            rows[j, :, axis, n_free + 3 * axis : n_free + 3 * axis + 3] = point.measured[part]
+        rows[j, :, :, -1] = turns @ point.guess + poses[:, :3, 3]
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """The system solved for dp: dp = D vec(R) - d, and the rows that are left, F vec(R) - f."""
+
+    D: FloatArray
+    d: FloatArray
+    F: FloatArray
+    f: FloatArray
+
+    def moved(self, rotation: FloatArray) -> FloatArray:
+        """Return dp at R (3, 3), (n_free,) [m]."""
+        return self.D @ rotation.ravel() - self.d
+
+
+def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
+    """Solve for dp, of equally good ones the smallest; `weak` is how much every |dp| counts at least."""
+    n_free = len(system.sigma)
+    distances = np.zeros((n_free, n_free + 10))
+    distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
+    rows = np.vstack([system.rows, distances])
+    left, values, right = np.linalg.svd(rows[:, :n_free], full_matrices=False)
+    determined = values > _RANK * system.weight
+    left, inverse = left[:, determined], right[determined].T / values[determined]
+    coordinates = left.T @ rows[:, n_free:]
+    solution, rest = inverse @ coordinates, rows[:, n_free:] - left @ coordinates
+    return _Reduced(solution[:, :9], solution[:, 9], rest[:, :9], rest[:, 9])
+
+
+class _Search:
+    """The search for the rotation with the smallest sum of squares, for several sizes of the noise, 0 first.
+
+    Args:
+        system: The system.
+        guess: A rotation to stay near where the system leaves it open, (3, 3).
+    """
+
+    def __init__(self, system: _System, guess: FloatArray) -> None:
+        self._system, self._guess = system, guess
+        self._ends: FloatArray | None = None  # of the first search, without noise, the lowest first
+        self._squares: FloatArray = np.zeros(0)
+
+    def best(self, noise: float) -> FloatArray:
+        """Return the rotation, (3, 3), for a noise [m]."""
+        rows = self._rows(noise)
+        if self._ends is None:
+            starts = np.concatenate([[self._guess], scipy.spatial.transform.Rotation.create_group("I").as_matrix()])
+            ends, squares = _descend(rows, starts)
+            order = np.argsort(squares, kind="stable")
+            self._ends, self._squares = ends[order], squares[order]
+            return _ended(self._system, noise, self._ends[0])
+        ends, squares = _descend(rows, self._ends[:1])
+        others = np.max(np.abs(self._ends - self._ends[0]), axis=(1, 2)) > _SAME
+        others &= self._squares <= squares[0]
+        if np.any(others):
+            more, of_more = _descend(rows, self._ends[others])
+            ends, squares = np.concatenate([ends, more]), np.concatenate([squares, of_more])
+        return _ended(self._system, noise, ends[np.argmin(squares)])
+
+    def _rows(self, noise: float) -> FloatArray:
+        """What is to be small, as of `_descend`; distances to all guesses count a little."""
+        system = self._system
+        searched = _reduced(system, noise, _POINT_WEIGHT * system.weight)
+        turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
+        near = turn * np.column_stack([np.eye(9), self._guess.ravel()])
+        return reduced(np.vstack([np.column_stack([searched.F, searched.f]), near]))
+
+
+def _ended(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) that a descent ended near, without the distances that count a little."""
+    exact = _reduced(system, noise)
+    least = _OPEN * system.weight * _SMALLEST
+    for _ in range(_LAST_STEPS):
+        left, values, right = np.linalg.svd(_slope(exact.F, rotation), full_matrices=False)
+        determined = values > max(_OPEN * values[0], least)
+        error = exact.F @ rotation.ravel() - exact.f
+        rotation = rotation @ pin.exp3(-right[determined].T @ ((left.T @ error)[determined] / values[determined]))
+    return rotation
+
+
+def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return ends, and it there (n,).
+
+    With R exp(w), errors e and slope J, half of the sum has the gradient J^T e and the second derivative
+
+        J^T J + (M + M^T) / 2 - tr(M) I,        M = R^T G,        G the gradient F^T e by R, as a matrix,
+
+    because the second order of exp is [w]x^2 / 2 = (w w^T - w^T w I) / 2. Where that is not positive definite, the last
+    two terms are left out.
+    """
+    F, f = rows[:, :9], rows[:, 9]
+    rotations = starts
+    errors = rotations.reshape(-1, 9) @ F.T - f
+    damping = np.full(len(starts), 1e-2)
+    for _ in range(_ITERATIONS):
+        slope = _slope(F, rotations).transpose(0, 2, 1)
+        square = slope @ slope.transpose(0, 2, 1)
+        size = np.trace(square, axis1=1, axis2=2)
+        twice = rotations.transpose(0, 2, 1) @ (errors @ F).reshape(-1, 3, 3)
+        bend = (twice + twice.transpose(0, 2, 1)) / 2 - np.trace(twice, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        square += np.where(_positive(square + bend)[:, None, None], bend, 0.0)
+        square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
+        steps = -np.linalg.solve(square, slope @ errors[..., None])[..., 0]
+        tried = rotations @ scipy.spatial.transform.Rotation.from_rotvec(steps).as_matrix()
+        trial_errors = tried.reshape(-1, 9) @ F.T - f
+        better = np.sum(trial_errors**2, axis=1) < np.sum(errors**2, axis=1)
+        rotations = np.where(better[:, None, None], tried, rotations)
+        errors = np.where(better[:, None], trial_errors, errors)
+        damping = np.where(better, 0.1 * damping, 10 * damping)
+        if np.all(np.linalg.norm(steps, axis=1) < _STILL):
+            break
+    return rotations, np.sum(errors**2, axis=1)
+
+
+def _positive(square: FloatArray) -> BoolArray:
+    """Whether symmetric matrices (n, 3, 3) are positive definite: their leading minors are positive, (n,)."""
+    first, both = square[:, 0, 0], square[:, 0, 0] * square[:, 1, 1] - square[:, 0, 1] ** 2
+    positive: BoolArray = (first > 0) & (both > 0) & (np.linalg.det(square) > 0)
+    return positive
+
+
+def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return d(F vec(R exp(w)))/dw at w = 0 for R (..., 3, 3), (..., n_rows, 3)."""
+    turned = rotation[..., None, :, :] @ cross_matrices(np.eye(3))  # R [e_k]x
+    return np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)

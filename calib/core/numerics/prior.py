@@ -1,0 +1,102 @@
+"""The prior of scaled parameters: each on its own, and some of them together.
+
+With u = (p - p_expected) / s, what is known before measuring is
+
+    u_k ~ N(0, 1)            for every parameter that has a prior of its own
+    u_J ~ N(0, R)            for parameters J that are known together, with correlations R
+
+which is P u ~ N(0, I): a unit row for each of the former, and L^-1 with R = L L^T for the latter. So priors stack with
+whitened readings (`calib.core.numerics.observability`). Where nothing is known together, as in nearly every fit,
+products with P are a choice of rows, and cost nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+
+
+@dataclass(frozen=True, eq=False)
+class Prior(ReadOnlyArrays):
+    """What is known of scaled parameters before measuring.
+
+    Attributes:
+        has: Which of them have a prior, those that are known together included, (n,).
+        together: Those that are known together, in rising order, (n_together,).
+        correlations: R of the module docstring, (n_together, n_together).
+    """
+
+    has: BoolArray
+    together: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    correlations: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def _alone(self) -> IntArray:
+        """Parameters that have a prior of their own."""
+        return np.setdiff1d(np.flatnonzero(self.has), self.together)
+
+    @cached_property
+    def _whitening(self) -> FloatArray:
+        """L^-1 of the module docstring."""
+        lower = np.linalg.cholesky(self.correlations)
+        return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
+
+    @property
+    def root(self) -> FloatArray:
+        """A matrix whose product with normal numbers is such a u, (n, n); rows of parameters without a prior are 0."""
+        root = np.diag(1.0 * self.has)
+        root[np.ix_(self.together, self.together)] = np.linalg.cholesky(self.correlations)
+        return root
+
+    @cached_property
+    def _precision(self) -> FloatArray:
+        """R^-1."""
+        return np.asarray(self._whitening.T @ self._whitening)
+
+    def times(self, matrix: FloatArray) -> FloatArray:
+        """Return P matrix, (n_priors, ...), of a matrix or vector (n, ...)."""
+        if not len(self.together):
+            return matrix[self.has]
+        return np.concatenate([matrix[self._alone], self._whitening @ matrix[self.together]])
+
+    @cached_property
+    def rows(self) -> FloatArray:
+        """P, (n_priors, n)."""
+        return self.times(np.eye(len(self.has)))
+
+    def pull(self, u: FloatArray) -> FloatArray:
+        """Return P^T P u, (n,)."""
+        pull = np.where(self.has, u, 0.0)
+        if len(self.together):
+            pull[self.together] = self._precision @ u[self.together]
+        return pull
+
+    def added_to(self, matrix: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
+        """Return matrix + P^T P, (n, n), of u over their sizes (n,) if given; the matrix itself is used up."""
+        over = np.ones(len(self.has)) if sizes is None else 1.0 / sizes
+        matrix[self._alone, self._alone] += over[self._alone] ** 2
+        if len(self.together):
+            known = over[self.together]
+            matrix[np.ix_(self.together, self.together)] += known[:, None] * self._precision * known
+        return matrix
+
+    def only(self, chosen: BoolArray | IntArray) -> Prior:
+        """Return that of some parameters, whatever the others are; a mask (n,), or places (k,)."""
+        places = np.arange(len(self.has))[chosen]
+        kept = np.flatnonzero(np.isin(places, self.together))
+        number = np.searchsorted(self.together, places[kept])
+        return Prior(self.has[places], kept, self.correlations[np.ix_(number, number)])
+
+    def share(self, rows: FloatArray, squares: FloatArray) -> float:
+        """Return |P A|^2 of a matrix A, from its rows `together` (n_together, k) and the squares of all rows (n,)."""
+        share = float(np.sum(squares[self._alone]))
+        return share + float(np.sum((self._whitening @ rows) ** 2)) if len(self.together) else share
+
+    def cost(self, u: FloatArray) -> float:
+        """Return |P u|^2, of u (n,)."""
+        return float(np.sum(self.times(u) ** 2))

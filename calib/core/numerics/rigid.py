@@ -1,0 +1,123 @@
+"""Points carried to where they were seen, and a point from its distances.
+
+The best rigid transform: R, t that make
+
+    sum |q_i - (R p_i + t)|^2
+
+smallest for points p_i known in one frame and q_i measured in another. The optimum is closed: R from the singular value
+decomposition of the covariance of the centred points, with the sign of the last singular vector chosen so that
+det R = +1 (a mirror is never returned), t from the centroids (Kabsch 1976, Umeyama 1991). It needs three points that
+are not on one line.
+
+References: kabsch1976, umeyama1991.
+
+Where a point is whose distances from known points were measured, without a first guess.
+
+For points p_k with centroid p0, q_k = p_k - p0, the unknown centre p0 + x and distances d_k that all may be too long by
+one unknown length o, |q_k - x| = d_k - o; squares minus their mean are linear in x and o:
+
+    2 q_k . x  -  2 (d_k - mean d) o   =   (|q_k|^2 - d_k^2) - mean
+
+Points in one plane (or on one line) leave x open across it but for its length: |x|^2 = mean of (d_k - o)^2 - |q_k|^2.
+That gives two mirror images; nothing but a first guess tells them apart.
+
+Errors of the points and distances are not weighed as they should be: the answer is a first value for a fit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+
+_TOLD = 1e-3  # singular values below this part of the largest tell nothing
+_SMALLEST = 1e-9  # length below which there is none [m]
+_AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror images apart
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
+
+
+def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (3, 3) and t (3,) [m] of the module docstring for points p, q (n, 3) [m]."""
+    centre_p, centre_q = p.mean(axis=0), q.mean(axis=0)
+    rotation = nearest_rotation((q - centre_q).T @ (p - centre_p))
+    return rotation, centre_q - rotation @ centre_p
+
+
+def cross_matrices(points: FloatArray) -> FloatArray:
+    """Return [p]x of each point, (n, 3, 3)."""
+    half = np.zeros((len(points), 3, 3))
+    half[:, 2, 1], half[:, 0, 2], half[:, 1, 0] = points.T
+    return half - half.transpose(0, 2, 1)
+
+
+def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatArray:
+    """Return where a point is that has these distances from points, (3,) [m].
+
+    Args:
+        points: (n, 3) [m].
+        lengths: (n,) [m].
+        near: Where it may be: decides between mirror images, and stands for what nothing tells, (3,) [m].
+    """
+    middle = points.mean(axis=0)
+    q = points - middle
+    squares = np.sum(q**2, axis=1) - lengths**2
+    left, values, right = np.linalg.svd(2.0 * q, full_matrices=False)
+    n_told = int(np.sum(values > max(_TOLD * values[0], _SMALLEST)))
+    along = (left.T @ (squares - squares.mean()))[:n_told] / values[:n_told]
+    candidates = []
+    for kept in sorted({n_told, min(n_told, 2)}):
+        inside = right[:kept].T @ along[:kept]
+        away = _across(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
+        candidates += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
+    misses = [float(np.linalg.norm(np.linalg.norm(points - candidate, axis=1) - lengths)) for candidate in candidates]
+    good = [
+        candidate
+        for candidate, miss in zip(candidates, misses, strict=True)
+        if miss <= _AS_GOOD * min(misses) + _SMALLEST
+    ]
+    return min(good, key=lambda candidate: float(np.linalg.norm(candidate - near)))
+
+
+def _across(directions: FloatArray, near: FloatArray, square: float) -> FloatArray:
+    """The vector across told directions (k, 3) that has this squared length and points where `near` (3,) is."""
+    across = near - directions.T @ (directions @ near)
+    if len(directions) == 2:
+        across = np.cross(directions[0], directions[1]) * (
+            1.0 if across @ np.cross(directions[0], directions[1]) >= 0 else -1.0
+        )
+    elif np.linalg.norm(across) < _SMALLEST:
+        across = np.linalg.svd(np.vstack([directions, np.zeros((1, 3))]))[2][-1]
+    return np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)
+
+
+def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, offset: float) -> float:
+    """Return the length o by which all distances from a point are too long [m].
+
+    Args:
+        points: (n, 3) [m].
+        distances: (n,) [m].
+        near: Where the point may be, (3,) [m].
+        offset: What o may be, where nothing tells [m].
+    """
+    middle = points.mean(axis=0)
+    q = points - middle
+    columns = 2.0 * np.column_stack([q, distances.mean() - distances])
+    squares = np.sum(q**2, axis=1) - distances**2
+    guess = np.append(near - middle, offset)
+    change = np.linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)[0]
+    return offset + float(change[3])
+
+
+def centre_of_sphere(points: FloatArray, near: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre (3,) and radius of the sphere that points (n, 3) lie on [m]; see `centre` for `near`."""
+    middle = points.mean(axis=0)
+    q = points - middle
+    squares = np.sum(q**2, axis=1)
+    columns, guess = 2.0 * q, near - middle
+    x = guess + np.linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)[0]
+    return middle + x, float(np.sqrt(x @ x + squares.mean()))

@@ -1,0 +1,369 @@
+"""How sure the parameters are: covariance, intervals and the found noise of a least-squares fit with priors.
+
+Unknowns u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
+the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
+it was stated well), and for parameters that have a prior P u ~ N(0, I) (`calib.core.numerics.prior`: mostly u ~ N(0, 1)
+for each). With T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.observability`):
+
+    S = T^T P^T P T                          the share that the priors have in each direction
+    effective parameters                     n_eff = trace(I - S)       (the number of free ones without any prior)
+    degrees of freedom                       rows - n_eff
+    found factor                             f^2 = |r|^2 / (rows - n_eff)
+    covariance of u                          C = T (f^2 (I - S) + S) T^T
+
+E |r|^2 = f^2 (rows - n_eff) holds when the deviations are as large as the priors say; then C is also the posterior
+covariance. Where the noise was stated and the found one differs, C still says how far the estimate scatters. With
+several groups of rows (instruments, or position and orientation), each with its own factor f_g from its own rows,
+
+    f_g^2 = |r_g|^2 / (rows_g - trace(T^T J_g^T J_g T)),         C = T (sum of f_g^2 T^T J_g^T J_g T + S) T^T
+
+Where the readings of a pose share errors, or poses scatter by more than others, beyond what chance explains, the sum
+between T and its transpose is replaced by how the poses themselves scatter (`calib.core.numerics.clusters`).
+
+Where the size of some priors was found from the same data, `calib.core.numerics.prior_sizes` says what that adds to C.
+
+A robust loss changes what a residual tells: see `calib.core.fitting.robust`, which gives f and its counterpart in C.
+
+What readings see of a direction that only a prior holds bends with it: `calib.core.fitting.curvature` says what that
+adds to the variance in intervals. It is no part of C, nor of std; it takes longer than all the rest, so that it is
+computed when intervals are first asked for.
+
+Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
+noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
+part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0
+the prior holds it.
+
+When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
+pose. Errors that the model leaves out are not noise: `calib.core.judging.residual_patterns` tests for them.
+
+Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.threads import one_blas_thread
+from calib.core.numerics.chances import UNLIKELY
+from calib.core.numerics.clusters import Scatter
+from calib.core.numerics.observability import Information
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.tall import Span, in_parts, squares_of_rows
+from calib.core.numerics.variance_components import require_freedom
+
+DECIDED_BY_DATA = 0.9
+"""Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
+Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
+"""What a parameter's value rests on; see `status`."""
+_BY_PRIOR = 1.0 - DECIDED_BY_DATA
+_ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
+
+
+@dataclass(frozen=True, eq=False)
+class Factors(ReadOnlyArrays):
+    """What the residuals say about the assumed noise.
+
+    Attributes:
+        values: f of each group of rows, (n_groups,).
+        freedom: Degrees of freedom of each group, (n_groups,).
+        effective: Noise that gives the scatter of the parameters, in place of f in C; `values`, except with a robust
+            loss, (n_groups,).
+        slope: How much less the data weigh against priors than without a robust loss; 1 without one.
+    """
+
+    values: FloatArray
+    freedom: FloatArray
+    effective: FloatArray
+    slope: float = 1.0
+
+    @property
+    def total_freedom(self) -> float:
+        """Degrees of freedom of all groups."""
+        return float(np.sum(self.freedom))
+
+
+class BeyondLinear:
+    """Mean square of what parameters are off beyond the linear model, computed when it is first asked for.
+
+    Args:
+        compute: Returns it, (n_free,) [m^2, rad^2].
+    """
+
+    def __init__(self, compute: Callable[[], FloatArray]) -> None:
+        self._compute = compute
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """It, (n_free,) [m^2, rad^2]."""
+        values = one_blas_thread(self._compute)()
+        hold(values)
+        return values
+
+    def __reduce__(self) -> tuple[Any, ...]:  # what it is computed from would go to other processes, too
+        return _beyond_linear_of, (self.values,)
+
+
+def _beyond_linear_of(values: FloatArray) -> BeyondLinear:
+    return BeyondLinear(lambda: values)
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics(ReadOnlyArrays):
+    """Uncertainty of the free parameters.
+
+    Attributes:
+        factors: What the residuals say about the assumed noise.
+        freedom: Degrees of freedom, rows minus effective parameters.
+        covariance: Of the free parameters, (n_free, n_free) [m, rad].
+        std: Their standard deviations, (n_free,) [m, rad].
+        data_share: Part of each that the data decide, 0 to 1, (n_free,).
+        effective_parameters: How many parameters the data decide, n_eff of the module docstring.
+        poses: How the readings of each pose scatter together; None: independently.
+        beyond_linear: What they are off beyond the linear model, part of `half_width` alone; None for nothing.
+        wider: Factor by which standard deviations and intervals are wider than all of this says, (n_free,).
+    """
+
+    factors: Factors
+    freedom: float
+    covariance: FloatArray
+    std: FloatArray
+    data_share: FloatArray
+    effective_parameters: float
+    poses: Scatter | None = None
+    beyond_linear: BeyondLinear | None = None
+    wider: FloatArray | float = 1.0
+
+    @cached_property
+    def half_width(self) -> FloatArray:
+        """Half the 95 % interval of each, (n_free,) [m, rad]."""
+        beyond = 0.0 if self.beyond_linear is None else self.beyond_linear.values
+        half = self.wider * self.coverage_factor * np.sqrt((self.std / self.wider) ** 2 + beyond)
+        hold(half)
+        return half
+
+    @property
+    def shared(self) -> Scatter | None:
+        """How poses scatter, where that is by more than independent readings would; else None."""
+        return _beyond_chance(self.poses)
+
+    @property
+    def interval_freedom(self) -> float:
+        """Degrees of freedom of the intervals."""
+        return self.freedom if self.shared is None else min(self.freedom, self.shared.freedom)
+
+    @property
+    def coverage_factor(self) -> float:
+        """How many standard deviations make half a 95 % interval."""
+        return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
+
+    def widened(self, factor: float) -> Statistics:
+        """Return them with deviations and intervals so many times as wide; see `calib.core.fitting.regions`."""
+        return replace(self, std=factor * self.std, wider=factor * self.wider)
+
+    def with_more(self, variances: FloatArray) -> Statistics:
+        """Return them with standard deviations and intervals that include further variances, (n_free,)."""
+        std = np.sqrt(self.std**2 + variances)
+        wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
+        return replace(self, std=std, wider=wider * self.wider)
+
+    def correlations(self) -> FloatArray:
+        """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            unit = self.covariance / self.std / self.std[:, None]
+        return np.clip(unit, -1.0, 1.0)
+
+
+def _beyond_chance(poses: Scatter | None) -> Scatter | None:
+    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < UNLIKELY else None
+
+
+def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
+    """Return what a free parameter's value rests on.
+
+    With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
+    one the measurements alone decide, so that only their precision can be judged: `identified` where the same share of
+    the expected error's variance is gone, `weak` where they say little more than the drawing. An unknown place of base
+    or target has neither a prior nor a drawing to compare with: `placed`.
+
+    Args:
+        data_share: Of `Statistics`.
+        relative_std: Standard deviation over the sigma of the description.
+        prior: Whether the parameter has a prior.
+        placement: Whether it is part of an unknown place of base or target.
+    """
+    if prior:
+        return "identified" if data_share >= DECIDED_BY_DATA else "prior" if data_share <= _BY_PRIOR else "partly"
+    if placement:
+        return "placed"
+    return "identified" if 1.0 - relative_std**2 >= DECIDED_BY_DATA else "weak"
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """The stated noise against the residuals.
+
+    Attributes:
+        value: |r|^2 of whitened residuals.
+        freedom: What it is on average if the statement is right.
+        p_larger, p_smaller: Chance of a value at least as large, or as small, if the statement is right.
+    """
+
+    value: float
+    freedom: float
+    p_larger: float
+    p_smaller: float
+
+
+def chi_square(factor: float, freedom: float) -> ChiSquare:
+    """Compare a found noise with the stated one, of which it is `factor`."""
+    value = freedom * factor**2
+    return ChiSquare(
+        value, freedom, float(scipy.special.chdtrc(freedom, value)), float(scipy.special.chdtr(freedom, value))
+    )
+
+
+def prior_shares(known: Information, prior: Prior) -> FloatArray:
+    """Return S of the module docstring, (rank, rank).
+
+    Args:
+        known: What rows and priors determine.
+        prior: Of the parameters.
+    """
+    held = prior.times(known.root)
+    return held.T @ held
+
+
+def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues (rank,) and eigenvectors (rank, rank) of S of the module docstring.
+
+    Many eigenvalues are 1 but for rounding. With the sums of some processors, divide and conquer does not converge
+    there; QR iterations, which take longer, do.
+    """
+    matrix = prior_shares(known, prior)
+    try:
+        shares, directions = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        shares, directions = scipy.linalg.eigh(matrix, driver="ev")
+    return shares, directions
+
+
+def effective_parameters(known: Information, prior: Prior) -> float:
+    """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
+
+    Args:
+        known: What rows and priors determine.
+        prior: Of the parameters.
+    """
+    return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
+
+
+def found_factors(
+    residuals: FloatArray,
+    span: FloatArray | Span,
+    groups: IntArray,
+    n_groups: int,
+    confirmed: FloatArray | None = None,
+) -> Factors:
+    """Return by how much the assumed noise of each group of rows is off.
+
+    Args:
+        residuals: Whitened, (n_rows,).
+        span: J T of the whitened rows, with T of what these and the priors determine, (n_rows, rank).
+        groups: Group of each row, (n_rows,); -1 for rows that were not read.
+        n_groups: Number of groups.
+        confirmed: With how many degrees of freedom the assumed noise was confirmed before, (n_groups,); these count
+            like readings whose residuals are as large as assumed.
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    squares, freedom = _by_group(residuals**2, squares_of_rows(span), groups, n_groups)
+    if confirmed is not None:
+        squares, freedom = squares + confirmed, freedom + confirmed
+    require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
+    factor = _factor(squares, freedom)
+    return Factors(factor, freedom, factor)
+
+
+def noise_factors(
+    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return f and degrees of freedom of the groups of rows of many draws, (n_draws, n_groups) each.
+
+    Args:
+        squares: Of whitened residuals, (n_draws, n_rows).
+        leverage: Sums of the squares of each row of J T, (n_draws, n_rows).
+        groups, n_groups: As of `found_factors`.
+    """
+    found, freedom = _by_group(squares, leverage, groups, n_groups)
+    return _factor(found, freedom), freedom
+
+
+def _by_group(
+    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
+) -> tuple[FloatArray, FloatArray]:
+    """Sums of squares of residuals (..., n_rows), and degrees of freedom, of each group, (..., n_groups)."""
+    own = (groups[:, None] == np.arange(n_groups)).astype(float)
+    return squares @ own, (1.0 - leverage) @ own
+
+
+def _factor(squares: FloatArray, freedom: FloatArray) -> FloatArray:
+    """Return f of each group, (..., n_groups); that of all where its own rows say nothing about it."""
+    total = np.sum(squares, axis=-1, keepdims=True) / np.sum(freedom, axis=-1, keepdims=True)
+    return np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
+
+
+def statistics(
+    span: FloatArray | Span,
+    groups: IntArray,
+    known: Information,
+    factors: Factors,
+    scales: FloatArray,
+    prior: Prior,
+    poses: Scatter | None = None,
+    by_sizes: FloatArray | None = None,
+    beyond_linear: BeyondLinear | None = None,
+) -> Statistics:
+    """Return the statistics at the solution.
+
+    Args:
+        span: J T of the whitened rows, with T of `known`, (n_rows, rank).
+        groups: Group of each row, (n_rows,); -1 for rows that were not read.
+        known: What these rows (times the root of `factors.slope`) and the priors determine.
+        factors: What the residuals say about the noise.
+        scales: s of the module docstring, (n_free,) [m, rad].
+        prior: Of the parameters.
+        poses: How the readings of each pose scatter together; None: independently.
+        by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
+        beyond_linear: What parameters are off beyond the linear model; nothing if not given.
+    """
+    root = known.root
+    share = prior_shares(known, prior)
+    core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
+    shared = _beyond_chance(poses)
+    if shared is not None:
+        core += shared.core
+    elif len(factors.effective) == 1:  # what the priors have no share in is of these rows
+        core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(share)) - share)
+    else:
+        for part in in_parts(len(span)):
+            pulled, number = span[part], groups[part]
+            for group, factor in enumerate(factors.effective):
+                own = pulled[number == group]
+                core += (factors.slope * factor) ** 2 * (own.T @ own)
+    scaled_covariance = root @ core @ root.T
+    if by_sizes is not None:
+        scaled_covariance = scaled_covariance + by_sizes
+    scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # to the last digit
+    covariance = np.multiply.outer(scales, scales) * scaled_covariance
+    std: FloatArray = np.sqrt(np.diag(covariance))
+    decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
+    n_effective = float(len(share) - np.trace(share))
+    return Statistics(factors, factors.total_freedom, covariance, std, decided, n_effective, poses, beyond_linear)

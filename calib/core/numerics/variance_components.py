@@ -1,0 +1,324 @@
+"""How large the noise is: scales of groups of rows, and an error shared by the rows of a pose, from the residuals.
+
+Model. Rows y (whitened by what is stated) of a linear problem with priors, and
+
+    covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
+
+with one h_j for each component of the offsets that instruments have at a pose (`calib.core.rows.rows`). s_g is 1
+for groups whose noise is stated; the other s_g and the tau_j are found by restricted maximum likelihood: with
+A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary point has for every component V_i of V
+
+    y^T Q V_i Q y = trace(Q V_i)
+
+so that each component is multiplied by the left side over the right one, again and again (Förstner's iteration). With
+one group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; one that is not there
+shrinks towards zero.
+
+Shared errors have to earn their place: they are taken only where they raise twice the restricted log-likelihood by more
+than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are h_j). With the
+columns tau_j h_j as C, and its singular value decomposition C = U S V^T pose by pose, a function f of the covariance
+I + C C^T is I + U (f(1 + S^2) - 1) U^T.
+
+When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
+
+Reference: foerstner1979; patterson1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import NotIdentifiableError
+from calib.core.numerics.chances import EXACT, UNLIKELY
+from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.observability import Information, information
+from calib.core.numerics.prior import Prior
+
+_ROUNDS = 60
+_SETTLED = 1e-4
+_GONE = 0.03  # size of a shared error beside the scales below which one that falls is none
+_STANDS = 0.01  # relative change of a shared error at which it is found
+
+
+def require_freedom(freedom: float, n_rows: int) -> None:
+    """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
+    if freedom < 1 - 1e-9:
+        raise NotIdentifiableError(
+            f"{n_rows} measured coordinates leave {max(freedom, 0.0):.1f} degrees of freedom; without at"
+            " least one, no uncertainty can be stated: measure more poses"
+        )
+
+
+class SharedError:
+    """Errors shared by the rows of each block (a visit, or the visits that repeat a pose).
+
+    Args:
+        columns: C, (n_rows, n_joints).
+        block: Of each row, (n_rows,).
+    """
+
+    def __init__(self, columns: FloatArray, block: IntArray) -> None:
+        self._order = np.argsort(block, kind="stable")
+        _, self._block, counts = np.unique(block[self._order], return_inverse=True, return_counts=True)
+        self._place = np.arange(len(block)) - np.repeat(np.cumsum(counts) - counts, counts)
+        self._shape = len(counts), int(counts.max())
+        self._columns = self._packed(columns)
+        self._left, self._values, self._right = np.linalg.svd(self._columns, full_matrices=False)
+
+    def _packed(self, rows: FloatArray) -> FloatArray:
+        """Rows block by block, filled up with zeros, (n_blocks, most rows, k)."""
+        packed = np.zeros((*self._shape, rows.shape[1]))
+        packed[self._block, self._place] = rows[self._order]
+        return packed
+
+    def _unpacked(self, packed: FloatArray) -> FloatArray:
+        result = np.empty((len(self._order), packed.shape[2]))
+        result[self._order] = packed[self._block, self._place]
+        return result
+
+    def whiten(self, rows: FloatArray) -> FloatArray:
+        """Return (I + C C^T)^(-1/2) rows, (n_rows,) or (n_rows, k)."""
+        gain = 1.0 / np.sqrt(1.0 + self._values**2) - 1.0
+        packed = self._packed(rows[:, None] if rows.ndim == 1 else rows)
+        packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
+        result = self._unpacked(packed)
+        return result[:, 0] if rows.ndim == 1 else result
+
+    def unwhiten(self, rows: FloatArray) -> FloatArray:
+        """Return (I + C C^T)^(1/2) rows, (n_rows,): the way back."""
+        gain = np.sqrt(1.0 + self._values**2) - 1.0
+        packed = self._packed(rows[:, None])
+        packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
+        return self._unpacked(packed)[:, 0]
+
+    def diagonal(self) -> FloatArray:
+        """Return the diagonal of (I + C C^T)^-1, (n_rows,)."""
+        loss = self._values**2 / (1.0 + self._values**2)
+        kept = 1.0 - np.sum(self._left**2 * loss[:, None, :], axis=2)
+        return self._unpacked(kept[:, :, None])[:, 0]
+
+    def felt(self, rows: FloatArray) -> FloatArray:
+        """Return C^T rows, block by block, (n_blocks, n_joints, k), from (n_rows, k)."""
+        return np.matmul(self._columns.transpose(0, 2, 1), self._packed(rows))
+
+    def traces(self) -> FloatArray:
+        """Return the diagonal of the sum over blocks of C^T (I + C C^T)^-1 C, (n_joints,)."""
+        kept = self._values**2 / (1.0 + self._values**2)
+        return np.sum(self._right**2 * kept[:, :, None], axis=(0, 1))
+
+    def squares(self) -> FloatArray:
+        """Return the square of each column of C in each block, (n_blocks, n_joints)."""
+        return np.sum(self._columns**2, axis=1)
+
+    def variances(self) -> FloatArray:
+        """Return the diagonal of I + C C^T, (n_rows,)."""
+        return 1.0 + self._unpacked(np.sum(self._columns**2, axis=2, keepdims=True))[:, 0]
+
+    def log_determinant(self) -> float:
+        """Return log det (I + C C^T)."""
+        return float(np.sum(np.log1p(self._values**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """What was found.
+
+    Attributes:
+        scales: s_g, (n_groups,).
+        shared: tau_j, (n_joints,); 0 for none.
+        log_likelihood: Restricted, up to a constant.
+    """
+
+    scales: FloatArray
+    shared: FloatArray
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Rows around a solution, whitened by what is stated.
+
+    Attributes:
+        residuals: y there, (n_rows,).
+        jacobian: By the scaled parameters, (n_rows, n_free).
+        prior: Of these.
+        deviations: u there, (n_free,).
+        group: Of each row, -1 for one that was not read, (n_rows,).
+        unstated: Which groups' scales are to be found, (n_groups,).
+        family: Family of each parameter, -1 for none, (n_free,); empty where there are none.
+        n_families: Number of families.
+        counts: Number of rows of each group, (n_groups,), where the rows here are their triangular factors.
+    """
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    prior: Prior
+    deviations: FloatArray
+    group: IntArray
+    unstated: BoolArray
+    family: IntArray
+    n_families: int = 0
+    counts: IntArray | None = None
+
+    @property
+    def n_rows(self) -> IntArray:
+        """Number of rows of each group, (n_groups,)."""
+        counted = np.bincount(self.group[self.group >= 0], minlength=len(self.unstated))
+        return counted if self.counts is None else self.counts
+
+
+def found_scales(model: LinearModel, start: FloatArray) -> Components:
+    """Find the scales without a shared error.
+
+    Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
+
+    Args:
+        model: The rows.
+        start: Scales to start from, (n_groups,).
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    members, counts = [model.group == g for g in range(len(start))], model.n_rows
+    parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
+    factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
+    scales = start.copy()
+    step: FloatArray = np.zeros(model.jacobian.shape[1])
+    for _ in range(_ROUNDS):
+        stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
+        known, step = _solved(model, stacked)
+        change = np.ones(len(start))
+        for g in map(int, np.flatnonzero(model.unstated & (counts > 0))):
+            factor = factors[g] / scales[g]
+            left = factor[:, :-1] @ step + factor[:, -1]
+            freedom = counts[g] - float(np.sum((factor[:, :-1] @ known.root) ** 2))
+            change[g] = np.sqrt(float(left @ left) / max(freedom, 0.5))
+        scales = np.maximum(scales * change, EXACT / 10)
+        if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~model.unstated):
+            break
+    freedom_left = int(np.sum(counts)) - known.root.shape[1] + float(np.sum(model.prior.times(known.root) ** 2))
+    require_freedom(freedom_left, int(np.sum(counts)))
+    stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
+    known, step = _solved(model, stacked)
+    cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
+    determinant = 2.0 * float(np.sum(counts * np.log(scales)))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + known.log_determinant + cost))
+
+
+def found_components(
+    model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray, known: FloatArray | None = None
+) -> Components:
+    """Find the scales and, where they earn their place, errors shared by the rows of each block.
+
+    Args:
+        model: The rows.
+        start: Scales to start from, (n_groups,).
+        columns: H0: derivative of the rows by the errors, whitened by what is stated, (n_rows, n_columns).
+        block: Of each row, (n_rows,).
+        known: About the sizes of errors that have earned their place already, 0 for the others, (n_columns,).
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    known = np.zeros(columns.shape[1]) if known is None else known
+    if np.any(known > 0):
+        without = _with_shared(model, start, known, columns, block)
+    else:
+        without = replace(found_scales(model, start), shared=known)
+    if np.all(without.scales[model.unstated] < EXACT) and np.any(model.unstated):
+        return without
+    read = model.group >= 0
+    sizes = np.sqrt(np.mean(columns[read] ** 2, axis=0))
+    level = float(np.sqrt(np.mean(model.residuals[read] ** 2)))
+    new = (sizes > 0) & (known == 0)
+    needed = float(scipy.special.chdtri(max(int(np.sum(new)), 1), UNLIKELY))
+    if not np.any(new) or level == 0 or _rise(model, without, columns, new, block) < 0.5 * needed:
+        return without
+    guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))
+    tried = _with_shared(model, without.scales, np.where(new, guess, without.shared), columns, block)
+    earned = 2.0 * (tried.log_likelihood - without.log_likelihood) > needed
+    exact = np.any(tried.scales[model.unstated] < EXACT)  # the same reading several times shares all it has
+    return tried if earned and not exact else without
+
+
+def _rise(model: LinearModel, components: Components, columns: FloatArray, new: BoolArray, block: IntArray) -> float:
+    """About how much new errors can raise twice the log-likelihood: the sum of squares of their positive scores.
+
+    The score of tau_j^2 at zero is half of (h_j^T Q y)^2 - trace(Q h_j h_j^T); correlations of scores are not negative.
+    """
+    read = model.group >= 0
+    divisor = np.where(read, components.scales[np.where(read, model.group, 0)], 1.0)
+    shared = SharedError(columns * components.shared / divisor[:, None], block)
+    n_free = model.jacobian.shape[1]
+    white = shared.whiten(np.hstack([model.jacobian, model.residuals[:, None], columns[:, new]]) / divisor[:, None])
+    known, step = _solved_fast(model, white[:, : n_free + 1])
+    tried = SharedError(white[:, n_free + 1 :], block)
+    felt = np.sum(tried.felt((white[:, :n_free] @ step + white[:, n_free])[:, None]) ** 2, axis=(0, 2))
+    sizes = tried.squares()
+    traced = np.sum(sizes, axis=0) - np.sum(tried.felt(white[:, :n_free] @ known.root) ** 2, axis=(0, 2))
+    scores = (felt - traced) / np.sqrt(2.0 * np.sum(sizes**2, axis=0))
+    return float(np.sum(np.maximum(scores, 0.0) ** 2))
+
+
+def _with_shared(
+    model: LinearModel, start: FloatArray, tau: FloatArray, columns: FloatArray, block: IntArray
+) -> Components:
+    read = model.group >= 0
+    number = np.where(read, model.group, 0)
+    n_groups = len(start)
+    scales, likelihood = start.copy(), -np.inf
+    for _ in range(_ROUNDS):
+        divisor = np.where(read, scales[number], 1.0)
+        shared = SharedError(columns * tau / divisor[:, None], block)
+        rows, residuals = model.jacobian / divisor[:, None], model.residuals / divisor
+        white = shared.whiten(np.hstack([rows, residuals[:, None]]))
+        known, step = _solved_fast(model, white)
+        cost = float(np.sum((white[:, :-1] @ step + white[:, -1]) ** 2)) + _prior_cost(model, step)
+        determinant = 2.0 * float(np.sum(np.log(divisor[read]))) + shared.log_determinant()
+        likelihood = -0.5 * (determinant + known.log_determinant + cost)
+        left = shared.whiten(white[:, :-1] @ step + white[:, -1])
+        pulled = shared.whiten(white[:, :-1]) @ known.root
+        squares = np.bincount(number[read], left[read] ** 2, n_groups)
+        freedom = np.bincount(number[read], (shared.diagonal() - np.sum(pulled**2, axis=1))[read], n_groups)
+        change = np.where(model.unstated & (freedom > 0.5), np.sqrt(squares / np.maximum(freedom, 0.5)), 1.0)
+        traced = shared.traces() - np.sum(shared.felt(pulled) ** 2, axis=(0, 2))
+        felt = np.sum(shared.felt(left[:, None]) ** 2, axis=(0, 2))
+        growth = np.where((tau > 0) & (traced > 0), np.sqrt(felt / np.maximum(traced, 1e-300)), 1.0)
+        gone = (growth < 1.0) & (np.sum(shared.squares(), axis=0) < _GONE**2 * len(block))
+        growth = np.where(gone, 1.0, growth)
+        scales, tau = np.maximum(scales * change, EXACT / 10), np.where(gone, 0.0, tau * growth)
+        if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _STANDS):
+            break
+    return Components(scales, tau, likelihood)
+
+
+@dataclass(frozen=True, eq=False)
+class _Root:
+    """T with T T^T = (J^T J + P)^-1, and the logarithm of the determinant of J^T J + P."""
+
+    root: FloatArray
+    log_determinant: float
+
+
+def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
+    """The same as `_solved` by Cholesky's factors, which do for finding noise and cost a tenth."""
+    matrix = model.prior.added_to(rows[:, :-1].T @ rows[:, :-1])
+    lower = np.linalg.cholesky(matrix)
+    root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
+    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
+    return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
+
+
+def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
+    """What whitened rows [J y] and the priors determine, and the step to their minimum."""
+    known = information(rows[:, :-1], model.prior.rows)
+    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
+    return known, -known.root @ (known.root.T @ pull)
+
+
+def _prior_cost(model: LinearModel, step: FloatArray) -> float:
+    return model.prior.cost(model.deviations + step)

@@ -1,0 +1,208 @@
+"""What `calib verify` prints, and the same as data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.table import Table
+
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.core.base.words import as_data, counted, listed, plain_text, text_table
+from calib.core.fitting.error_sets import error_table
+from calib.core.judging.acceptance import Acceptance
+from calib.core.judging.promise import POWER, Change
+from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
+from calib.core.numerics.chances import FALSE_ALARM
+
+_SHOWN, _WIDTH = 5, 120  # changes; characters of a line
+_LARGEST = 1.0  # detectable size from which no linear model can look for a change [m or rad]
+_SAID = {
+    "agrees": "AGREES: the robot is as accurate as its calibration claims",
+    "drifted": "DRIFTED: one change of the robot explains the readings",
+    "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
+    "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
+}
+
+
+def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> str:
+    """Return everything as text.
+
+    Args:
+        acceptance: The judgement.
+        figures: Of ISO 9283.
+        missing: What they lack.
+    """
+    data = acceptance.errors.data
+    parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    if acceptance.outliers:
+        parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
+    parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
+    if figures:
+        parts += [
+            "",
+            "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
+            _iso_table(figures),
+        ]
+    lines = [_said_of_placing(acceptance), *missing] if figures and acceptance.placed else missing
+    parts += [f"ISO 9283: {'; '.join(lines)}"] if lines else []
+    stated = conditions(data.comments)
+    parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
+    return plain_text(parts, _WIDTH, wrap=True).rstrip()
+
+
+def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
+    """Return the smallest changes that n poses of a file will show as text."""
+    title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {100 * POWER:.0f} %"
+    return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
+
+
+def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
+    """Return everything as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
+    data = acceptance.errors.data
+    return as_data(
+        {
+            "verdict": acceptance.verdict,
+            "n_poses": data.n_poses,
+            "n_readings": data.n_readings,
+            "degrees_of_freedom": acceptance.freedom,
+            "placed": acceptance.placed,
+            "ratio": acceptance.ratio,
+            "ratio_low95": acceptance.low95,
+            "ratio_high95": acceptance.high95,
+            "p_value": acceptance.p_value,
+            "p_drift": acceptance.p_drift,
+            "p_rest": acceptance.p_rest,
+            "promised_rms_mm": millimetres(acceptance.promised),
+            "promised_left_open_mm": millimetres(acceptance.left_open),
+            "errors": error_table(
+                acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
+            ),
+            "alike": list(acceptance.alike),
+            "outliers": list(acceptance.outliers),
+            "changes": changes_as_data(acceptance.changes),
+            "iso9283": [
+                {
+                    "name": iso.name,
+                    "poses": iso.poses,
+                    "cycles": iso.cycles,
+                    "unit": _iso_unit(iso)[0],
+                    **{key: getattr(iso.figure, key) * _iso_unit(iso)[1] for key in ("value", "low95", "high95")},
+                }
+                for iso in figures
+            ],
+            "iso9283_missing": list(missing),
+            "conditions": conditions(data.comments),
+        }
+    )
+
+
+def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
+    """Return changes in mm and deg."""
+    return [
+        {
+            "name": change.name,
+            "unit": _unit(change)[0],
+            "value": change.value * _unit(change)[1],
+            "std": change.std * _unit(change)[1],
+            "z": change.z,
+            "p_value": change.p_value,
+            "significant": change.significant,
+            "visible": change.visible * _unit(change)[1],
+        }
+        for change in changes
+    ]
+
+
+def _errors(acceptance: Acceptance) -> list[str]:
+    """What was measured beside what was expected: the ratio that decides, and the same in millimetres."""
+    lines = [
+        f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
+        f" An unchanged robot gives {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases"
+        f" ({acceptance.freedom} degrees of freedom, p = {acceptance.p_value:.3g})"
+    ]
+    if acceptance.p_value > 1.0 - FALSE_ALARM / 2:
+        lines.append(
+            "That is less than chance explains: the calibration used these readings, or they have less noise than its"
+            " own"
+        )
+    data = acceptance.errors.data
+    if np.isfinite(acceptance.promised):
+        table = error_table(acceptance.errors.errors("after", single=True))
+        rms = table["rms"]
+        assert isinstance(rms, float)
+        promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
+        noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
+        lines.append(
+            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
+            f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
+            f" uncertainty of the calibration {left_open:.4f} mm)"
+        )
+        if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
+            lines.append(
+                "Judge by the ratio: the few directions that the calibration leaves uncertain dominate the millimetres,"
+                " and hide errors in all others"
+            )
+    return lines
+
+
+def _drift(acceptance: Acceptance) -> list[str]:
+    if not acceptance.changes:
+        return []
+    first = acceptance.changes[0]
+    unit, scale = _unit(first)
+    size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
+    if acceptance.p_drift >= FALSE_ALARM / 2:
+        largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
+        return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
+    if acceptance.verdict != "drifted":
+        rest = f"the rest has p = {acceptance.p_rest:.2g}"
+        return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
+    others = [name for name in acceptance.alike if name != first.name]
+    lines = [f"{first.name} has changed by {size}; p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"]
+    if others:
+        lines.append(f"These readings cannot tell it from a change of {listed(others)}")
+    return lines
+
+
+def _said_of_placing(acceptance: Acceptance) -> str:
+    return (
+        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
+        " with --same-setup it has all"
+    )
+
+
+def _heading(changes: Sequence[Change]) -> str:
+    n = sum(change.significant for change in changes)
+    which = f"{counted(n, 'is', 'are')} significant" if n else "none is significant"
+    return f"Changes that were looked for, by size over standard deviation; {which}"
+
+
+def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
+    left, heads = ("change of", "unit"), ("std", "detectable")
+    table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
+    seen = [change for change in changes if change.significant or change.visible < _LARGEST]
+    for change in seen[:_SHOWN]:
+        unit, scale = _unit(change)
+        numbers = [x * scale for x in (*((change.value,) if with_values else ()), change.std, change.visible)]
+        table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
+    return table
+
+
+def _iso_table(figures: Sequence[IsoFigure]) -> Table:
+    left = ("figure", "pose", "unit")
+    table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left, plain=True)
+    for iso in figures:
+        unit, scale = _iso_unit(iso)
+        numbers = (iso.figure.value, iso.figure.low95, iso.figure.high95)
+        table.add_row(iso.name, iso.poses, unit, str(iso.cycles), *(f"{x * scale:.4f}" for x in numbers))
+    return table
+
+
+def _unit(change: Change) -> tuple[str, float]:
+    return DISPLAY_UNIT[change.dimension], display_scale(change.dimension)
+
+
+def _iso_unit(iso: IsoFigure) -> tuple[str, float]:
+    dimension: Dimension = "angle" if iso.is_angle else "length"
+    return ERROR_UNIT[dimension], error_scale(dimension)

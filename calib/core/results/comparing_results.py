@@ -1,0 +1,300 @@
+"""Results side by side: parameters with their intervals, errors, and which differences are real.
+
+Two fits a and b of robots with the same true parameters x, from measurements of their own, err by
+
+    v_a - x = S_a (J_a^T e_a - L (x - m))        and b likewise,
+
+with covariances S, noise e, and the prior of both: mean m and precision L (zero where there is none). Noise of
+different measurements is independent; what the shared prior pulls is not. So their difference has the covariance
+
+    V = S_a + S_b - S_a L S_b - S_b L S_a
+
+and not S_a + S_b, with which parameters that lean on the prior would never differ. Each difference is compared with its
+standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then keeps
+the chance that any one difference is called real without being so below 5 %, over all pairs of results, however the
+parameters are correlated. All together are tested by Hotelling's T^2, which sees differences that correlated parameters
+hide from each other, again with Holm's step-down over all pairs. Places (of base, targets, instruments) count there
+with whatever they are: a tracker that stood up elsewhere is not a change of the robot.
+
+When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
+(verdict CHECK) the covariances are too small, and too much is called real. A parameter held in one of the fits moves
+others. Priors with a size that was found, or not the same in both, count as none, which finds less.
+
+Reference: holm1979, satterthwaite1946.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, InputError
+from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.words import counted, distinct_names
+from calib.core.data.tables import read_table
+from calib.core.fitting.fitted import Fit
+from calib.core.numerics.chances import HARDLY
+from calib.core.results.comparison_report import Difference, Pair, ResultComparison
+from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.core.results.results import save
+from calib.core.robots import loading
+from calib.core.robots.robot import Robot
+
+_OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
+_ERRORS = {
+    "validation": "readings that it did not use",
+    "cross_validation": "poses left out in turn",
+    "identification": "the readings that it used",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """What is read of a result folder: its content, its robot, and the readings that it used and did not."""
+
+    name: str
+    content: dict[str, Any]
+    robot: Robot
+    free: tuple[str, ...]
+    covariance: FloatArray
+    freedom: float
+    readings: dict[str, dict[tuple[str, ...], float]]
+
+    @classmethod
+    def of(cls, folder: Path, name: str) -> _Result:
+        content = read_result(folder)
+        robot = load_calibrated(folder, loading.load(folder / "nominal.yaml"), failed_too=True)
+        known = load_uncertainty(folder, robot)
+        free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
+        freedom = float(content["degrees_of_freedom"])
+        return cls(name, content, robot, free, known.covariance, freedom, readings_of(folder / "residuals.csv"))
+
+    def parameters(self, names: Sequence[str]) -> list[Parameter]:
+        """Return the parameters of these names."""
+        return [self.robot.parameters[index_of(self.robot.parameters, name)] for name in names]
+
+
+def compare(*results: Fit | Path | str) -> ResultComparison:
+    """Compare results of the same robot; see the module docstring for the tests.
+
+    Args:
+        results: Two or more fits, or result folders; they are compared in pairs.
+
+    Raises:
+        InputError: Fewer than two, or the same one twice.
+        DataError: A folder holds no result, or one of another robot.
+    """
+    if len(results) < 2:
+        raise InputError(f"{counted(len(results), 'result')} given; give two or more to compare")
+    for given in results:
+        if not isinstance(given, (Fit, Path, str)):
+            raise InputError(
+                f"compare: expected fits or result folders, not {type(given).__name__}; the nominal robot and the"
+                " calibrated one of a fit are side by side in fit.to_dataframe()"
+            )
+    folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
+    if len(set(folders)) < len(folders):
+        raise InputError("a result folder is given twice; give each once")
+    loaded = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
+    for result in loaded[1:]:
+        if geometry(result.robot) != geometry(loaded[0].robot):
+            raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
+    names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
+    loaded = [
+        result if isinstance(given, Fit) else replace(result, name=next(names_of_folders))
+        for given, result in zip(results, loaded, strict=True)
+    ]
+    pairs = list(combinations(loaded, 2))
+    notes = [note for first, other in pairs for note in _notes(first, other)]
+    tested = [_tested(first, other) for first, other in pairs]
+    names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.robot.parameters)))
+    raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
+    corrected = holm(raw.ravel()).reshape(raw.shape)
+    together = holm(np.array([of_all for _, of_all in tested]))
+    places = {p.name for result in loaded for p in result.robot.parameters if p.placement}
+    real = [{name for name, p in zip(names, p_values, strict=True) if p < HARDLY} for p_values in corrected]
+    rows = [{row["name"]: row for row in result.content["parameters"]} for result in loaded]
+    errors, unit, where, sizes = _errors(loaded)
+    return ResultComparison(
+        tuple(result.name for result in loaded),
+        tuple(None if isinstance(result, Fit) else str(result) for result in results),
+        tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in loaded),
+        tuple(result.content["n_poses"] for result in loaded),
+        errors,
+        unit,
+        where,
+        sizes,
+        tuple(
+            Difference(
+                name, tuple(by_name.get(name) for by_name in rows), tuple(map(float, corrected[: len(loaded) - 1, k]))
+            )
+            for k, name in enumerate(names)
+        ),
+        tuple(
+            Pair(
+                (first.name, other.name),
+                tuple(name for name in names if name in differing - places),
+                tuple(name for name in names if name in differing & places),
+                float(all_together),
+                tested=bool(np.any(np.isfinite(list(by_name.values())))),
+            )
+            for (first, other), differing, (by_name, _), all_together in zip(pairs, real, tested, together, strict=True)
+        ),
+        tuple(notes),
+    )
+
+
+def holm(p_values: FloatArray) -> FloatArray:
+    """Return p-values corrected for their number by Holm's step-down; NaN, no test, stays NaN.
+
+    Args:
+        p_values: (n,).
+    """
+    result = np.full(len(p_values), np.nan)
+    tested = np.flatnonzero(np.isfinite(p_values))
+    order = tested[np.argsort(p_values[tested])]
+    factors = np.arange(len(order), 0, -1)
+    result[order] = np.minimum(1.0, np.maximum.accumulate(factors * p_values[order]))
+    return result
+
+
+def difference_covariance(first: FloatArray, second: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return V of the module docstring, (n, n).
+
+    Args:
+        first, second: Covariances of the two, (n, n).
+        precision: Of the prior that they share, (n,); 0 for none.
+    """
+    shared = first @ (precision[:, None] * second)
+    return first + second - shared - shared.T
+
+
+def _read(result: Fit | Path | str, name: str) -> _Result:
+    if not isinstance(result, Fit):
+        return _Result.of(Path(result), str(result))
+    with tempfile.TemporaryDirectory() as folder:
+        save(result, folder)
+        return _Result.of(Path(folder), name)
+
+
+def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
+    """Return the readings of each set, by all that was told and read, with squared errors; NaN in another unit.
+
+    Raises:
+        DataError: There are no errors in the file, or text in their place.
+    """
+    table = read_table(path)
+    names = list(table.names)
+    errors = [k for k, name in enumerate(names) if name.startswith("error_after_")]
+    if not errors:
+        raise DataError(f"{path}: has no columns error_after_...; run the fit again")
+    errors = [k for k in errors if table.units[k] == table.units[errors[0]]]
+    computed = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
+    key_columns = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(computed)]
+    readings: dict[str, dict[tuple[str, ...], float]] = {}
+    for row, used in zip(table.rows, table.texts("set"), strict=True):
+        try:
+            square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
+        except ValueError:
+            raise DataError(f"{path}: holds text where an error is expected; run the fit again") from None
+        readings.setdefault(used, {})[tuple(row[k] for k in key_columns)] = square
+    return readings
+
+
+def geometry(robot: Robot) -> list[tuple[object, ...]]:
+    """Return what robots of one model share: names, links and origins of all joints of the URDF."""
+    return [(joint.name, joint.parent, joint.child, tuple(joint.xyz), tuple(joint.rpy)) for joint in robot.urdf.joints]
+
+
+def _why_not(first: _Result, other: _Result) -> str:
+    """Why the two cannot be tested against each other; empty if they can."""
+    failed = [result.name for result in (first, other) if result.content.get("verdict", {}).get("grade") == "FAIL"]
+    if failed:
+        return f"the fit of {' and '.join(failed)} failed"
+    used = [result.readings.get("identification", {}).keys() for result in (first, other)]
+    shared = len(used[0] & used[1])
+    return f"both used the same {counted(shared, 'reading')}" if shared else ""
+
+
+def _notes(first: _Result, other: _Result) -> list[str]:
+    pair = f"{first.name} and {other.name}"
+    why = _why_not(first, other)
+    if why:
+        return [f"{pair}: no tests, because {why}."]
+    notes = [f"{pair}: tested as measurements with independent noise; no reading is in both."]
+    only = sorted(set(first.free) ^ set(other.free))
+    if only:
+        notes.append(
+            f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
+        )
+    if "CHECK" in {result.content.get("verdict", {}).get("grade") for result in (first, other)}:
+        notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
+    return notes
+
+
+def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
+    """p-values by name, not corrected, and that of all together."""
+    common = [name for name in first.free if name in other.free]
+    if _why_not(first, other) or not common:
+        return {}, np.nan
+    (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (_of_common(result, common) for result in (first, other))
+    shared = np.isfinite(sigma_a) & (sigma_a == sigma_b)
+    both = difference_covariance(cov_a, cov_b, np.where(shared, 1.0 / np.where(shared, sigma_a, 1.0) ** 2, 0.0))
+    variance, total = np.diag(both), np.diag(cov_a) + np.diag(cov_b)
+    testable = variance > _OWN * total
+    freedom = total**2 / (np.diag(cov_a) ** 2 / first.freedom + np.diag(cov_b) ** 2 / other.freedom)
+    change = value_b - value_a
+    t = np.abs(change) / np.sqrt(np.where(testable, variance, 1.0))
+    p = np.where(testable, 2.0 * scipy.special.stdtr(freedom, -t), np.nan)
+    of_robot = np.array([not p.placement for p in first.parameters(common)])
+    scale = np.sqrt(total[of_robot])
+    sizes, axes = np.linalg.eigh(both[np.ix_(of_robot, of_robot)] / np.outer(scale, scale))
+    kept = sizes > _OWN
+    squares = (axes[:, kept].T @ (change[of_robot] / scale)) ** 2 / sizes[kept]
+    n, least = int(np.sum(kept)), min(first.freedom, other.freedom)
+    together = float(scipy.special.fdtrc(n, least, np.sum(squares) / n)) if n else np.nan
+    return dict(zip(common, map(float, p), strict=True)), together
+
+
+def _of_common(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
+    place = [result.free.index(name) for name in common]
+    values = result.robot.values[[index_of(result.robot.parameters, name) for name in common]]
+    sigma = np.array(
+        [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in result.parameters(common)]
+    )
+    return values, result.covariance[np.ix_(place, place)], sigma
+
+
+def _errors(
+    results: Sequence[_Result],
+) -> tuple[tuple[float, ...], str, tuple[str, ...], tuple[FloatArray, ...]]:
+    """Root mean square errors of each, on the readings that none used and all were judged by, if there are any.
+
+    With their unit, on which readings, and the sizes on those readings.
+    """
+    unit = results[0].content["instruments"][0]["parts"][0]["unit"]
+    unseen = [result.readings.get("validation", {}) for result in results]
+    shared = set(unseen[0]).intersection(*unseen[1:])
+    same = [key for key in unseen[0] if key in shared and np.isfinite(unseen[0][key])]
+    if same:
+        sizes = tuple(np.sqrt([squares[key] for key in same]) for squares in unseen)
+        rms = tuple(float(np.sqrt(np.mean(errors**2))) for errors in sizes)
+        return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
+    values, where = [], []
+    for result in results:
+        best = next((name for name in _ERRORS if name in result.content["errors"]), None)
+        if best is None:
+            raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
+        value = result.content["errors"][best]["after"]["rms"]
+        values.append(np.nan if value is None else float(value))
+        where.append(_ERRORS[best])
+    return tuple(values), unit, tuple(where), ()

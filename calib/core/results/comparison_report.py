@@ -1,0 +1,222 @@
+"""What a comparison of results says: parameters with their intervals, errors, and which differences are real.
+
+`calib.core.results.comparing_results` makes it, and derives its tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.other_words import Worded
+from calib.core.base.words import as_data, counted, listed, plain_text, text_table
+from calib.core.numerics.chances import HARDLY
+
+_SHOWN = 20
+_LIKELIEST = 5  # parameters to show where none differs
+_WIDTH = 118
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter in the results.
+
+    Attributes:
+        name: Its name.
+        rows: Its row in `result.json` of each result, in its unit; None where it has no such parameter.
+        p_values: Chance of a difference to the first result as large as this, for each of the others, corrected for
+            the number of tests of all pairs; NaN where there is no test.
+    """
+
+    name: str
+    rows: tuple[dict[str, Any] | None, ...]
+    p_values: tuple[float, ...]
+
+    @property
+    def real(self) -> tuple[bool, ...]:
+        """Whether each of the other results differs from the first."""
+        return tuple(p < HARDLY for p in self.p_values)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two of the results.
+
+    Attributes:
+        names: Of the two.
+        real: Parameters of the robot that differ.
+        moved: The same of places: where base, targets or instruments stand.
+        together: p-value of all parameters of the robot together, places left out, corrected for the number of pairs;
+            NaN where there is no test.
+        tested: Whether any parameter was tested.
+    """
+
+    names: tuple[str, str]
+    real: tuple[str, ...]
+    moved: tuple[str, ...]
+    together: float
+    tested: bool = True
+
+    def sentence(self) -> str:
+        """Say what differs."""
+        if not self.tested:
+            return f"{' and '.join(self.names)}: not tested."
+        if np.isnan(self.together):  # places alone were sought
+            moved = f"put elsewhere: {listed(self.moved)}" if self.moved else "nothing was put elsewhere"
+            return f"{' and '.join(self.names)}: {moved}."
+        if self.real:
+            outcome = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
+            outcome += f", {listed(self.real)}"
+        elif self.together < HARDLY:
+            outcome = "the robot differs, but no single parameter is proven to"
+        else:
+            outcome = "no parameter of the robot differs"
+        places = f"; put elsewhere: {listed(self.moved)}" if self.moved else ""
+        return f"{' and '.join(self.names)}: {outcome} (all together p {p_text(self.together)}){places}."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ResultComparison(Worded):
+    """Results side by side, compared in pairs.
+
+    Attributes:
+        names: What the folders of the results differ in; `fit 1` of a fit.
+        folders: Of the results, as they were given; None of a fit.
+        verdicts, n_poses: Of each.
+        errors: Root mean square error after calibration of each, on readings not used where there are any.
+        unit: Unit of these errors.
+        errors_on: On which readings each was found.
+        sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
+            that none of them used; empty where there are none.
+        differences: One for each parameter.
+        pairs: What the two results of each pair differ in, pairs with the first result first.
+        notes: What to know before using it.
+    """
+
+    _other_words = "results side by side"
+
+    names: tuple[str, ...]
+    folders: tuple[str | None, ...]
+    verdicts: tuple[str, ...]
+    n_poses: tuple[int, ...]
+    errors: tuple[float, ...]
+    unit: str
+    errors_on: tuple[str, ...]
+    sizes: tuple[FloatArray, ...]
+    differences: tuple[Difference, ...]
+    pairs: tuple[Pair, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def together(self) -> tuple[float, ...]:
+        """p-value of all parameters of the robot together, against the first result, for each of the others."""
+        return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
+
+    def __repr__(self) -> str:
+        real = sum(any(difference.real) for difference in self.differences)
+        return f"<comparison of {len(self.names)} results: {real} of {len(self.differences)} parameters differ>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def report(self) -> str:
+        """Return the comparison as text: what differs, then a table of it, the surest differences first."""
+        heads = [
+            f"{name}: {verdict}, {poses} poses, {error:.4g} {self.unit} RMS on {where}"
+            for name, verdict, poses, error, where in zip(
+                self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True
+            )
+        ]
+        ranked = self.ranked()
+        table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
+        for column in table.columns:
+            column.overflow = "fold"
+        real = sum(any(difference.real) for difference in ranked)
+        shown = ranked[: min(real, _SHOWN) or _LIKELIEST]
+        for difference in shown:
+            marks = (False, *difference.real)
+            cells = [_cell(row, mark) for row, mark in zip(difference.rows, marks, strict=True)]
+            unit = next(str(row["unit"]) for row in difference.rows if row is not None)
+            table.add_row(difference.name, unit, *cells, ", ".join(p_text(p) for p in difference.p_values))
+        more = len(self.differences) - len(shown)
+        tested = [pair.sentence() for pair in self.pairs if pair.tested]
+        kinds = "with less certain differences, or without a test" if tested else "without a test"
+        lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
+        answer = [*tested, *self.notes]  # a note says why a pair was not tested
+        key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
+        return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
+
+    def ranked(self) -> list[Difference]:
+        """Return the differences that were tested, the surest first; if none was, all, the least alike first."""
+        tested = [difference for difference in self.differences if np.any(np.isfinite(difference.p_values))]
+        if not tested:
+            return sorted(self.differences, key=lambda difference: -_apart(difference))
+        return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
+
+    def conclusion(self) -> str:
+        """Return which differences are real: a line for each two results, and one that says what is marked."""
+        key = f"Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {HARDLY:g}."
+        return "\n".join([*(pair.sentence() for pair in self.pairs), key])
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the comparison for `--json`, in the units of tables; null where there is no test."""
+        results = zip(self.names, self.folders, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True)
+        return as_data(
+            {
+                "results": [
+                    {
+                        "name": name,
+                        "folder": folder,
+                        "verdict": verdict,
+                        "n_poses": poses,
+                        "rms": rms,
+                        "unit": self.unit,
+                        "on": where,
+                    }
+                    for name, folder, verdict, poses, rms, where in results
+                ],
+                "parameters": [
+                    {
+                        "name": difference.name,
+                        "results": difference.rows,
+                        "p_values": difference.p_values,
+                        "real": difference.real,
+                    }
+                    for difference in self.differences
+                ],
+                "p_values_together": self.together,
+                "pairs": [
+                    {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": pair.together}
+                    for pair in self.pairs
+                ],
+                "chance": HARDLY,
+                "notes": self.notes,
+            }
+        )
+
+
+def _apart(difference: Difference) -> float:
+    """Return the largest distance to the first result in half widths of both intervals; 0 where one has none."""
+    first, *others = difference.rows
+    known = [row for row in others if row is not None and row["high95"] is not None]
+    if first is None or first["high95"] is None or not known:
+        return 0.0
+    widths = [first["high95"] - first["value"] + row["high95"] - row["value"] for row in known]
+    pairs = zip(known, widths, strict=True)
+    return max(abs(row["value"] - first["value"]) / width if width > 0 else 0.0 for row, width in pairs)
+
+
+def _cell(row: dict[str, Any] | None, real: bool) -> str:
+    if row is None or row["value"] is None:
+        return "-"
+    if row["high95"] is None:
+        return f"{row['value']:.4f} {row['status']}"
+    return f"{row['value']:.4f} +- {row['high95'] - row['value']:.4f}{' *' if real else ''}"
+
+
+def p_text(value: float) -> str:
+    """Return a p-value as tables show it; a dash where there is none."""
+    return "-" if np.isnan(value) else f"{value:.2g}" if value >= 1e-4 else "<0.0001"

@@ -1,0 +1,69 @@
+"""The result of a fit as text for a terminal: the answer on one screen, or all of it."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.words import counted, plain_text
+from calib.core.fitting.fitted import Fit
+from calib.core.judging.reasons import Verdict
+from calib.core.judging.verdict import judge
+from calib.core.results.sections.accuracy import accuracy_text, change_text
+from calib.core.results.sections.budget import budget_grid
+from calib.core.results.sections.details import details
+from calib.core.results.sections.files_held import files_grid, files_lines
+from calib.core.results.sections.outliers import outliers_left_out
+from calib.core.results.sections.parameters import changed_most, parameter_grid
+from calib.core.results.sections.terms import terms_added, terms_not_shown
+
+_WIDTH = 120
+_MOST_REASONS = 3
+
+
+@one_blas_thread
+def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
+    """Return a fit as text.
+
+    Args:
+        fit: The fit.
+        width: Of the text, in characters.
+        verbose: All reasons, tables and remarks; otherwise the answer on at most 40 lines: the verdict, the errors
+            before and after, and the parameters that changed most.
+    """
+    verdict = judge(fit)
+    title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
+    parts: list[str | Table]
+    if verbose:
+        grids = (files_grid(fit), budget_grid(fit), parameter_grid(fit))
+        tables = [*accuracy_text(fit), *(grid.as_text() for grid in grids if grid is not None)]
+        parts = [title, *verdict_lines(verdict), *tables, *details(fit)]
+    else:
+        told = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit), *files_lines(fit)]
+        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", change_text(fit), *told, *changed_most(fit)]
+    return plain_text(parts, width, wrap=True)
+
+
+def summary(fit: Fit) -> str:
+    """Return verdict and errors before and after: the beginning of `text_report`."""
+    head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
+    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", change_text(fit)], _WIDTH, wrap=True)
+
+
+def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
+    """Return the verdict, its claim, its reasons, and what it does not cover, one line each.
+
+    Args:
+        verdict: The verdict.
+        most: How many reasons at most, and then how many others there are; all if not given.
+    """
+    claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
+    names = {"PASS": "remark"}
+    reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
+    not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
+    if most is not None:
+        hidden, errors = max(len(reasons) - most, 0), len(not_covered)
+        more = [counted(hidden, "more reason")] if hidden else []
+        more += [counted(errors, "possible error") + " that this verdict does not cover"] if errors else []
+        reasons, not_covered = reasons[:most], [f"  --verbose prints {', and '.join(more)}"] if more else []
+    return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]

@@ -1,0 +1,267 @@
+"""The result folder: what a fit found, in files that people and programs read.
+
+`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
+calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
+`nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
+to the last digits. Its uncertainty comes from `covariance.csv`, and of terms that `--terms auto`
+left undecided from `undecided_terms.csv`. What files get that hold less is there, too
+(`calib.core.results.sections.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not
+read back as a calibrated robot (`calib.core.results.result_reading`), unless that is forced; then the files say so. Nor
+is
+`calibrated.urdf` written where it is worse than the nominal robot, unless that is forced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.files import write_folder
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.data.measurement_columns import header, joint_columns, shown
+from calib.core.data.on_demand import picked
+from calib.core.data.parameter_files import format_parameters
+from calib.core.data.table_writing import format_table, table_bytes
+from calib.core.fitting.error_sets import STATES, ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.judging.reasons import Verdict
+from calib.core.judging.rules_model import why_no_origins
+from calib.core.judging.verdict import judge
+from calib.core.results.result_content import (
+    NOMINAL_URDF,
+    NOMINAL_YAML,
+    UNDECIDED,
+    to_dict,
+)
+from calib.core.results.sections.files_held import VALUES, files_of, name_of_values
+from calib.core.results.sections.outliers import residual_places, residual_sets
+from calib.core.results.urdf import urdf_bytes
+from calib.core.robots.description import description_yaml
+from calib.core.robots.held import Holds
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.links import find_mesh
+from calib.core.robots.urdf.text import UrdfText, apply_edits
+from calib.core.rows.prediction import UndecidedTerms
+from calib.core.rows.rows import Rows
+from calib.exporting.held_formats import loses, robot_for, said_of
+
+_URDF = "calibrated.urdf"
+_PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
+_FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_PAGES = ("report.html", "viewer.html")
+_OF_FILES = tuple(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance"))
+_NOT_ALWAYS = (_URDF, *_PAGES, UNDECIDED, *_OF_FILES)
+"""Files that must not stay beside a new result that has none."""
+_ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
+RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
+"""What a result folder may hold of a fit."""
+
+
+@one_blas_thread
+def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
+    """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages.
+
+    A failed fit gets no calibrated.urdf. One that was in the folder, and pages, are removed where they are not written
+    again.
+
+    Args:
+        fit: The fit.
+        folder: Where to; files of other names in it stay.
+        force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
+        pages: Further files for people, name -> content.
+
+    Raises:
+        InputError: The folder cannot be written, or holds files of these names that this program did not write, or
+            that the fit was made from; what was there is untouched.
+    """
+    verdict = judge(fit)
+    failed = verdict.grade == "FAIL"
+    nominal = {
+        NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": NOMINAL_URDF})).encode(),
+        NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
+    }
+    checksums = {name: hashlib.sha256(content).hexdigest() for name, content in nominal.items()}
+    result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
+    remark = _said_inside(verdict, "not to be used") if failed else []
+    files = {
+        "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
+        "parameters.csv": _parameter_table(fit, remark).encode(),
+        "covariance.csv": _covariance_table(fit).encode(),
+        "residuals.csv": _residual_table(fit),
+        **nominal,
+    }
+    if fit.undecided is not None:
+        files[UNDECIDED] = _undecided_table(fit.robot, fit.undecided).encode()
+    files |= _values_of_files(fit, remark)
+    if force or not (failed or why_no_origins(fit)):
+        files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
+    files |= pages or {}
+    sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
+    write_folder(folder, files, sorted(set(_NOT_ALWAYS) - set(files)), inputs=sources, force=force)
+
+
+def _calibrated_urdf(fit: Fit, remarks: list[str]) -> bytes:
+    """The URDF, with a comment only if it holds less than the robot, or is forced."""
+    lines = said_of(fit.robot, Holds.ORIGINS) if loses(fit.robot, Holds.ORIGINS) else []
+    return urdf_bytes(robot_for(fit.robot, "urdf", force=True), [*remarks, *lines] or None)
+
+
+def _values_of_files(fit: Fit, remark: list[str]) -> dict[str, bytes]:
+    """Parameter files of the robots that files get, where these are others, with covariances where fits have them."""
+    robots, reduced, files = files_of(fit), fit.reduced or {}, dict[str, bytes]()
+    for holds, name in VALUES.items():
+        if holds not in robots or name_of_values(robots, holds) != name:
+            continue
+        lines = [*remark, f"values that are best where a file holds {holds.value}"]
+        if holds in reduced:
+            files[f"{name}.csv"] = _parameter_table(reduced[holds], lines).encode()
+            files[f"{name}_covariance.csv"] = _covariance_table(reduced[holds]).encode()
+        else:
+            files[f"{name}.csv"] = format_parameters(fit.robot.held_by(holds), lines).encode()
+    return files
+
+
+def _with_meshes(urdf: UrdfText) -> bytes:
+    """The URDF with the full paths of meshes that are named relative to it, or to a package."""
+    edits = []
+    for match in _FILE.finditer(urdf.source):
+        group = 1 if match.group(1) is not None else 2
+        name = html.unescape(match.group(group).decode("utf-8", "replace"))
+        mesh = find_mesh(name, urdf.path)
+        if mesh is not None and not Path(name).is_absolute():
+            text = html.escape(str(mesh)).encode("ascii", "xmlcharrefreplace")
+            edits.append((*match.span(group), text))
+    return apply_edits(urdf.source, edits)
+
+
+def _said_inside(verdict: Verdict, how: str) -> list[str]:
+    """What a file with the numbers of a failed fit says in a comment."""
+    return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
+
+
+def _residual_table(fit: Fit) -> bytes:
+    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
+
+    A cell is empty where there is no number: of readings that were not fitted, of robots without loops. Readings that
+    were left out as outliers are last, in a set of their own.
+    """
+    blocks: list[tuple[IntArray, dict[str, Sequence[object] | FloatArray]]] = []
+    count, sets = 0, residual_sets(fit)
+    for label, place in residual_places(sets).items():
+        error_set, rows = sets[label]
+        count += len(place)
+        by_instrument = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
+        blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
+    blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
+    if len(blocks) == 1 and np.array_equal(blocks[0][0], np.arange(count)):
+        return table_bytes(list(blocks[0][1].items()))
+    columns: dict[str, NDArray[Any]] = {}
+    for places, block in blocks:
+        for head, values in block.items():
+            if isinstance(values, np.ndarray):
+                column = columns.setdefault(head, np.full(count, np.nan))
+                column[places] = values
+            else:
+                column = columns.setdefault(head, np.full(count, "", dtype=object))
+                column[places] = np.fromiter(values, dtype=object, count=len(places))
+    return table_bytes(list(columns.items()))
+
+
+def _residual_columns(
+    fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str
+) -> dict[str, Sequence[object] | FloatArray]:
+    """A column of cells for each header, for the readings of one instrument in a set."""
+    used = label == "identification"
+    studentised = findings.studentised(fit)
+    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
+    instrument, of_instrument, readings = (
+        fit.nominal.instrument(name),
+        layout.readings_of(name),
+        error_set.data.readings[name],
+    )
+    visits, n = layout.visit[of_instrument], len(readings)
+    columns: dict[str, Sequence[object] | FloatArray] = {
+        "set": [label] * n,
+        "pose": picked(error_set.data.names, visits),
+        "target": [name] * n,
+    }
+    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))
+    if setups and n_pairs:  # errors are in its measurement frame
+        columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
+    columns |= {f"looked_at_{key}": words for key, words in instrument.texts(readings.pairs, readings.details).items()}
+    columns |= joint_columns(fit.robot, error_set.data.joints[visits])
+    for state in STATES:
+        for row, number in enumerate(instrument.part_of_row):
+            part = instrument.parts[number]
+            axis = part.axes[row - instrument.part_of_row.index(number)]
+            errors = error_scale(part.dimension) * getattr(error_set, state)[name][:, row]
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors
+    dimensions = {column.name: column.dimension for column in instrument.columns()}
+    for column, numbers in instrument.cells(readings.values).items():
+        head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
+        columns[head] = shown(numbers, dimensions[column])
+    lengths = rows.distances()[of_instrument] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[of_instrument], 1))
+    unknown = np.full(n, np.nan)
+    judgements = {
+        "over_sigma": lengths if factor > 0 else unknown,
+        "studentised": studentised.ratio[of_instrument] if used else unknown,
+        "leverage": studentised.leverage[of_instrument] if used else unknown,
+        "weight": fit.weights[of_instrument] if used else unknown,
+        "loop_singular_value": error_set.singular_value[visits],
+    }
+    return columns | judgements
+
+
+def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
+    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
+    rows = fit.parameters.rows()
+    columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
+    return format_table(columns, comments)
+
+
+def _covariance_table(fit: Fit) -> str:
+    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
+    free = [fit.parameters[name] for name in fit.free_names]
+    scale = np.array([estimate.per_si for estimate in free])
+    shown = np.asarray(fit.covariance) * np.multiply.outer(scale, scale)
+    comment = "covariance of the free parameters: unit of the row times unit of the column"
+    header = format_table([("parameter", []), ("unit", []), *((estimate.name, []) for estimate in free)], (comment,))
+    rows = format_table([("", [estimate.name for estimate in free]), ("", [estimate.unit for estimate in free])])
+    return header + _symmetric(rows.splitlines()[1:], shown)
+
+
+def _symmetric(rows: list[str], matrix: FloatArray) -> str:
+    """Return the lines of a symmetric matrix (n, n) behind their first cells.
+
+    With hundreds of parameters, their covariance is most of what is written: each number becomes text once.
+    """
+    below = [[repr(x) if math.isfinite(x) else "" for x in row[: k + 1]] for k, row in enumerate(matrix.tolist())]
+    return "".join(
+        ",".join([first, *own, *(other[k] for other in below[k + 1 :])]) + "\n"
+        for k, (first, own) in enumerate(zip(rows, below, strict=True))
+    )
+
+
+def _undecided_table(robot: Robot, undecided: UndecidedTerms) -> str:
+    """Return CSV: how parameters change together by joint terms that are undecided, in their display units."""
+    whole = {p.name: p for p in undecided.added_to(robot).parameters}
+    names = [name for name in undecided.names if name in whole]
+    changes = undecided.of_parameters(names) * np.array([whole[name].per_si for name in names])[:, None]
+    columns: list[tuple[str, list[str] | FloatArray]] = [
+        ("parameter", names),
+        ("unit", [whole[name].unit for name in names]),
+        *((f"direction_{k + 1}", column) for k, column in enumerate(changes.T)),
+    ]
+    return format_table(columns, ("one standard deviation in each of independent directions; terms: see result.json",))

@@ -1,0 +1,89 @@
+"""What is left: the causes of the error before calibration, as data, as a table, and what would help, in a line."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.fitting.fitted import Fit
+from calib.core.judging import findings
+from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
+
+
+def budget_table(fit: Fit) -> dict[str, Any] | None:
+    """Return the error budget in the unit of errors and its square; see `calib.core.judging.error_budget`.
+
+    A cause whose mean square is negative has no root mean square and no share, but a remark.
+    """
+    budget = findings.budget(fit)
+    if budget is None:
+        return None
+    scale = error_scale(budget.part.dimension)
+
+    def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
+        positive = mean_square >= 0.0
+        return {
+            "cause": cause,
+            "mean_square": scale**2 * mean_square,
+            "std": scale**2 * std,
+            "rms": scale * math.sqrt(mean_square) if positive else math.nan,
+            "share": mean_square / budget.before if positive and budget.before > 0 else math.nan,
+            "remark": "" if positive else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
+        }
+
+    return {
+        "set": "identification" if budget.used else "validation",
+        "part": budget.part.name,
+        "unit": ERROR_UNIT[budget.part.dimension],
+        "n_readings": budget.n_readings,
+        "n_poses": budget.n_poses,
+        "rms_before": scale * math.sqrt(budget.before),
+        "rms_left": scale * math.sqrt(max(budget.after, 0.0)),
+        "causes": [row(share.cause, share.mean_square, share.std) for share in budget.shares],
+        "noise_from": budget.noise_from or None,
+        "advice": budget.advice,
+    }
+
+
+def budget_grid(fit: Fit) -> Grid | None:
+    """Return the causes, and all together; None where there is no budget."""
+    budget = budget_table(fit)
+    if budget is None:
+        return None
+    unit, before, causes = budget["unit"], budget["rms_before"], budget["causes"]
+    of, on_page = "poses not used", "that the fit has not used"
+    if budget["set"] == "identification":
+        of = "poses used, corrected for the noise that the fit followed"
+        on_page = "that the fit has used (corrected for the noise that it followed)"
+    columns = (
+        GridColumn("", "cause", words=True),
+        GridColumn(f"RMS {unit}", f"RMS [{unit}]"),
+        GridColumn(f"mean square {unit}^2", f"mean square [{unit}²]"),
+        GridColumn("std"),
+        GridColumn("share"),
+    )
+    rows = [
+        (
+            row["cause"],
+            GridNumber(row["rms"]),
+            GridNumber(row["mean_square"], row["std"], ".3g"),
+            GridNumber(row["std"], row["std"], ".3g"),
+            row["remark"] or f"{100 * row['share']:.1f} %",
+        )
+        for row in causes
+    ]
+    whole = ("together: before", GridNumber(before), GridNumber(before**2, causes[0]["std"], ".3g"), "", "100.0 %")
+    return Grid(
+        f"Causes of the error before calibration ({of})",
+        f"Causes of the error before calibration, over {budget['n_readings']} readings {on_page}. Mean squares add up",
+        columns,
+        (*rows, whole),
+        last_counts=True,
+    )
+
+
+def budget_lines(fit: Fit) -> list[str]:
+    """Return what would help, in a line; none where there is no budget."""
+    budget = findings.budget(fit)
+    return [] if budget is None else [f"What is left: {budget.advice}"]

@@ -1,0 +1,103 @@
+"""What the measurements determine: ranks, parameters that they leave open, and how sure predicted positions are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.words import counted, listed, sentence
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.rows.prediction import PositionUncertainty
+
+CORRELATED = 0.95
+"""Correlation coefficients from here on are listed."""
+
+
+def rank_content(fit: Fit) -> dict[str, object]:
+    """Return what `result.json` says of the rank."""
+    return {
+        "n_parameters": int(np.sum(fit.free)),
+        "rank": fit.rank.rank,
+        "rank_all": fit.rank_all.rank,
+        "n_parameters_all": len(fit.free),
+        "smallest_singular_value_kept": fit.rank_all.smallest_kept,
+        "largest_singular_value_dropped": fit.rank_all.largest_dropped,
+        "rank_unclear": fit.rank.unclear or fit.rank_all.unclear,
+        "redundant": list(fit.nominal.description.held),
+    }
+
+
+def correlated(fit: Fit) -> list[dict[str, object]]:
+    """Return pairs of free parameters whose estimates move together, strongest first."""
+    correlations = fit.statistics.correlations()
+    names = fit.free_names
+    with np.errstate(invalid="ignore"):
+        pairs = np.argwhere(np.triu(np.abs(correlations) >= CORRELATED, k=1))
+    outside_curves = fit.unknowns.family < 0  # coefficients of one curve belong together anyway
+    rows = [
+        {"a": names[i], "b": names[j], "correlation": float(correlations[i, j])}
+        for i, j in pairs
+        if outside_curves[i] and outside_curves[j]
+    ]
+    return sorted(rows, key=lambda row: -abs(float(str(row["correlation"]))))
+
+
+def determined_lines(fit: Fit) -> list[str]:
+    """Return how many combinations of parameters the poses determine, one line each."""
+    return [*fit.determination.lines(), sentence(fit.determination.words())]
+
+
+def held_lines(fit: Fit) -> list[str]:
+    """Return which parameters were held, in a line; none where none were."""
+    held = fit.nominal.description.held
+    return [f"Held at nominal: {', '.join(held)}"] if held else []
+
+
+def observability_lines(fit: Fit) -> list[str]:
+    """Return the indices, and which estimates move together, one line each."""
+    lines = [
+        "Observability (scaled columns): "
+        + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
+    ]
+    pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated(fit)]
+    if pairs:
+        lines.append(f"Estimates that move together ({counted(len(pairs), 'pair')}): {listed(pairs)}")
+    return lines
+
+
+def unsure(fit: Fit) -> dict[str, list[str]]:
+    """Return the names of parameters that the measurements do not decide, by status."""
+    by_status: dict[str, list[str]] = {}
+    for estimate in fit.parameters.values():
+        if estimate.status not in ("identified", "placed") and not estimate.family:
+            by_status.setdefault(estimate.status, []).append(estimate.name)
+    return by_status
+
+
+def position_uncertainty_table(fit: Fit) -> dict[str, object]:
+    """Return how sure predicted positions are, over the poses that were used and those that were not [mm]."""
+    sets: list[tuple[str, ErrorSet | None, PositionUncertainty | None]] = [
+        ("identification", fit.identification, fit.identification_uncertainty),
+        ("validation", fit.validation, fit.validation_uncertainty),
+    ]
+    return {
+        name: uncertainty.table() | {"worst_pose": errors.data.names[uncertainty.worst]}
+        for name, errors, uncertainty in sets
+        if uncertainty is not None and errors is not None
+    }
+
+
+def position_lines(fit: Fit) -> list[str]:
+    """Return how well predicted positions are known, one line for each set of poses."""
+    lines = []
+    sets = [("poses used", fit.identification, fit.identification_uncertainty)]
+    if fit.validation is not None and fit.validation_uncertainty is not None:
+        sets.append(("poses not used", fit.validation, fit.validation_uncertainty))
+    for name, errors, uncertainty in sets:
+        summary = uncertainty.summary()
+        lines.append(
+            f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
+            f" (pose {errors.data.names[uncertainty.worst]}), over the {name},"
+            f" {fit.uncertainty.counted}{uncertainty.remark()}"
+        )
+    return lines

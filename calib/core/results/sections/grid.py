@@ -1,0 +1,77 @@
+"""A table of a report as content: text and pages show the same rows, each in its own way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich.table import Table
+
+from calib.core.base.words import text_table
+
+
+@dataclass(frozen=True)
+class GridNumber:
+    """A number of a table.
+
+    Attributes:
+        value: Of it; NaN where it is not known.
+        std: Its standard deviation, by which a page rounds; None: a page shows three significant digits.
+        decimals: Format in text.
+        page_decimals: How many decimals a page shows, where that is fixed.
+    """
+
+    value: float
+    std: float | None = None
+    decimals: str = ".4f"
+    page_decimals: int | None = None
+
+    @property
+    def text(self) -> str:
+        """It in text."""
+        return f"{self.value:{self.decimals}}" if np.isfinite(self.value) else "-"
+
+
+@dataclass(frozen=True)
+class GridColumn:
+    """A column of a table.
+
+    Attributes:
+        head: What stands above it.
+        on_page: That on a page, where it differs.
+        words: Whether its cells are words, which stand on the left.
+        only_page: Whether text leaves it out.
+    """
+
+    head: str
+    on_page: str = ""
+    words: bool = False
+    only_page: bool = False
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table.
+
+    Attributes:
+        title: What stands above it in text.
+        caption: What stands above it on a page.
+        columns: Its columns; the first names the rows.
+        rows: Their cells.
+        last_counts: Whether the last row is what counts.
+    """
+
+    title: str
+    caption: str
+    columns: tuple[GridColumn, ...]
+    rows: tuple[tuple[str | GridNumber, ...], ...]
+    last_counts: bool = False
+
+    def as_text(self) -> Table:
+        """Return the table for a terminal."""
+        shown = [k for k, column in enumerate(self.columns) if not column.only_page]
+        heads = [self.columns[k].head for k in shown]
+        table = text_table(heads, [self.columns[k].head for k in shown if self.columns[k].words], self.title)
+        for row in self.rows:
+            table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in (row[k] for k in shown)))
+        return table

@@ -1,0 +1,142 @@
+"""How much readings scatter: noise of each instrument, what readings of a pose share, and repeats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.words import counted
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.judging.repeatability import repeatability, repeats
+from calib.core.results.sections.accuracy import error_sets
+
+
+def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
+    """Return one block for each instrument, with errors and noise in the units of its parts."""
+    blocks: list[dict[str, object]] = []
+    sections = fit.nominal.description.instruments
+    for instrument in fit.nominal.instruments:
+        parts = []
+        offsets = fit.offsets.get(instrument.name, np.zeros(instrument.n_rows))
+        for index, part in enumerate(instrument.parts):
+            of_part = (n for n in fit.noise if (n.group.name, n.group.part.name) == (instrument.group, part.name))
+            noise = next(of_part, None)
+            scale = error_scale(part.dimension)
+            parts.append(
+                {
+                    "name": part.name,
+                    "unit": ERROR_UNIT[part.dimension],
+                    "sigma": None if noise is None else scale * noise.sigma,
+                    "sigma_weighed": [scale * float(size) for size in offsets[np.equal(instrument.part_of_row, index)]],
+                    "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
+                    "degrees_of_freedom": None if noise is None else noise.freedom,
+                    "errors": {
+                        label: errors.tables()[instrument.name][part.name]
+                        for label, errors in error_sets(fit)
+                        if instrument.name in errors.tables()
+                    },
+                }
+            )
+        n_readings = len(fit.identification.data.readings.get(instrument.name, ()))
+        kind = sections[instrument.name].kind if sections else "position"  # none is listed: those of every target
+        blocks.append({"name": instrument.name, "kind": kind, "n_readings": n_readings, "parts": parts})
+    return blocks
+
+
+@dataclass(frozen=True)
+class NoiseFound:
+    """Noise of one reading as found: of what, in which unit, per what, over how many degrees of freedom."""
+
+    of: str
+    sigma: float
+    stated: float | None
+    unit: str
+    per: str
+    freedom: float
+
+
+def noise_found(fit: Fit) -> list[NoiseFound]:
+    """Return the noise of each group of rows; what it is of is said where there are several."""
+    several = {
+        (instrument.name, part.name)
+        for instrument in fit.nominal.instruments
+        for part in instrument.parts
+        if len(part.axes) > 1
+    }
+    lines = []
+    for noise in fit.noise:
+        scale = error_scale(noise.group.part.dimension)
+        lines.append(
+            NoiseFound(
+                f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else "",
+                scale * noise.sigma,
+                None if noise.stated is None else scale * noise.stated,
+                ERROR_UNIT[noise.group.part.dimension],
+                " per axis" if (noise.group.name, noise.group.part.name) in several else "",
+                noise.freedom,
+            )
+        )
+    return lines
+
+
+def noise_lines(fit: Fit) -> list[str]:
+    """Return the noise found of each group of rows, one line each."""
+    lines = []
+    for noise in noise_found(fit):
+        stated = "none was stated" if noise.stated is None else f"stated: {noise.stated:.4g} {noise.unit}"
+        lines.append(f"Noise found{noise.of}: {noise.sigma:.4g} {noise.unit} per axis ({stated})")
+    return lines
+
+
+def scatter_lines(fit: Fit) -> list[str]:
+    """Return what readings of a visit share, and whether the scatter agrees with what was stated, one line each."""
+    lines = []
+    if fit.statistics.shared is not None:
+        lines.append(
+            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared.ratio:.2g} times as much as"
+            " independent readings would. Intervals include it"
+        )
+    for name, offsets in fit.offsets.items():
+        instrument = fit.nominal.instrument(name)
+        axes = [(axis, part) for part in instrument.parts for axis in part.axes]
+        sizes = [
+            f"{axis} {error_scale(part.dimension) * size:.3g} {ERROR_UNIT[part.dimension]}"
+            for (axis, part), size in zip(axes, offsets, strict=True)
+        ]
+        lines.append(
+            f"All readings of {name} at a pose share an error (what the model leaves out): {', '.join(sizes)}."
+            " Their weights allow for it, because that predicts poses left out better"
+        )
+    if fit.chi_square is not None:
+        chi = fit.chi_square
+        chance = f"chance of a larger value {chi.p_larger:.2g}, of a smaller one {chi.p_smaller:.2g}"
+        lines.append(f"Chi-square of the stated noise: {chi.value:.1f} where {chi.freedom:.1f} is expected ({chance})")
+    return lines
+
+
+def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
+    """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
+    figures = repeats(errors)
+    return None if figures is None else figures.table()
+
+
+def repeat_lines(fit: Fit) -> list[str]:
+    """Return how repeats scatter, one line each; none without repeats."""
+    lines = []
+    scatter, _ = repeatability(fit.identification)
+    if np.isfinite(scatter):
+        lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
+    for name, errors in (("used", fit.identification), ("not used", fit.validation)):
+        repeated = None if errors is None else repeats(errors)
+        if repeated is not None:
+            sizes = (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
+            before, after, again = map(millimetres, sizes)
+            lines.append(
+                f"ISO 9283-style, {counted(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
+                f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
+                f" (largest {again.max():.3f})"
+            )
+    return lines

@@ -1,0 +1,153 @@
+"""Outliers: those that were found, those that were left out, and the result with these; also the sets of residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.arrays import IntArray
+from calib.core.base.remembered import remembered
+from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.words import listed
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.outliers import Outlier, outliers_in_words
+from calib.core.judging import findings
+from calib.core.judging.verdict import judge
+from calib.core.results.sections.accuracy import error_sets
+from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
+from calib.core.results.sections.parameters import parameter_rows
+from calib.core.rows.rows import Rows
+
+LEFT_OUT = "left out"
+"""Set in `residuals.csv` of the readings that were left out as outliers."""
+MOST = 50
+"""How many a page shows."""
+
+
+@dataclass(frozen=True)
+class OutlierGrid:
+    """The outliers as a table of at most `MOST` of them, how many there are, and whether they are points."""
+
+    shown: Grid
+    count: int
+    points: bool
+
+
+@remembered
+def residual_sets(fit: Fit) -> dict[str, tuple[ErrorSet, Rows]]:
+    """Return the sets of readings that `residuals.csv` holds, with their rows."""
+    sets = {"identification": (fit.identification, fit.rows)}
+    if fit.validation is not None and fit.validation_rows is not None:
+        sets["validation"] = fit.validation, fit.validation_rows
+    excluded = findings.excluded_errors(fit)
+    if excluded is not None:
+        sets[LEFT_OUT] = excluded, fit.whitened(excluded)[1]
+    return sets
+
+
+def residual_places(sets: Mapping[str, tuple[ErrorSet, Rows]]) -> dict[str, IntArray]:
+    """Return the row of `residuals.csv` of each reading of each set, counted from 0, (n,): visit by visit."""
+    places: dict[str, IntArray] = {}
+    count = 0
+    for label, (_, rows) in sets.items():
+        place = np.empty(rows.layout.n_readings, dtype=np.intp)
+        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+        places[label], count = place, count + len(place)
+    return places
+
+
+def outlier_rows(fit: Fit) -> list[dict[str, Any]]:
+    """Return the outliers of both sets, worst first in each, with their rows of `residuals.csv`, counted from 1."""
+    both = {"identification": findings.outliers(fit), "validation": findings.validation_outliers(fit)}
+    places = residual_places(residual_sets(fit))
+    return [
+        _outlier(fit, label, outlier) | {"row": int(places[label][outlier.reading]) + 1}
+        for label, outliers in both.items()
+        for outlier in outliers
+    ]
+
+
+def excluded_rows(fit: Fit) -> list[dict[str, Any]]:
+    """Return the outliers that were left out of the fit."""
+    return [_outlier(fit.with_all, "identification", outlier) for outlier in fit.excluded]
+
+
+def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, Any]:
+    errors = None if fit is None else fit.identification if label == "identification" else fit.validation
+    return {
+        "set": label,
+        "pose": None if errors is None else errors.data.names[outlier.pose],
+        "where": outlier.label,
+        "target": outlier.target,
+        "looked_at": outlier.looked_at,
+        "together": outlier.together,
+        "distance": outlier.distance * _error_scale(errors, outlier),
+        "size": outlier.size,
+        "over_noise": outlier.studentised,
+        "leverage": outlier.leverage,
+        "p_value": outlier.p_value,
+    }
+
+
+def _error_scale(errors: ErrorSet | None, outlier: Outlier) -> float:
+    if errors is None:
+        return 1.0
+    instrument = next(instrument for instrument in errors.instruments if instrument.name == outlier.target)
+    return error_scale(instrument.parts[0].dimension)
+
+
+def outlier_grid(fit: Fit) -> OutlierGrid:
+    """Return the outliers as a table: those that were left out first."""
+    rows = [row | {"set": LEFT_OUT} for row in excluded_rows(fit)] + outlier_rows(fit)
+    points = all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts)
+    columns = (
+        GridColumn("pose"),
+        GridColumn("set", words=True),
+        GridColumn("point" if points else "instrument", words=True),
+        GridColumn("distance [mm]" if points else "error"),
+        GridColumn("over noise"),
+        GridColumn("leverage"),
+    )
+    cells = tuple(_cells(row, points) for row in rows[:MOST])
+    return OutlierGrid(Grid("", "", columns, cells), len(rows), points)
+
+
+def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
+    together = f" (all {row['together']} readings there)" if row["together"] else ""
+    of = " ".join(filter(None, (row["target"], row["looked_at"])))
+    size = GridNumber(row["distance"]) if points else str(row["size"])
+    how_far = (GridNumber(row["over_noise"], page_decimals=1), GridNumber(row["leverage"], page_decimals=2))
+    return (str(row["pose"]), row["set"], f"{of}{together}", size, *how_far)
+
+
+def with_excluded(fit: Fit) -> dict[str, object] | None:
+    """Return the result of all poses, where outliers were left out of the main one."""
+    if fit.with_all is None:
+        return None
+    return {
+        "n_poses": fit.with_all.identification.data.n_poses,
+        "verdict": judge(fit.with_all).to_dict(),
+        "sigma": fit.with_all.sigma,
+        "parameters": parameter_rows(fit.with_all),
+        "errors": {name: errors.table() for name, errors in error_sets(fit.with_all)},
+    }
+
+
+def outliers_left_out(fit: Fit) -> list[str]:
+    """Return which outliers were left out, and the fit with them; no line where none were."""
+    if fit.with_all is None:
+        return []
+    before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
+    dimension = fit.identification.main_part.dimension
+    scale, unit = error_scale(dimension), ERROR_UNIT[dimension]
+    layout, left = fit.with_all.rows.layout, fit.rows.layout.n_readings
+    several = layout.n_readings > len(np.unique(layout.visit))
+    count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""
+    return [
+        f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ')}. With them: RMS"
+        f" {before:.4f} {unit}, noise {scale * fit.with_all.sigma:.4g} {unit}; without: RMS {after:.4f} {unit}"
+    ]

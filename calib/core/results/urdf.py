@@ -1,0 +1,79 @@
+"""The URDF that a robot's current values give, optionally with a comment that says where they come from.
+
+Everything but the edited origin values keeps its bytes. An export of an export is identical: where nothing is edited,
+the file goes out as it came in, and a comment of an earlier export is replaced, never repeated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+
+from calib.core.base.version import PROGRAM
+from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import urdf_of_origins
+from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf, quoted
+
+_MARK = "calib: calibrated origins"
+_MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
+_EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
+
+
+def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
+    """Return the URDF with the origins that the robot's values give.
+
+    Args:
+        robot: The robot.
+        provenance: None: no comment is added. Otherwise a comment goes behind the `<robot>` tag, with the nominal file,
+            every parameter that differs from nominal, and these lines.
+    """
+    edited = urdf_of_origins(robot)
+    if provenance is None or edited == robot.urdf.source:
+        return edited
+    lines = [_MARK, *provenance, *provenance_lines(robot)]
+    cleaned = _EARLIER.sub(b"", edited)
+    urdf = parse_urdf(cleaned, robot.urdf.path)
+    return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
+
+
+def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
+    """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
+    start = quoted(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    return _MESH.sub(lambda match: match.group() + start, source)
+
+
+def source_lines(robot: Robot) -> list[str]:
+    """Return what a file was made from: program, and nominal file with its checksum."""
+    digest = hashlib.sha256(robot.urdf.source).hexdigest()
+    hashed = "the URDF that it was read as" if robot.urdf.path.endswith((".xacro", ".xml")) else "that file"
+    return [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
+
+
+def provenance_lines(robot: Robot) -> list[str]:
+    """Return what a file was made from, and every value that was changed."""
+    lines, changed = source_lines(robot), []
+    for parameter, value in zip(robot.parameters, robot.values, strict=True):
+        if value != parameter.nominal_si:
+            shown = float(value) * parameter.per_si
+            changed.append(f"  {parameter.name}: {parameter.nominal:.9g} -> {shown:.9g} {parameter.unit}")
+    if not changed:
+        return [*lines, "parameters: nominal"]
+    return [*lines, f"parameters that differ from nominal ({len(changed)} of {len(robot.parameters)}):", *changed]
+
+
+def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
+    """Return the file with text inserted at a byte: in ASCII, with the line ends that the file has."""
+    line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
+    return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return the shortest decimals that read back to the same floats, separated by spaces."""
+    return " ".join(repr(float(value)) if value != 0 else "0" for value in values)
+
+
+def comment(lines: Sequence[str]) -> str:
+    """Return an XML comment, one line each; ASCII, so that it fits every encoding."""
+    text = "\n".join(lines).encode("ascii", "backslashreplace").decode()
+    return "<!-- " + re.sub(r"-(?=-|$)", "- ", text) + "\n-->"

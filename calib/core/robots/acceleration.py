@@ -1,0 +1,86 @@
+"""When kinematics are computed by compiled code (`calib.core.robots.kernels`), and what it is given.
+
+That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about ten to
+compile, once for each version. So compiled code is used only if asked for by `compiled()`, or if the number of poses
+pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works without
+it, with the same numbers to 1e-12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from calib.core.robots.mechanism import Mechanism
+
+_MANY = 5000  # poses of robots with loops that are worth loading numba: one of a fit saves 0.1 ms
+_MANY_OPEN = 20_000  # the same of robots without loops, and of draws, which save 0.03 ms
+_TO_COMPILE = 15  # times as many are worth compiling it first
+_AVAILABLE = find_spec("numba") is not None
+_requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
+
+
+@contextmanager
+def compiled(use: bool = True) -> Iterator[None]:
+    """Inside, compute kinematics by compiled code where numba is installed; or never.
+
+    Args:
+        use: Whether.
+    """
+    before = _requested.set(use)
+    try:
+        yield
+    finally:
+        _requested.reset(before)
+
+
+def compiled_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
+    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless told otherwise.
+
+    Args:
+        n_poses: How many, one part after the other.
+        many: How many are worth loading code that is already compiled.
+    """
+    return compiled() if _requested.get() is None and pays(n_poses, many) else nullcontext()
+
+
+def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
+    """Whether compiled code saves more time than it takes, if so many poses have to be computed.
+
+    Args:
+        n_poses: How many.
+        many: How many are worth loading code that is already compiled.
+    """
+    return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().kept())
+
+
+def many(mechanism: Mechanism) -> int:
+    """Return how many poses of a robot, at once or batch after batch, are worth loading code that is compiled."""
+    return _MANY if mechanism.loops else _MANY_OPEN
+
+
+def compilation_requested() -> bool:
+    """Whether compiled code was asked for: what starts other processes tells them."""
+    return _requested.get() is True
+
+
+def kernels(mechanism: Mechanism, n_poses: int) -> Any:
+    """Return the compiled functions if they are to be used, else None.
+
+    Args:
+        mechanism: The robot; loops that constrain directions are left to the reference.
+        n_poses: How many poses are computed at once.
+    """
+    requested = _requested.get()
+    use = pays(n_poses, many(mechanism)) if requested is None else requested
+    if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
+        return None
+    return _functions()
+
+
+def _functions() -> Any:
+    return import_module("calib.core.robots.kernels")

@@ -1,0 +1,226 @@
+"""The closure residual r(a, p) of every loop, its derivatives, and how far they are from singular.
+
+Assembly modes: which of several closed configurations a robot is in, told by the signs of determinants.
+
+Two solutions of the loops that are joined without passing a singularity have the same sign of det C_p, C_p = dr/dp. The
+sign is taken of each strongly connected part of C_p's pattern, one for each five-bar, so that two flips cannot cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.units import millimetres
+from calib.core.numerics.graphs import connected_parts
+from calib.core.robots import kinematics
+from calib.core.robots.mechanism import Mechanism, RelativeFrame
+
+
+class LoopRows:
+    """The rows of all loops of a mechanism, at some poses after others.
+
+    Args:
+        mechanism: The robot.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.shared = mechanism, kinematics.Shared(mechanism, mechanism.loops)
+        signs = mechanism.loop_signs[:, self.shared.reduced.joints]
+        self.passive, self.moving = (
+            kinematics.Coordinates.of(self.shared.reduced, signs, select)
+            for select in (mechanism.select_passive, mechanism.select_moving)
+        )
+
+    def chunks(self, n: int) -> Iterator[slice]:
+        """Yield n poses in parts that are good at once."""
+        return kinematics.chunks(n, kinematics.at_once(self.shared.reduced))
+
+    def at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
+        """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
+        joints = self.mechanism.all_joints(actuated, passive)
+        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
+
+    def by(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
+        """Return C_p for `passive`, (n, n_rows, n_passive), [C_p C_a] for `moving`."""
+        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
+
+
+def residual(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
+    rows, n_passive = LoopRows(mechanism), len(mechanism.passive)
+    values = np.empty((len(actuated), len(mechanism.loop_signs)))
+    slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
+    for part in rows.chunks(len(actuated)):
+        swept = rows.at(actuated[part], passive[part])
+        values[part], slope[part] = kinematics.gaps(swept), rows.by(rows.moving, swept)
+    return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
+
+
+def actuated_jacobian(
+    mechanism: Mechanism, target: RelativeFrame, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pose of a target in the measurement frame and how the actuated joints move it, through the loops.
+
+    Args:
+        mechanism: The mechanism.
+        target: The target seen from the measurement frame.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
+
+    Returns:
+        Position (n, 3) [m], rotation (n, 3, 3), and Jacobian (n, 6, n_actuated): [velocity of the point; angular
+        velocity] in the axes of the measurement frame, per joint rate.
+    """
+    return motion(mechanism, target, actuated, passive)[:3]
+
+
+def motion(
+    mechanism: Mechanism,
+    target: RelativeFrame,
+    actuated: FloatArray,
+    passive: FloatArray,
+    closures: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """As `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
+
+    Args:
+        mechanism, target, actuated, passive: As there.
+        closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
+    """
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
+    to_frame = swept.rotation[:, swept.index[target.a]].transpose(0, 2, 1)
+    mapping = np.zeros((len(actuated), 6, 6))
+    mapping[:, :3] = kinematics.twist_map(swept, target)
+    mapping[:, 3:, 3:] = to_frame
+
+    def by(select: FloatArray) -> FloatArray:
+        coordinates = kinematics.Coordinates.of(
+            swept.reduced, mechanism.between(target)[None, swept.reduced.joints], select
+        )
+        return kinematics.joint_derivative(swept, mapping, coordinates)
+
+    jacobian = by(mechanism.select_actuated)
+    by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
+    if mechanism.loops:
+        if closures is None:
+            closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
+        by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
+        jacobian += by(mechanism.select_passive) @ by_joint
+    return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
+
+
+def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
+
+    Args:
+        mechanism: The robot.
+        slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
+    """
+    rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
+    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    return slope_passive * rows[:, None] * columns
+
+
+def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
+    if not mechanism.passive:
+        return np.full(len(slope_passive), np.inf)
+    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
+    return values[:, -1]
+
+
+def open_by(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
+
+    Args:
+        values: r, (n, n_rows) [m, rad].
+    """
+    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
+    lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
+    angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
+    norms = [np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1) for parts in (lengths, angles)]
+    return norms[0], norms[1]
+
+
+def gap_text(length: float, angle: float) -> str:
+    """Say a gap in mm, and in degrees where a loop's directions do not agree."""
+    turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
+    return f"{millimetres(length):.3f} mm{turned}"
+
+
+@dataclass(frozen=True, eq=False)
+class AssemblyMode(ReadOnlyArrays):
+    """A closed configuration and the signs that tell its assembly mode.
+
+    Attributes:
+        mechanism: The mechanism that it is a configuration of: the nominal one.
+        actuated, passive: The configuration, (n_actuated,), (n_passive,) [m or rad].
+        block_rows, block_columns: Indices of each strongly connected block of C_p, n_blocks arrays each.
+        signs: Sign of each block's determinant, (n_blocks,).
+    """
+
+    mechanism: Mechanism
+    actuated: FloatArray
+    passive: FloatArray
+    block_rows: tuple[IntArray, ...]
+    block_columns: tuple[IntArray, ...]
+    signs: FloatArray
+
+    @cached_property
+    def places(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Rows and columns of all blocks, one after another, (n_passive,), and where each ends, (n_blocks,)."""
+        ends = np.cumsum([len(rows) for rows in self.block_rows])
+        return np.concatenate(self.block_rows), np.concatenate(self.block_columns), ends
+
+    def holds(self, slope: FloatArray) -> BoolArray:
+        """Return which configurations are in this mode, from their C_p (n, n_passive, n_passive): (n,)."""
+        return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
+
+
+def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:
+    """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
+
+    Returns:
+        Row indices and column indices of each block, columns with few entries first: these are quickly eliminated.
+    """
+    column_of_row, entries = _matched(pattern), np.sum(pattern, axis=0)
+    rows = connected_parts(pattern[:, column_of_row])
+    columns = (np.sort(column_of_row[part]) for part in rows)
+    return rows, tuple(part[np.argsort(entries[part], kind="stable")] for part in columns)
+
+
+def _matched(pattern: BoolArray) -> IntArray:
+    """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
+    row_of_column = np.full(len(pattern), -1)
+
+    def finds_place(row: int, visited: set[int]) -> bool:
+        for column in np.flatnonzero(pattern[row]).tolist():
+            if column in visited:
+                continue
+            visited.add(column)
+            if row_of_column[column] < 0 or finds_place(int(row_of_column[column]), visited):
+                row_of_column[column] = row
+                return True
+        return False
+
+    for row in range(len(pattern)):
+        finds_place(row, set())
+    return np.argsort(row_of_column)
+
+
+def block_signs(slope: FloatArray, rows: tuple[IntArray, ...], columns: tuple[IntArray, ...]) -> FloatArray:
+    """Return the sign of the determinant of each block of C_p (n, n_passive, n_passive): (n, n_blocks)."""
+    signs = np.empty((len(slope), len(rows)))
+    for size in {len(row) for row in rows}:  # blocks of one size together: most robots have several of them
+        alike = [k for k, row in enumerate(rows) if len(row) == size]
+        row, column = (np.stack([indices[k] for k in alike]) for indices in (rows, columns))
+        entries = slope[:, row[:, :, None], column[:, None]]
+        signs[:, alike] = np.sign(entries[..., 0, 0] if size == 1 else np.linalg.det(entries))
+    return signs

@@ -1,0 +1,361 @@
+"""Ways to closed configurations: Newton steps, and following the loops from home while joints or origins move.
+
+Newton. Solve r(a, p) = 0 for the passive joints p of given actuated joints a from a start nearby: p <- p - C_p^-1 r,
+with C_p = dr/dp. A start is near enough if each correction is at most half of the one before, the first below 0.5 rad.
+Corrections that follow each other are about |d_3| = |d_2|^3 / |d_1|^2 at most, and residuals alike. Where this says
+that the next correction closes the loops, and the slopes there are not wanted, it is the last one.
+
+Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in about a
+fifth of a five-bar's poses (docs/theory/loops.md prints the figure), and a small residual does not show it.
+
+Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
+the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
+at most half of the one before, the first below 0.5 rad) and stays in the assembly mode (`calib.core.robots.closure`);
+otherwise it is halved. Limits of the passive joints play no part here.
+
+Ways. Home is a configuration of the nominal robot. A robot with other parameters is reached by moving the origins from
+nominal to its own while the loops follow (`carry`); from its home, poses are solved nearest first, each starting from
+the nearest solved pose, so that one step is usually enough. Poses that this does not reach are solved at the nominal
+robot and carried over from there, or by way of stepping stones spread around them. All poses advance together in
+arrays. After a small change of parameters the old solution is the start (`seed`).
+
+When it fails. A pose that no way reaches without passing a singularity stays unsolved; so does one whose own loops
+cannot be closed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics.halton import halton
+from calib.core.robots import kinematics
+from calib.core.robots.acceleration import kernels
+from calib.core.robots.closure import AssemblyMode, LoopRows
+from calib.core.robots.mechanism import Mechanism
+
+TOLERANCE = 1e-12
+"""Largest closure residual of a solved pose [m, rad]; for links of more than 28 m see `closing_tolerance`."""
+_EPS = float(np.finfo(float).eps)
+_ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
+LARGEST_STEP = 0.5
+"""Of any passive joint in one correction [rad, or characteristic lengths]."""
+_MAX_NEWTON = 12
+_SURE = 0.1  # part of the tolerance that a residual which is not computed must come to
+_SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
+_SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
+_SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
+_TOGETHER = 64  # steps that are tried at once while few poses are left
+_NEIGHBOURS = 3  # solved poses to start from
+_MOST_KNOWN = 10_000  # of the poses solved together: more are no nearer by much, and looking among them takes longer
+_STONES, _FROM_STONES = 64, 6
+
+
+def closing_tolerance(mechanism: Mechanism) -> float:
+    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, but what rounding leaves of long links.
+
+    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
+    the robot stands plays no part: `Mechanism.around`.
+    """
+    return max(TOLERANCE, 10 * _ROUNDINGS * _EPS * mechanism.length)
+
+
+def newton(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, slopes: bool = True
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
+
+    Args:
+        mechanism: The robot.
+        mode: Its assembly mode.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        passive: Where to start, (n, n_passive) [m or rad].
+        slopes: Whether C_p and C_a are wanted at the solution.
+
+    Returns:
+        Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, or empty
+        arrays where they are not wanted, and which poses were accepted (n,).
+    """
+    (n, n_passive), passive, enough = passive.shape, passive.copy(), closing_tolerance(mechanism) / 10
+    sure, accepted, fast = 0.0 if slopes else _SURE * enough, np.zeros(n, dtype=bool), kernels(mechanism, n)
+    slope = np.full((n if slopes else 0, n_passive, n_passive), np.nan)
+    slope_actuated = np.full((n if slopes else 0, n_passive, actuated.shape[1]), np.nan)
+    found = slope, slope_actuated, accepted
+    if fast is None:
+        _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
+    else:
+        tree = fast.tree(mechanism, mechanism.around(mechanism.loops)[0])
+        loops, rest, scale, limits = compiled_loops(fast, mechanism, mode, actuated, checked=slopes)
+        fast.close(tree, *loops, rest, passive, scale, *limits, *found)
+    return passive, *found
+
+
+def compiled_loops(
+    fast: Any, mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, checked: bool
+) -> tuple[Any, FloatArray, FloatArray, tuple[float, float, float, int]]:
+    """Return what compiled code needs to close loops beside origins and a start: the same for other origins.
+
+    Args:
+        fast: The compiled functions.
+        mechanism, mode, actuated: As of `newton`.
+        checked: Whether the last correction is checked, too.
+
+    Returns:
+        Loops with their blocks and signs; joints that are given, 0 for the passive ones, (n, n_reduced); length of a
+        step of 1 of each passive joint, (n_passive,); and limits.
+    """
+    reduced, enough = mechanism.around(mechanism.loops)[0], closing_tolerance(mechanism) / 10
+    rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
+    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    loops, limits = fast.loops(mechanism, reduced), (enough, 0.0 if checked else _SURE * enough)
+    return (loops, fast.blocks(mode, reduced, loops), mode.signs), rest, scale, (*limits, LARGEST_STEP, _MAX_NEWTON)
+
+
+def _correct(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    actuated: FloatArray,
+    passive: FloatArray,
+    limits: tuple[float, float],
+    slope: FloatArray,
+    slope_actuated: FloatArray,
+    accepted: BoolArray,
+) -> None:
+    """Fill in what `newton` says, passive joints in place.
+
+    Args:
+        mechanism, mode, actuated, passive: As there.
+        limits: Largest residual of a closed pose, and largest one that is not computed but known from two before it.
+        slope, slope_actuated, accepted: Where to put the results.
+    """
+    (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
+    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    coordinates = loops.moving if len(slope) else loops.passive
+    for part in loops.chunks(n):
+        index = np.arange(part.start, part.stop)
+        last, before = np.full(len(index), np.inf), np.zeros(len(index))
+        for _ in range(_MAX_NEWTON):
+            swept = loops.at(actuated[index], passive[index])
+            values, slopes = kinematics.gaps(swept), loops.by(coordinates, swept)
+            worst = np.max(np.abs(values), axis=1)
+            done = worst <= enough
+            on = ~done
+            if np.any(on):
+                correction = solved_for(slopes[:, :, :n_passive], values)
+                last, longest = np.max(np.abs(correction / scale), axis=1), np.minimum(last, 2 * LARGEST_STEP)
+                # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
+                contracts = (worst > enough) & (last <= np.maximum(0.5 * longest, 1e-9))
+                passive[index] -= np.where(contracts[:, None], correction, 0.0)
+                known = worst**3 <= sure * before**2
+                done, on = done | (contracts & known), contracts & ~known
+            if np.any(done):
+                there = slopes if np.all(done) else slopes[done]
+                at, by_passive = index[done], there[:, :, :n_passive]
+                accepted[at] = mode.holds(by_passive)
+                if len(slope):
+                    slope[at], slope_actuated[at] = by_passive, there[:, :, n_passive:]
+            if not np.any(on):
+                break
+            index, last, before = index[on], last[on], worst[on]
+
+
+def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve each pose's linear system, (n, k, k) and (n, k) -> (n, k); infinite where its matrix is singular."""
+    try:
+        solution: FloatArray = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        solution = np.full(right.shape, np.inf)
+        regular = np.linalg.det(matrix) != 0
+        solution[regular] = np.linalg.solve(matrix[regular], right[regular][:, :, None])[:, :, 0]
+    return solution
+
+
+def in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
+    """Return changes of passive joints (n, n_passive) [m or rad] with lengths over the characteristic length."""
+    return passive / np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+
+
+def follow(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
+
+    Args:
+        mechanism: The robot.
+        mode: Home and its assembly mode.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        thorough: Whether poses are tried in every way that do not follow from the nearest solved one.
+
+    Returns:
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
+        the passive joints play no part.
+    """
+    solutions = _Solutions(len(actuated), len(mechanism.passive))
+    home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
+    known = (mode.actuated[None], home_p)
+    if home_ok[0] and not thorough:
+        return _spread_out(mechanism, mode, known, actuated, thorough=False)
+    if home_ok[0]:
+        solutions.take(*_spread_out(mechanism, mode, known, actuated))
+    todo = np.flatnonzero(~solutions.ok)
+    if len(todo) and mechanism is not mode.mechanism:
+        passive, _, ok = _spread_out(mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo])
+        todo = todo[ok]
+        solutions.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
+        todo = np.flatnonzero(~solutions.ok)
+    if len(todo) and home_ok[0]:
+        stones = _stepping_stones(mechanism, mode, actuated[todo])
+        passive, _, ok = _spread_out(mechanism, mode, known, stones)
+        solutions.take(*_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo)
+    return solutions.passive, solutions.slope, solutions.ok
+
+
+class _Solutions:
+    """Solved poses so far: passive joints, C_p, and which."""
+
+    def __init__(self, n: int, n_passive: int) -> None:
+        self.passive, self.slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
+        self.ok = np.zeros(n, dtype=bool)
+
+    def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
+        """Keep what was solved of the poses `index`, or of all."""
+        rows = np.flatnonzero(ok) if index is None else index[ok]
+        self.passive[rows], self.slope[rows], self.ok[rows] = passive[ok], slope[ok], True
+
+
+def carry(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Follow closed configurations while the origins move from the nominal ones to those of `mechanism`.
+
+    Args:
+        mechanism: Where to arrive.
+        mode: Nominal mechanism and assembly mode.
+        actuated: Actuated joints, which stay as they are, (n, n_actuated) [m or rad].
+        passive: Passive joints that close the nominal mechanism there, (n, n_passive) [m or rad].
+
+    Returns:
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses arrived (n,).
+    """
+    solutions = _Solutions(len(actuated), passive.shape[1])
+
+    def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
+        """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
+        partway = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
+        solved, slope, _, ok = newton(partway, mode, actuated[index], at)
+        ok &= np.max(np.abs(in_radians(partway, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
+        if high == 1:
+            solutions.take(solved, slope, ok, index)
+        left = np.flatnonzero(~ok)
+        if len(left) == 0 or high - low < _SMALLEST_CHANGE:
+            return index[ok], solved[ok]
+        middle = (low + high) / 2
+        halfway, at_half = go(index[left], at[left], low, middle)
+        late, at_late = go(halfway, at_half, middle, high) if len(halfway) else (halfway, at_half)
+        return np.concatenate([index[ok], late]), np.concatenate([solved[ok], at_late])
+
+    if len(actuated):
+        go(np.arange(len(actuated)), passive, 0.0, 1.0)
+    return solutions.passive, solutions.slope, solutions.ok
+
+
+def _spread_out(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    known: tuple[FloatArray, FloatArray],
+    actuated: FloatArray,
+    *,
+    thorough: bool = True,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
+    solutions = _Solutions(len(actuated), len(mechanism.passive))
+    effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
+    points = actuated / mechanism.driven_scale
+    order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.driven_scale, axis=1), kind="stable")
+    start, size = 0, 8
+    while start < len(order):
+        batch = order[start : start + size]
+        solutions.take(*_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
+        solved = batch[solutions.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
+        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
+        start, size = start + size, size * 2
+    left = np.flatnonzero(~solutions.ok)
+    if len(left) and len(known[0]) > _NEIGHBOURS:
+        solutions.take(*_nearest(mechanism, mode, known, actuated[left], *effort), left)
+    return solutions.passive, solutions.slope, solutions.ok
+
+
+def _nearest(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    known: tuple[FloatArray, FloatArray],
+    actuated: FloatArray,
+    neighbours: int,
+    smallest: float = _SMALLEST_PART,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
+    solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.driven_scale
+    count = min(neighbours, len(known[0]))
+    if count == 0 or len(actuated) == 0:
+        return solutions.passive, solutions.slope, solutions.ok
+    places = scipy.spatial.cKDTree(known[0] / scale)
+    for ranks in (range(1, 2), range(2, count + 1)):  # all others at once: each way that fails takes many steps
+        todo = np.flatnonzero(~solutions.ok)
+        if len(todo) == 0 or len(ranks) == 0:
+            break
+        starts = places.query(actuated[todo] / scale, k=ranks)[1].ravel()
+        goals = np.repeat(todo, len(ranks))
+        passive, slope, ok = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
+        arrived, first = np.unique(goals[ok], return_index=True)
+        solutions.take(passive[ok][first], slope[ok][first], np.ones(len(first), dtype=bool), arrived)
+    return solutions.passive, solutions.slope, solutions.ok
+
+
+def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
+    """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
+    corners = np.vstack([mode.actuated[None], actuated])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    beyond = 0.1 * mechanism.driven_scale
+    sample = halton(_STONES, corners.shape[1])
+    return low - beyond + sample * (high - low + 2 * beyond)
+
+
+def _continue(
+    mechanism: Mechanism, mode: AssemblyMode, start: tuple[FloatArray, FloatArray], goal: FloatArray, smallest: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Follow the solution from actuated and passive joints to the actuated joints `goal` with adaptive steps.
+
+    Where the last step failed, several shorter ones are tried together while few poses are left; the longest counts
+    that is accepted, as if they had been tried one after the other.
+    """
+    start_a, at_p = start[0], start[1].copy()
+    way = goal - start_a
+    _, slope, slope_a, _ = newton(mechanism, mode, start_a, at_p)  # of solved poses: only their slopes
+    tangent = solved_for(slope, np.matmul(slope_a, way[:, :, None])[:, :, 0])  # of the passive joints, for the way
+    done, part = np.zeros(len(goal)), np.ones(len(goal))
+    active, lengths = np.arange(len(goal)), 1
+    while len(active):
+        halved = part[active, None] / 2 ** np.arange(lengths)
+        row, length = np.nonzero(halved >= smallest)
+        who = active[row]
+        step = np.minimum(halved[row, length], 1 - done[who])
+        come = (done[who] + step)[:, None]
+        next_a = np.where(come < 1, start_a[who] + come * way[who], goal[who])
+        predicted = at_p[who] - step[:, None] * tangent[who]
+        solved, new_slope, new_slope_a, accepted = newton(mechanism, mode, next_a, predicted)
+        accepted &= np.max(np.abs(in_radians(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
+        part[active] = halved[:, -1] / 2
+        good, first = np.unique(who[accepted], return_index=True)
+        took = np.flatnonzero(accepted)[first]
+        at_p[good], slope[good] = solved[took], new_slope[took]
+        done[good] += step[took]
+        part[good] = 2 * halved[row[took], length[took]]
+        lengths = 1 if len(good) == len(active) else max(1, _TOGETHER // len(active))
+        further = done[good] < 1
+        on, took = good[further], took[further]
+        tangent[on] = solved_for(new_slope[took], np.matmul(new_slope_a[took], way[on, :, None])[:, :, 0])
+        active = active[(done[active] < 1) & (part[active] >= smallest)]
+    return at_p, slope, done >= 1

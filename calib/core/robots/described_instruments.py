@@ -1,0 +1,128 @@
+"""Instruments and places of a robot description: what is measured, from which frames, in which setups.
+
+Without `instruments`, the position of every target is measured: that is the position kind, written short. A place
+(measurement frame, target, or one of an instrument) that was moved or remounted between two setups is, from then on,
+a place of its own; where an instrument looks in setup s is its pair of frames with each replaced by the one of s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
+from calib.core.instruments.kind import FrameInstrument, Instrument, Place
+from calib.core.instruments.kinds import KINDS
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.position import Position
+from calib.core.robots.description import Description
+
+MEASUREMENT_FRAME = "measurement frame"
+"""Name of the place that `base` describes, among places."""
+_TARGETS_GROUP = "targets"
+
+
+def instruments_of(description: Description, where: str) -> tuple[Instrument, ...]:
+    """Return the instruments of a description.
+
+    Args:
+        description: The description.
+        where: Its file, for messages.
+
+    Raises:
+        DescriptionError: An instrument looks at a target that does not exist, or a column belongs to two of them.
+    """
+    if not description.instruments:
+        noise = Noise((PartNoise.of(description.sigma, 3),))
+        return tuple(Position(name, name, _TARGETS_GROUP, noise=noise) for name in description.targets)
+    sections = description.instruments.items()
+    instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)
+    for instrument in instruments:
+        if isinstance(instrument, FrameInstrument) and instrument.target not in description.targets:
+            raise DescriptionError(
+                f"{where}: instruments.{instrument.name}: no target '{instrument.target}'"
+                f"{nearest(instrument.target, description.targets)}"
+            )
+    _check_columns(description, instruments, where)
+    return instruments
+
+
+def _check_columns(description: Description, instruments: tuple[Instrument, ...], where: str) -> None:
+    """Raise `DescriptionError` if a column has two meanings."""
+    owners: dict[str, Instrument] = {}
+    for instrument in instruments:
+        for name in [*(column.name for column in instrument.columns()), *instrument.text_columns()]:
+            other = owners.setdefault(name, instrument)
+            if other is not instrument and (
+                instrument.label_column is None or instrument.label_column != other.label_column
+            ):
+                raise DescriptionError(f"{where}: instruments: two of them have a column '{name}'; rename one")
+            if name in (*description.name_mot, "pose", "setup", "instrument"):
+                whose = "of a joint" if name in description.name_mot else f"of {name}s"
+                raise DescriptionError(
+                    f"{where}: instruments.{instrument.name}: its column '{name}' is that {whose}; rename the"
+                    " instrument"
+                )
+
+
+def places_of(description: Description, instruments: tuple[Instrument, ...], where: str) -> tuple[Place, ...]:
+    """Return the measurement frame, the targets, the places of instruments, and their later selves in other setups.
+
+    Raises:
+        DescriptionError: Two places have one name, or a setup names one that does not exist.
+    """
+    base = description.base
+    unknown = COMPONENTS if base.pose == "unknown" else ()
+    places = [Place(MEASUREMENT_FRAME, base.frame, base.xyz, base.rpy, unknown, inverted=True)]
+    for name, target in description.targets.items():
+        components = LENGTH_COMPONENTS if target.position == "unknown" else ()
+        components += ANGLE_COMPONENTS if target.orientation == "unknown" else ()
+        places.append(Place(name, target.frame, target.xyz, target.rpy, components, target.sigma, target.sigma_angle))
+    for instrument in instruments:
+        places += instrument.places()
+    names = [place.name for place in places]
+    again = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if again is not None:
+        raise DescriptionError(f"{where}: two places are called '{again}'; rename one")
+    for setup, moved in description.setups.items():
+        for name in moved:
+            key = _key(name)
+            if key not in names:
+                valid = ["base", *names[1:]]
+                raise DescriptionError(f"{where}: setups.{setup}: no place '{name}'{nearest(name, valid)}")
+            original = places[names.index(key)]
+            if not original.unknown:
+                raise DescriptionError(
+                    f"{where}: setups.{setup}: '{name}' was moved, but its place is said to be known; set it to"
+                    " 'unknown'"
+                )
+            places.append(replace(original, name=_later(key, setup)))
+    return tuple(places)
+
+
+def pair_names(description: Description, instrument: Instrument) -> tuple[tuple[str, str], ...]:
+    """Return the frames that an instrument looks from and at: all pairs of the first setup, then of the next."""
+    result: list[tuple[str, str]] = []
+    for setup in list(description.setups) or [""]:
+        for a, b in instrument.pairs(MEASUREMENT_FRAME):
+            result.append((_in_setup(description, a, setup), _in_setup(description, b, setup)))
+    return tuple(result)
+
+
+def _key(name: str) -> str:
+    return MEASUREMENT_FRAME if name == "base" else name
+
+
+def _later(place: str, setup: str) -> str:
+    return f"{place}@{setup}"
+
+
+def _in_setup(description: Description, place: str, setup: str) -> str:
+    """The place as it is in a setup: its latest self."""
+    current = place
+    for name, moved in description.setups.items():
+        if place in [_key(key) for key in moved]:
+            current = _later(place, name)
+        if name == setup:
+            return current
+    return current

@@ -1,0 +1,135 @@
+"""What other robots of a model are like: the key `fleet` of a robot description, which `calib fleet` writes.
+
+Robots of a fleet differ in every parameter by its spread s_k, each by itself, from a mean that is itself known only so
+well. In units of the spreads, the mean is unsure by G z with z ~ N(0, I): a column of G is one combination of
+parameters that the fleet leaves open, a row is what `unsure` says of one parameter. So one more robot of the model is
+
+    p_k = nominal_k + offset_k + s_k u_k,        u ~ N(0, I + G G^T)
+
+which keeps apart what parameters are together (known, where poses saw their sum) and one by one (hardly known).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Quantity, Section
+from calib.core.base.units import quantity
+
+
+class FleetParameter(Section):
+    """One parameter over the robots of a fleet.
+
+    Attributes:
+        offset: Mean of the robots minus nominal.
+        spread: Standard deviation from robot to robot.
+        unsure: A row of G of the module docstring.
+    """
+
+    offset: Quantity
+    spread: Quantity
+    unsure: tuple[Annotated[float, Field(allow_inf_nan=False)], ...] = ()
+
+
+class FleetSection(Section):
+    """What other robots of the model are like.
+
+    Attributes:
+        robots: Of how many robots it was learned.
+        noise_freedom: With how many degrees of freedom results of the fleet confirmed the noise that is stated, so that
+            few readings need not find it; 0 where they did not.
+        parameters: What is known of each parameter, by name.
+        unlike: Those in which this robot is unlike the others: the fleet says nothing of them.
+    """
+
+    robots: Annotated[int, Field(ge=2)]
+    noise_freedom: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    parameters: dict[str, FleetParameter] = Field(min_length=1)
+    unlike: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _same_length(self) -> FleetSection:
+        name, first = next(iter(self.parameters.items()))
+        for other, parameter in self.parameters.items():
+            if len(parameter.unsure) != len(first.unsure):
+                raise ValueError(
+                    f"'unsure' has {len(parameter.unsure)} numbers for '{other}' and {len(first.unsure)} for '{name}';"
+                    " every parameter has as many: let `calib fleet` write it again"
+                )
+        return self
+
+    def knows(self, name: str) -> bool:
+        """Whether it says what to expect of a parameter."""
+        return name in self.parameters and name not in self.unlike
+
+    def check(self, parameters: Sequence[Parameter], where: str) -> None:
+        """Raise `DescriptionError` for a parameter that a robot does not have, or that is none of its own."""
+        known = {p.name: p for p in parameters}
+        for name in (*self.parameters, *self.unlike):
+            if name not in known:
+                raise DescriptionError(f"{where}: fleet: no parameter '{name}'{nearest(name, known)}")
+            if known[name].placement or known[name].family:
+                raise DescriptionError(
+                    f"{where}: fleet: '{name}' is not a parameter that robots of a model share: places differ by where"
+                    " each was measured, and the size of curves is found; leave it out"
+                )
+
+    def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
+        """Return parameters with what is expected of them, those that the fleet does not know as they are.
+
+        Args:
+            parameters: Of the robot.
+            where: File of the description, for messages.
+
+        Raises:
+            DescriptionError: A number has a unit of another dimension, or a spread is not positive.
+        """
+        return tuple(self._expected(p, where) if self.knows(p.name) else p for p in parameters)
+
+    def _expected(self, parameter: Parameter, where: str) -> Parameter:
+        entry = self.parameters[parameter.name]
+        try:
+            offset = quantity(entry.offset, parameter.dimension, f"{where}: fleet: {parameter.name}, offset")
+            spread = quantity(entry.spread, parameter.dimension, f"{where}: fleet: {parameter.name}, spread")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+        if spread <= 0:
+            raise DescriptionError(
+                f"{where}: fleet: {parameter.name}: spread must be positive; hold what is always the same"
+            )
+        sigma = spread * float(np.sqrt(1.0 + np.sum(np.square(entry.unsure))))
+        return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
+
+    def widened(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
+        """Return it with all that it says so many times as uncertain.
+
+        Args:
+            factor: How many times.
+            parameters: Of the robot, whose dimensions tell what spreads mean.
+        """
+        dimension = {p.name: p.dimension for p in parameters}
+        wide = {
+            name: parameter.model_copy(update={"spread": factor * quantity(parameter.spread, dimension[name], name)})
+            for name, parameter in self.parameters.items()
+            if name in dimension
+        }
+        return self.model_copy(update={"parameters": wide})
+
+    def correlations(self, names: Sequence[str]) -> FloatArray:
+        """Return the correlation coefficients of some parameters of one more robot, (n, n)."""
+        covariance = self.covariance(names)
+        size = np.sqrt(np.diag(covariance))
+        return np.asarray(covariance / size[:, None] / size)
+
+    def covariance(self, names: Sequence[str]) -> FloatArray:
+        """Return I + G G^T of some parameters, (n, n), in units of their spreads."""
+        unsure = np.array([self.parameters[name].unsure for name in names]).reshape(len(names), -1)
+        return np.asarray(np.eye(len(names)) + unsure @ unsure.T)

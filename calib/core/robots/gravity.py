@@ -1,0 +1,374 @@
+"""The torque of gravity that joints hold, and the direction of gravity where that is found from the measurements.
+
+Torques are linear in the acceleration a by gravity, seen from the root link, so their derivative by its direction is
+the torque of another acceleration: with a = 9.81 m/s^2 R_a(t_a) R_b(t_b) d,
+
+    d tau / d t = tau(d a / d t),      d a / d t_a = e_a x a,      d a / d t_b = R_a(t_a) (e_b x R_b(t_b) 9.81 d)
+
+and a joint that gives way by c tau moves by c d tau / d t (`calib.core.robots.terms.gravity` has the turns t).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import Dimension
+from calib.core.robots import kinematics
+from calib.core.robots.description import Description
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.terms.gravity import STANDARD, GravitySection, InclinometerSection
+from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
+from calib.core.robots.urdf.text import UrdfText
+
+_ROUNDS = 30  # of Newton's method
+_SETTLED = 1e-12  # [rad]
+_MISSED = 1e-9  # how far a direction may end beside what was read
+_CONTRADICTS = np.radians(45.0)  # from here on a reading and a statement are not of the same direction [rad]
+_SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
+
+
+@dataclass(frozen=True)
+class GravityTurn(JointTerm):
+    """Two turns of gravity's direction. They move every joint that gives way under it, by what it gives way.
+
+    Attributes:
+        driven: Names of the driven joints that give way.
+    """
+
+    adds = False
+    cause = "load (compliance)"
+    depends_on = (Condition.LOAD,)
+    follows_command = False
+    joint: str
+    parameters: tuple[Parameter, ...]
+    driven: tuple[str, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Raise `ValueError`: it comes with a description's `gravity`, and has no entry of its own."""
+        raise ValueError("gravity's direction is found where the description's `gravity` has a sigma")
+
+    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+        """Return the names of the driven joints that give way."""
+        return self.driven
+
+
+def gravity_turn(description: Description, terms: list[JointTerm], mechanism: Mechanism) -> tuple[JointTerm, ...]:
+    """Return the turns of gravity's direction, if it is found and any of the terms depends on it."""
+    section, bending = description.gravity, [term for term in terms if term.needs_torque]
+    if section is None or section.sigma is None or not bending:
+        return ()
+    driven = dict.fromkeys(name for term in bending for name in term.moved(mechanism.dimensions))
+    parameters = tuple(Parameter(f"gravity.r{'xyz'[k]}", "angle", 0.0, section.sigma, "deg") for k in section.axes)
+    return (GravityTurn("gravity", parameters, tuple(driven)),)
+
+
+def check_gravity(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` where `gravity` names a link or a setup that there is not."""
+    section = description.gravity
+    if section is None:
+        return
+    if section.frame is not None and section.frame not in mechanism.frames:
+        close = nearest(section.frame, mechanism.frames)
+        raise DescriptionError(f"{where}: gravity.frame: no link or joint '{section.frame}'{close}")
+    for name in section.setups:
+        if name not in description.setups:
+            raise DescriptionError(f"{where}: gravity.setups: no setup '{name}'{nearest(name, description.setups)}")
+
+
+def check_inclinometers(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` where `inclinometers` cannot say how far their joints are turned."""
+    taken: dict[str, str] = {}
+    for sensor, section in description.inclinometers.items():
+        place = f"{where}: inclinometers.{sensor}"
+        if section.frame not in mechanism.frames:
+            close = nearest(section.frame, mechanism.frames)
+            raise DescriptionError(f"{place}.frame: no link or joint '{section.frame}'{close}")
+        support = mechanism.support[mechanism.frames[section.frame]]
+        for name in section.joints:
+            if name not in mechanism.actuated:
+                close = nearest(name, mechanism.actuated)
+                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{close}")
+            if name in taken:
+                raise DescriptionError(f"{place}.joints: '{name}' is read by '{taken[name]}' already")
+            if mechanism.dimensions[name] != "angle":
+                raise DescriptionError(f"{place}.joints: '{name}' slides, and tilts nothing; name a joint that turns")
+            if not support[mechanism.origin_names.index(name)]:
+                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one before it")
+            taken[name] = sensor
+        if np.any(support @ mechanism.select_passive):
+            raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")
+    for sensor, section in description.inclinometers.items():
+        later = list(description.inclinometers)[list(description.inclinometers).index(sensor) + 1 :]
+        support = mechanism.support[mechanism.frames[section.frame]]
+        for name, of in taken.items():
+            if of in later and support[mechanism.origin_names.index(name)]:
+                raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}', which it moves")
+
+
+def turned_joints(
+    mechanism: Mechanism, section: InclinometerSection, q: FloatArray, read: FloatArray, down: FloatArray
+) -> FloatArray:
+    """Return how far two joints are turned if a sensor sees gravity as it read it, (n, 2) [rad]; NaN if they cannot.
+
+    Newton's method from where they are: with g as read, R of the sensor's link and axes e of the joints in the root
+    link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have length 1.
+
+    Args:
+        mechanism: The nominal mechanism.
+        section: The sensor.
+        q: Actuated joints, (n, n_actuated); the two are where to start.
+        read: What it read, (n, 3).
+        down: Direction of gravity in the root link, (n, 3).
+    """
+    model, index = mechanism.model, mechanism.joint(section.frame)
+    data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
+    places = [mechanism.origin_names.index(name) for name in section.joints]
+    result = np.full((len(q), 2), np.nan)
+    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    for k, row in enumerate(joints):
+        value = q[k, columns]
+        for _ in range(_ROUNDS):
+            row = row + mechanism.select_actuated[:, columns] @ (value - row[places])
+            pin.forwardKinematics(model, data, row)
+            measured = data.oMi[index].rotation @ read[k]
+            slope = np.stack(
+                [np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], measured) for i in places], axis=1
+            )
+            step, _, rank, _ = np.linalg.lstsq(slope, down[k] - measured, rcond=_SAME_AXIS)
+            if rank < 2:
+                break
+            value = value + step
+            if np.max(np.abs(step)) < _SETTLED:
+                result[k] = value if np.linalg.norm(down[k] - measured) < _MISSED else np.nan
+                break
+    return result
+
+
+def accelerations(
+    section: GravitySection | None,
+    setups: tuple[str, ...],
+    mechanism: Mechanism,
+    joints: FloatArray,
+    context: Context,
+    turns: FloatArray,
+) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
+
+    Args:
+        section: What a description says.
+        setups: Names of the setups.
+        mechanism: The nominal mechanism.
+        joints: All joints, (n, n_joints) [m or rad].
+        context: What sensors read, and in which setup.
+        turns: As they are found, (2,) [rad], or none, (0,).
+
+    Returns:
+        (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
+    """
+    section = GravitySection() if section is None else section
+    down = _stated(section, setups, len(joints), context)
+    if context.down is not None:
+        read = _read(section, mechanism, joints, context.down)
+        down = np.where(np.isnan(read), down, read)
+    if len(turns) == 0:
+        return STANDARD * down, ()
+    (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
+    turned = STANDARD * down @ second.T
+    return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
+
+
+def _stated(section: GravitySection, setups: tuple[str, ...], n: int, context: Context) -> FloatArray:
+    """The direction at each of n visits as a description says it, (n, 3)."""
+    return section.stated(setups)[np.zeros(n, dtype=np.intp) if context.setups is None else context.setups]
+
+
+def _read(section: GravitySection, mechanism: Mechanism, joints: FloatArray, down: FloatArray) -> FloatArray:
+    """What sensors read (n, 3), in the root link's axes, (n, 3)."""
+    if section.frame is None:
+        return down
+    return np.asarray(np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), down))
+
+
+def contradicted(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
+    """Return how far gravity as it was read is from a stated direction, where that is too far, (n,) [rad]; else NaN.
+
+    NaN, too, where the sensor's link is in a loop.
+
+    Args:
+        description: Of the robot.
+        mechanism: The nominal mechanism.
+        q: Actuated joints, (n, n_actuated) [m or rad].
+        context: What sensors read, and in which setup.
+    """
+    section, result = description.gravity, np.full(len(q), np.nan)
+    if section is None or context.down is None:
+        return result
+    if section.frame is not None and np.any(
+        mechanism.support[mechanism.frames[section.frame]] @ mechanism.select_passive
+    ):
+        return result
+    setups = tuple(description.setups)
+    stated = np.array(["down" in section.model_fields_set or name in section.setups for name in setups or ("",)])
+    joints = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    cosine = np.sum(_read(section, mechanism, joints, context.down) * _stated(section, setups, len(q), context), axis=1)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    known = stated[np.zeros(len(q), dtype=np.intp) if context.setups is None else context.setups]
+    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, result)
+
+
+def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
+    """The turn about an axis x, y or z (0, 1, 2), and its derivative, (3, 3) each."""
+    cross = np.cross(np.eye(3)[axis], np.eye(3)).T
+    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return rotation, cross @ rotation
+
+
+def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
+    """How a link is turned in the root link, (n, 3, 3)."""
+    index, model = mechanism.joint(frame), mechanism.model
+    data, rotations = model.createData(), np.empty((len(joints), 3, 3))
+    for k, row in enumerate(joints):
+        pin.forwardKinematics(model, data, row)
+        rotations[k] = data.oMi[index].rotation
+    return rotations
+
+
+def turn_columns(
+    terms: tuple[JointTerm, ...],
+    mechanism: Mechanism,
+    q: FloatArray,
+    context: Context,
+    slopes: tuple[FloatArray, ...],
+    values: FloatArray,
+) -> FloatArray:
+    """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
+
+    Args:
+        terms: All terms, the turns last.
+        mechanism: The robot.
+        q: Commands, (n, n_actuated) [m or rad].
+        context: Their conditions, the torque among them.
+        slopes: Derivative of the torque by each turn, (n, n_driven) each.
+        values: Coefficients of all terms, (n_coefficients,).
+    """
+    moved = terms[-1].moved(mechanism.dimensions)
+    result, start = np.zeros((len(q), len(moved), len(slopes))), 0
+    for term in terms:
+        coefficients = values[start : (start := start + len(term.parameters))]
+        if not term.needs_torque:
+            continue
+        for name in term.moved(mechanism.dimensions):
+            for k, slope in enumerate(slopes):
+                j = mechanism.driven.index(name)
+                result[:, moved.index(name), k] += term.by_torque(q, j, context, slope) @ coefficients
+    return result
+
+
+def gravity_torque(
+    urdf: UrdfText,
+    mechanism: Mechanism,
+    q: FloatArray,
+    passive: FloatArray,
+    slope: FloatArray,
+    load: FloatArray,
+    payload: str | None,
+    acceleration: FloatArray,
+    where: str,
+) -> FloatArray:
+    """Return the torque of gravity that each driven joint holds, loops closed, (n, n_driven) [N m or N].
+
+    With the generalized gravity g of the tree, of its masses and of the payload m at the point x, and dp/da of the
+    passive joints, virtual work gives
+
+        tau_a = E_a^T g + (dp/da)^T E_p^T g,      g = g(masses) - m J_x^T gravity,      dp/da = -C_p^-1 C_a
+
+    Args:
+        urdf: The URDF with its masses.
+        mechanism: The nominal mechanism.
+        q: Driven joints, (n, n_driven).
+        passive: Passive joints there, (n, n_passive).
+        slope: C_p there, (n, n_passive, n_passive).
+        load: Mass of the payload, (n,) [kg].
+        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
+        acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
+        where: What to call the robot in messages.
+
+    Raises:
+        DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.
+    """
+    joints = mechanism.all_joints(q, passive)
+    gravity = np.zeros_like(joints)
+    masses = with_masses(urdf, mechanism)
+    if masses is not None:
+        gravity += _gravity(masses, joints, acceleration)
+    elif payload is None:
+        raise DescriptionError(
+            f"{where}: what gravity bends needs masses, and the URDF has none; add <inertial> to its"
+            " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
+        )
+    if np.any(load):
+        gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints, acceleration)
+    torque: FloatArray = gravity @ mechanism.select_actuated
+    if mechanism.loops and len(q):
+        by_actuated = _closure_by_actuated(mechanism, joints)
+        rate = -np.linalg.solve(slope, by_actuated)
+        torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
+    return torque
+
+
+def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """The generalized gravity of every joint of the tree, (n, n_joints)."""
+    data, result = model.createData(), np.empty(joints.shape)
+    for k, row in enumerate(joints):
+        model.gravity.linear = acceleration[k]
+        result[k] = pin.computeGeneralizedGravity(model, data, row)
+    return result
+
+
+def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
+    """C_a, (n, n_passive, n_driven)."""
+    swept = kinematics.sweep(mechanism, joints, mechanism.loops)
+    driven = kinematics.Coordinates.of(
+        swept.reduced, mechanism.loop_signs[:, swept.reduced.joints], mechanism.select_actuated
+    )
+    return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), driven)
+
+
+def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
+    """Return the model with the masses of the URDF, if it has any.
+
+    What hangs on fixed joints is part of the link before.
+    """
+    full_model = pin.buildModelFromXML(urdf.source.decode())
+    inertias = {
+        name: inertia for name, inertia in zip(full_model.names, full_model.inertias, strict=True) if inertia.mass > 0
+    }
+    if not inertias.keys() & {*mechanism.origin_names}:
+        return None
+    model = mechanism.model.copy()
+    for joint in urdf.joints:
+        if joint.name in inertias:
+            model.inertias[mechanism.frames[joint.child]] = inertias[joint.name]
+    return model
+
+
+def payload_frame(mechanism: Mechanism, payload: str | None) -> int:
+    """Return the joint index of the frame that a payload hangs at; None: of the first target that motors move."""
+    tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
+    return tool.b if payload is None else mechanism.joint(payload)
+
+
+def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
+    """The mechanism's model with one kilogram at a frame's origin and no other mass."""
+    model = mechanism.model.copy()
+    model.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    return model

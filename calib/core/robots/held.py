@@ -1,0 +1,106 @@
+"""What files of a robot hold, and the robot that each kind of file gets.
+
+A calibrated robot may have more than a file has room for: terms of its joints' errors, origins behind the last axis,
+all but the zeros of its joints. Its other values belong to those that are lost: joint origins that were found beside a
+joint's curve are wrong without it. So a file never gets a part of the robot. It gets the robot that is best among those
+that it can hold whole, fitted to the same measurements; and how good that one is, at poses that it has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.words import counted
+from calib.core.robots.terms.term import JointTerm
+
+
+class Holds(Enum):
+    """How much of a calibrated robot a file holds, in words."""
+
+    EVERYTHING = "the whole model"
+    TABLES = "joint origins, and a table of each joint's own error"
+    ORIGINS = "joint origins"
+    TO_LAST_AXIS = "joint origins up to the last axis"
+    ZEROS = "a zero for each joint"
+
+    def keeps(self, term: JointTerm | type[JointTerm]) -> bool:
+        """Whether a term of a joint's error is held."""
+        return self is Holds.EVERYTHING or (self is Holds.TABLES and not term.depends_on)
+
+
+class SeenAt(Enum):
+    """At which poses errors were seen, in words."""
+
+    VALIDATION = "validation"
+    FOLDS = "left out in turn"
+    ONE_BY_ONE = "left out one by one"
+    USED = "used"
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How far off a robot is at a set of poses, and the nominal one there.
+
+    `calib.core.fitting.unseen_errors` has the definitions.
+
+    Attributes:
+        poses: At which poses.
+        n_poses: How many.
+        part: What was read there, such as `position`.
+        dimension: What that measures.
+        before: Root mean square error of the nominal robot, base and targets placed alone [SI].
+        rms: Root mean square error of the robot [SI].
+        limit95: What the error at one more such pose stays below with a chance of 95 % or more [SI]; NaN where the
+            poses are too few to say.
+        is_position: Whether positions were read (`calib.core.instruments.kind.Part`).
+    """
+
+    poses: SeenAt
+    n_poses: int
+    part: str
+    dimension: Dimension
+    before: float
+    rms: float
+    limit95: float
+    is_position: bool = False
+
+    @property
+    def where(self) -> str:
+        """The poses in words."""
+        counts = counted(self.n_poses, "pose")
+        return f"{self.n_poses} validation poses" if self.poses is SeenAt.VALIDATION else f"{counts} {self.poses.value}"
+
+    def shown(self, error: float) -> str:
+        """Return an error [SI] with its unit."""
+        return f"{error_scale(self.dimension) * error:.4f} {ERROR_UNIT[self.dimension]}"
+
+    @property
+    def words(self) -> str:
+        """One clause: its error, what nearly all errors stay below, and where."""
+        limit = f", 95 % within {self.shown(self.limit95)}" if np.isfinite(self.limit95) else ""
+        return f"{self.shown(self.rms)} RMS{limit} ({self.where})"
+
+
+@dataclass(frozen=True, eq=False)
+class FileRobot(ReadOnlyArrays):
+    """The robot that files get which hold so much of one.
+
+    Attributes:
+        values: Of all its parameters, by name [SI]; none where it is the nominal robot with joint zeros.
+        accuracy: How good it is.
+        withheld: Why it is not to be used without being forced; empty where it may.
+        signs, offsets: Joint zeros: joints are at sign * q + offset where they are told q, (n_actuated,) [m or rad];
+            empty where the values say all.
+    """
+
+    values: Mapping[str, float]
+    accuracy: Accuracy
+    withheld: str = ""
+    signs: FloatArray = field(default_factory=lambda: np.zeros(0))
+    offsets: FloatArray = field(default_factory=lambda: np.zeros(0))

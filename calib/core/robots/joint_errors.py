@@ -1,0 +1,199 @@
+"""From commanded to actual joints: the terms of a robot's joint errors, and the one door through which they enter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.units import Dimension, quantity
+from calib.core.robots import loops
+from calib.core.robots.description import Description
+from calib.core.robots.gravity import accelerations, check_gravity, gravity_torque, gravity_turn, turn_columns
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.mechanism_builder import build_mechanism, tilted_joints
+from calib.core.robots.robot_data import RobotData, SomeRobot
+from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection
+from calib.core.robots.terms.terms import TERMS
+from calib.core.robots.urdf.text import UrdfJoint, UrdfText
+
+_COMMAND_ROUNDS = 50
+_COMMANDED = 1e-10  # by which a joint may still be off its command [m or rad]
+_STANDS = 1e-14  # a command that changes by less stands [m or rad]
+
+
+def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
+    """Build the joint terms of a description.
+
+    Raises:
+        DescriptionError: An unknown joint, a sigma of another dimension, an entry that does not fit its joint, a
+            payload at a frame that there is not, or that no joint moves, or gravity in a frame or setup that there is
+            not.
+    """
+    check_gravity(description, mechanism, where)
+    if description.payload is not None and description.payload not in mechanism.frames:
+        name = description.payload
+        raise DescriptionError(f"{where}: payload: no link, joint or target '{name}'{nearest(name, mechanism.frames)}")
+    if description.payload is not None and not np.any(
+        mechanism.support[mechanism.frames[description.payload]] @ mechanism.select_moving
+    ):
+        raise DescriptionError(f"{where}: payload: no motor moves '{description.payload}'; name a frame that moves")
+    joints = {joint.name: joint for joint in urdf.joints}
+    terms: list[JointTerm] = []
+    for section in description.terms:
+        names = mechanism.actuated if section.joint == "all" else (section.joint,)
+        for name in names:
+            if name not in mechanism.actuated:
+                raise DescriptionError(
+                    f"{where}: joint term '{section.term}': no actuated joint '{name}'"
+                    f"{nearest(name, (*mechanism.actuated, 'all'))}"
+                )
+            terms.append(_term(section, name, joints[name], mechanism, where))
+    return (*terms, *gravity_turn(description, terms, mechanism))
+
+
+def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
+    dimension = mechanism.dimensions[name]
+    place = f"{where}: joint term '{section.term}' of '{name}'"
+    try:
+        unit: Dimension = "angle" if TERMS[section.term].tilts else dimension
+        sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
+        if sigma is not None and sigma <= 0:
+            raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
+        stroke = joint.upper - joint.lower
+        if dimension == "length" and np.isfinite(stroke) and stroke > 0:
+            section = section.within(float(stroke))
+        return TERMS[section.term].of(Joint(name, dimension, mechanism.actuated), section, sigma)
+    except (InputError, ValueError) as error:
+        text = str(error)
+        raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None
+
+
+def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
+    """Return of which of the driven joints the errors depend on a term."""
+    return [mechanism.driven.index(name) for name in term.moved(mechanism.dimensions)]
+
+
+def columns_of_terms(
+    terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
+) -> tuple[FloatArray, ...]:
+    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 if it does not add.
+
+    Args:
+        terms: The terms.
+        mechanism: The robot.
+        q: Commands, (n, n_actuated) [m or rad].
+        context: Their conditions.
+    """
+    columns = []
+    for term in terms:
+        moved = driven_by(term, mechanism)
+        if not term.adds or (term.needs_torque and context.torque is None):
+            columns.append(np.zeros((len(q), len(moved), len(term.parameters))))
+        else:
+            columns.append(np.stack([term.columns(q, j, context) for j in moved], axis=1))
+    return tuple(columns)
+
+
+def joint_errors(
+    terms: tuple[JointTerm, ...], mechanism: Mechanism, columns: tuple[FloatArray, ...], values: FloatArray, n: int
+) -> FloatArray:
+    """Return dq of every driven joint, (n, n_driven), from the columns and the coefficients (n_coefficients,)."""
+    errors, start = np.zeros((n, len(mechanism.driven))), 0
+    for term, phi in zip(terms, columns, strict=True):
+        stop = start + len(term.parameters)
+        if term.adds:
+            errors[:, driven_by(term, mechanism)] += phi @ values[start:stop]
+        start = stop
+    return errors
+
+
+def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
+    """Return a robot with these joint terms in place of its own; see `Robot.with_terms`."""
+    description = robot.description.with_terms(sections)
+    terms = build_terms(description, robot.urdf, robot.nominal, robot.path)
+    changed = replace(robot, description=description, terms=terms, files={})
+    if tilted_joints(description) != tilted_joints(robot.description):
+        nominal = build_mechanism(robot.urdf, description, robot.instruments, robot.path)
+        mechanism = nominal.with_placements(robot.parametrisation.placements(robot.values[: robot.n_origin_parameters]))
+        mode = replace(robot.mode, mechanism=nominal, actuated=nominal.untilted(robot.home[None])[0])
+        changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
+    value_of = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
+    return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
+
+
+def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
+    """Return phi of each joint term at commands q (n, n_actuated), (n, n_moved, n_coefficients) each."""
+    if not robot.terms:
+        return ()
+    context = Context.neutral(len(q), len(robot.joint_names)) if context is None else context
+    if not any(term.needs_torque for term in robot.terms):
+        return columns_of_terms(robot.terms, robot.mechanism, q, context)
+    driven = robot.nominal.untilted(q)
+    closed = loops.close(robot.nominal, robot.mode, driven)
+    passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+    assert closed.slope is not None  # no seed was given
+    slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
+    joints, description, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
+    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
+    acceleration, slopes = accelerations(
+        description.gravity, tuple(description.setups), robot.nominal, joints, context, turns
+    )
+
+    def torque(of: FloatArray) -> FloatArray:
+        at = (robot.nominal, driven, passive, slope)
+        return gravity_torque(robot.urdf, *at, load, description.payload, of, robot.path)
+
+    context = replace(context, torque=torque(acceleration))
+    columns = columns_of_terms(robot.terms, robot.mechanism, q, context)
+    if not slopes:
+        return columns
+    by_turn, values = tuple(torque(turn_slope) for turn_slope in slopes), robot.values[robot.coefficients]
+    return (*columns[:-1], turn_columns(robot.terms, robot.mechanism, q, context, by_turn, values))
+
+
+def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+    """Return what the driven joints are, (n, n_driven), when the actuated ones are told q (n, n_actuated).
+
+    Args:
+        q: The commands [m or rad].
+        columns: phi of the joint terms.
+    """
+    if not robot.terms:
+        return q
+    errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))
+    return robot.mechanism.untilted(q) + errors
+
+
+def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
+    """Return what the actuated joints must be told to be at `actual`, (n, n_actuated) [m or rad].
+
+    q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
+    digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back,
+    and the next one goes half as far. NaN where that comes to no end: a joint that falls from one side of its play
+    to the other is nowhere between.
+
+    Args:
+        actual: What they shall be; where all driven joints are given, (n, n_driven), the others do not count.
+        context: Under which conditions.
+    """
+    n_actuated = len(robot.joint_names)
+    goal = q = np.array(actual[:, :n_actuated])
+    if not robot.terms:
+        return q
+    part, off = np.ones((len(q), 1)), np.full((len(q), 1), np.inf)
+    best, step = q, np.zeros_like(q)
+    for _ in range(_COMMAND_ROUNDS):
+        left = goal - actual_joints(robot, q, term_columns(robot, q, context))[:, :n_actuated]
+        still = np.max(np.abs(left), axis=1, keepdims=True, initial=0.0)
+        worse = (still > off) & (still > _COMMANDED)
+        part, off = np.where(worse, part / 2, part), np.where(worse, off, still)
+        best, step = np.where(worse, best, q), np.where(worse, step / 2, part * left)
+        q = best + step
+        if not np.any(still >= _STANDS):
+            break
+    q[np.flatnonzero(off > _COMMANDED)] = np.nan
+    return q

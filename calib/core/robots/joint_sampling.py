@@ -1,0 +1,114 @@
+"""Joint values at random in a box of joint limits, of those that a robot can take.
+
+A closed-loop robot can take only part of its joint limits, sometimes a small one. The box of the limits is therefore
+drawn in towards home, by a third each time, until enough of the values in it are taken. Where targets must stay in a
+range, nothing is drawn in, since home may lie outside; values are tried until enough are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.urdf.text import UrdfText
+
+Ranges = Mapping[str, tuple[float, float]]
+"""From and to, by the names of joints and of coordinates of targets such as `tool_x` [SI]."""
+TRIES = 4
+"""Values tried for each one wanted, in each box."""
+_DRAWN_IN = 2.0 / 3.0
+_SMALLEST_BOX = 0.01  # of the joint limits
+_ROUNDS = 50  # of tries where targets must stay in a range
+_AT_ONCE = 2**15  # values tried at once
+
+
+def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
+    """Return the ranges; an unknown name, or one that is no range, is an `InputError`."""
+    for name, span in within.items():
+        if name not in known:
+            raise InputError(f"within: no joint or coordinate '{name}'{nearest(name, known)}")
+        if np.shape(span) != (2,):
+            raise InputError(f"within: {name} needs a range, such as (-0.5, 0.5)")
+        low, high = span
+        if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+            raise InputError(f"within: {name} from {low:g} to {high:g} is not a range; give the smaller number first")
+    return within
+
+
+def joint_box(
+    mechanism: Mechanism, urdf: UrdfText, home: FloatArray, ranges: Ranges, path: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return joint limits; a turning joint without them gets half a turn to both sides of home.
+
+    Joints that have a range get that, as far as it is inside their limits.
+
+    Args:
+        mechanism: The robot.
+        urdf: Its limits.
+        home: Actuated joints, (n_actuated,) [m or rad].
+        ranges: Checked.
+        path: What to call the robot.
+
+    Returns:
+        Lower and upper, (n_actuated,) each [m or rad].
+
+    Raises:
+        InputError: A range outside the limits of its joint.
+        DataError: A sliding joint has no limits.
+    """
+    joints = {joint.name: joint for joint in urdf.joints}
+    lower, upper = home.copy(), home.copy()
+    for k, name in enumerate(mechanism.actuated):
+        low, high = joints[name].lower, joints[name].upper
+        if name in ranges:
+            lower[k], upper[k] = max(low, ranges[name][0]), min(high, ranges[name][1])
+            if lower[k] > upper[k]:
+                raise InputError(f"within: {name} lies outside its joint limits {low:.6g} to {high:.6g} [m or rad]")
+            continue
+        if mechanism.dimensions[name] == "length" and not np.isfinite(high - low):
+            raise DataError(f"{path}: sliding joint '{name}' has no limits to spread poses over; give a file of poses")
+        lower[k] = low if np.isfinite(low) else min(home[k], high) - np.pi
+        upper[k] = high if np.isfinite(high) else max(home[k], low) + np.pi
+    return lower, upper
+
+
+def spread(
+    count: int,
+    rng: np.random.Generator,
+    box: tuple[FloatArray, FloatArray],
+    home: FloatArray,
+    usable: Callable[[FloatArray], IntArray],
+    *,
+    draw_in: bool,
+) -> FloatArray:
+    """Return up to `count` values at random in a box, fewer where too few are taken; see the module docstring.
+
+    Args:
+        count: How many.
+        rng: Random numbers.
+        box: Lower and upper, (n_actuated,) each [m or rad].
+        home: What the box is drawn in to, (n_actuated,) [m or rad].
+        usable: Says which of joint values (n, n_actuated) are taken, as indices.
+        draw_in: Whether the box is drawn in.
+
+    Returns:
+        (n, n_actuated) [m or rad].
+    """
+    lower, upper = box
+    middle = np.clip(home, lower, upper)
+    samples: list[FloatArray] = []
+    missing = count
+    size, rounds = 1.0, 0
+    while missing > 0 and size > _SMALLEST_BOX and rounds < _ROUNDS:
+        low, high = middle + size * (lower - middle), middle + size * (upper - middle)
+        left = TRIES * count
+        while missing > 0 and left > 0:  # a part at a time: the same numbers, and no more memory than the result needs
+            q = rng.uniform(low, high, (min(left, _AT_ONCE), len(low)))
+            samples.append(q[usable(q)][:missing])
+            left, missing = left - len(q), missing - len(samples[-1])
+        size, rounds = (_DRAWN_IN * size, rounds) if draw_in else (size, rounds + 1)
+    return np.vstack([np.zeros((0, len(home))), *samples])

@@ -1,0 +1,500 @@
+"""Poses of frames seen from each other, and how joints and origins move them, for many configurations at once.
+
+Everything a calibration needs is one primitive: frame b seen from frame a (`RelativeFrame`). A loop closure demands
+that it is zero; a tracker measures it. With world twists V = [v; w] of the two frames (v at the world's origin), and
+T_b in a written as (R_ab, p_ab):
+
+    translation p_ab = R_a^T (p_b - p_a)      d p_ab = R_a^T [ I  -[p_b]x ] (V_b - V_a)
+    log6(T_ab)                                d log6 = Jlog6(T_ab) Ad(T_b)^-1 (V_b - V_a)
+
+Both are a (rows, 6) `map` of the twist difference, exact also where a loop is open. Joints that move both frames
+alike drop out of V_b - V_a.
+
+* A joint's column of Pinocchio's world Jacobian is its V per joint rate.
+* A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
+  perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
+
+Pinocchio has no batch interface, so the poses are looped over in Python, through views of its data that are fetched
+once; all further algebra runs on arrays of poses. Joints that do not matter have left the model (`Reduced`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray, IntArray, as_slice
+from calib.core.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
+
+CHUNK = 64
+"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+_JOINTS_AT_ONCE = 48 * CHUNK
+_JOINTS_IN_MODEL = 36  # Pinocchio's data grow with the third power
+_AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
+
+
+def at_once(reduced: Reduced) -> int:
+    """Return how many poses are good at once: more than `CHUNK` where few joints count."""
+    return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
+
+
+def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield n poses in parts of about equal size, each half as many again at most: no part is hardly worth its start.
+
+    Args:
+        n: How many there are.
+        size: How many are good at once.
+    """
+    count = max(round(n / size), min(n, 1))
+    for k in range(count):
+        yield slice(k * n // count, (k + 1) * n // count)
+
+
+class WorldTwists:
+    """Twists that are given in the frames before origins, to be seen in the world.
+
+    Args:
+        reduced: The joints that count.
+        joints: Place of each twist's origin among them, (n_twists,).
+        twists: xi, (n_twists, 6).
+    """
+
+    def __init__(self, reduced: Reduced, joints: IntArray, twists: FloatArray) -> None:
+        parents = reduced.parents[joints]
+        self._frames, at = np.unique(parents, return_inverse=True)
+        spread = np.zeros((len(self._frames), 6, len(joints)))  # R xi of all frames and twists is one product
+        spread[at, :, np.arange(len(joints))] = twists
+        turning = np.flatnonzero(np.any(twists[:, 3:], axis=1))
+        self._turning, self._points = as_slice(turning), parents[turning]
+        self._linear = spread[:, :3].reshape(-1, len(joints))
+        self._angular = spread[:, 3:, turning].reshape(len(self._linear), -1)
+
+    def seen(self, swept: Sweep) -> FloatArray:
+        """Return Ad(T_before) xi, (n, 6, n_twists)."""
+        n, turning = len(swept.poses), self._turning
+        axes = swept.poses[:, self._frames, :9].reshape(n, -1, 3).transpose(0, 2, 1).reshape(3 * n, -1)
+        x, y, z = swept.poses[:, self._points, 9:].transpose(2, 0, 1)
+        turns = (axes @ self._angular).reshape(n, 3, -1)
+        result = np.zeros((n, 6, self._linear.shape[1]))
+        result[:, :3], result[:, 3:, turning] = (axes @ self._linear).reshape(n, 3, -1), turns
+        result[:, 0, turning] += y * turns[:, 2] - z * turns[:, 1]
+        result[:, 1, turning] += z * turns[:, 0] - x * turns[:, 2]
+        result[:, 2, turning] += x * turns[:, 1] - y * turns[:, 0]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Twists of origins along which to differentiate some rows.
+
+    Attributes:
+        twists: Combinations, (6 n_joints, k); None: every origin twist.
+        signs: By which sign each origin moves each row, then each row of the loops, (n_rows + n_loop_rows, n_reduced).
+        n_rows: Number of rows without those of the loops.
+        before: The twists in the frames before the origins that count, (n_reduced, 6, k).
+        reduced: The joints that count.
+        select: E of the passive joints, (n_joints, n_passive).
+    """
+
+    twists: FloatArray | None
+    signs: FloatArray
+    n_rows: int
+    before: FloatArray
+    reduced: Reduced
+    select: FloatArray
+
+    @cached_property
+    def passive(self) -> tuple[Coordinates, Coordinates]:
+        """The passive joints, as they move the rows, and those of the loops."""
+        of_rows, of_loops = self.signs[: self.n_rows], self.signs[self.n_rows :]
+        return Coordinates.of(self.reduced, of_rows, self.select), Coordinates.of(self.reduced, of_loops, self.select)
+
+    @cached_property
+    def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Joint and column of each twist that is not zero, (n_entries,), and the twist, (n_entries, 6); turns last."""
+        joints, columns = np.nonzero(np.any(self.before != 0.0, axis=1))
+        twists = self.before[joints, :, columns]
+        order = np.argsort(np.any(twists[:, 3:] != 0.0, axis=1), kind="stable")
+        return joints[order], columns[order], twists[order]
+
+    @cached_property
+    def alike(self) -> IntArray:
+        """The first joint that moves the same rows as each, by the same signs, (n_reduced,)."""
+        first = dict[bytes, int]()
+        signs = [column.tobytes() for column in self.signs.T]
+        return np.array([first.setdefault(column, joint) for joint, column in enumerate(signs)], dtype=np.intp)
+
+    @cached_property
+    def world(self) -> WorldTwists:
+        """The entries' twists."""
+        return WorldTwists(self.reduced, self.entries[0], self.entries[2])
+
+    @cached_property
+    def signs_of_entries(self) -> tuple[FloatArray, FloatArray]:
+        """By which sign each entry moves each row, (n_rows, n_entries), and each row of the loops."""
+        signs = self.signs[:, self.entries[0]]
+        return signs[: self.n_rows], signs[self.n_rows :]
+
+    @cached_property
+    def sums(self) -> FloatArray | None:
+        """Which column each entry belongs to, as ones, (n_entries, k); None: no two to the same."""
+        columns, every = self.entries[1], np.arange(self.before.shape[2])
+        return None if len(np.unique(columns)) == len(columns) else (columns[:, None] == every).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Joints that follow coordinates, and by which sign they move some rows.
+
+    Attributes:
+        joints: Place of each joint among those that count, (n_followers,).
+        weights: Its sign in each row times what it does when its coordinate grows by one, (n_rows or 1, n_followers).
+        sums: Which coordinate each of them follows, as ones, (n_followers, n_coordinates); None: one each, in order.
+    """
+
+    joints: IntArray
+    weights: FloatArray
+    sums: FloatArray | None
+
+    @classmethod
+    def of(cls, reduced: Reduced, signs: FloatArray, select: FloatArray) -> Coordinates:
+        """Return those of coordinates.
+
+        Args:
+            reduced: The joints that count.
+            signs: What each joint that counts moves: +1 only b, -1 only a, else 0, (n_rows or 1, n_reduced).
+            select: E of the coordinates, (n_joints, n_coordinates).
+        """
+        left = select[reduced.joints]
+        coordinate, joints = np.nonzero(left.T)
+        every = np.arange(left.shape[1])
+        sums = None if np.array_equal(coordinate, every) else (coordinate[:, None] == every).astype(float)
+        return cls(joints, signs[:, joints] * left[joints, coordinate], sums)
+
+
+class Shared:
+    """What sweeps over many poses of a mechanism share, computed once for all of them.
+
+    Args:
+        mechanism: The robot.
+        pairs: Frames that are needed.
+        functions: The compiled functions, where these compute the poses.
+    """
+
+    def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:
+        self.mechanism, self.functions = mechanism, functions
+        self.reduced, self.spare = mechanism.around(pairs)
+        self._along: Along | None = None
+
+    @cached_property
+    def tree(self) -> Any:
+        """What counts of the model, as compiled code has it."""
+        return self.functions.tree(self.mechanism, self.reduced)
+
+    @cached_property
+    def loops(self) -> Any:
+        """Rows of all loops, as compiled code has them."""
+        return self.functions.loops(self.mechanism, self.reduced)
+
+    @cached_property
+    def loop_rows(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Places of frames a and b, and coordinate, of each row of the loops, (n_loop_rows,)."""
+        a, b, axis = self.mechanism.loop_rows.T
+        return self.reduced.places[a], self.reduced.places[b], axis
+
+    def along(self, twists: FloatArray | None, signs: FloatArray) -> Along:
+        """Return twists along which to differentiate, those of the last call without computing them again.
+
+        Args:
+            twists: (6 n_joints, k), or None for every origin twist.
+            signs: What each joint moves in each row, (n_rows, n_joints).
+        """
+        last, counts, n_rows = self._along, self.reduced.joints, len(signs)
+        signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
+        if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
+            before = self.mechanism.twists_before(twists)[counts]
+            last = self._along = Along(twists, signs, n_rows, before, self.reduced, self.mechanism.select_passive)
+        return last
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Kinematics of `n` configurations.
+
+    Attributes:
+        shared: What it shares with the sweeps of other poses.
+        poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where compiled code has
+            computed the poses, which needs none.
+        compiled: The poses as compiled code has made them.
+    """
+
+    shared: Shared
+    poses: FloatArray
+    jacobian: FloatArray | None
+    compiled: FloatArray | None = None
+
+    @property
+    def reduced(self) -> Reduced:
+        """The joints that count."""
+        return self.shared.reduced
+
+    @property
+    def index(self) -> IntArray:
+        """Position of a joint index in the second axis of `rotation` and `translation`, (n_joints + 1,)."""
+        return self.reduced.places
+
+    @cached_property
+    def rotation(self) -> FloatArray:
+        """World rotation of each of the frames, (n, n_reduced + 1, 3, 3)."""
+        n, count, _ = self.poses.shape
+        return self.poses[:, :, :9].reshape(n, count, 3, 3).transpose(0, 1, 3, 2)
+
+    @cached_property
+    def translation(self) -> FloatArray:
+        """World position of each of the frames [m], (n, n_reduced + 1, 3)."""
+        return self.poses[:, :, 9:]
+
+    @cached_property
+    def loop_frames(self) -> tuple[FloatArray, FloatArray]:
+        """Of each row of the loops, its axis and where its frame b is, in the world, (n, n_loop_rows, 3)."""
+        a, b, axis = self.shared.loop_rows
+        return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
+
+
+def compiled_sweep(shared: Shared, joints: FloatArray, tree: Any = None) -> Sweep:
+    """Return the sweep of `sweep` without the Jacobian, by compiled code.
+
+    Args:
+        shared: The robot, the frames that are needed, and the compiled functions.
+        joints: Configurations, (n, n_joints) [m or rad].
+        tree: What counts of a model with other origins, as compiled code has it; that of the robot if not given.
+    """
+    poses = shared.functions.poses(shared.tree if tree is None else tree, joints[:, shared.reduced.joints])
+    return Sweep(shared, poses.reshape(-1, 12, poses.shape[1])[:, :, : len(joints)].transpose(2, 0, 1), None, poses)
+
+
+def sweep(
+    mechanism: Mechanism,
+    joints: FloatArray,
+    pairs: tuple[RelativeFrame, ...],
+    shared: Shared | None = None,
+    *,
+    poses_only: bool = False,
+) -> Sweep:
+    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+
+    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+
+    Args:
+        mechanism: The robot.
+        joints: Configurations.
+        pairs: Frames that are needed.
+        shared: What other sweeps for these pairs have computed.
+        poses_only: Whether the Jacobian is not needed.
+    """
+    shared = Shared(mechanism, pairs) if shared is None else shared
+    reduced, spare = shared.reduced, shared.spare
+    try:
+        space = spare.pop()  # a list, so that two threads never get the same one
+    except IndexError:
+        space = _Workspace.of(mechanism, reduced)
+    model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
+    space.origins[:] = mechanism.placements[reduced.joints]
+    n, (copies, count) = len(joints), poses.shape[:2]
+    calls = -(-n // copies)
+    q = np.zeros((calls * copies, count))
+    q[:n] = joints[:, reduced.joints]
+    every_pose = np.empty((calls, copies, count + 1, 12))
+    every_pose[:, :, 0] = _AT_HOME
+    to_poses = every_pose[:, :, 1:]
+    if poses_only:
+        for at, to in zip(q.reshape(calls, copies * count), to_poses, strict=True):
+            pin.forwardKinematics(model, data, at)
+            to[:] = poses
+        spare.append(space)
+        return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], None)
+    every_jacobian, compute = np.empty((calls, copies, count, 6)), pin.computeJointJacobians
+    for at, to, to_jacobian in zip(q.reshape(calls, copies * count), to_poses, every_jacobian, strict=True):
+        compute(model, data, at)
+        to[:] = poses
+        to_jacobian[:] = jacobian
+    spare.append(space)
+    by_joints = every_jacobian.reshape(len(q), count, 6)[:n].transpose(0, 2, 1)
+    return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], by_joints)
+
+
+@dataclass(frozen=True, eq=False)
+class _Workspace:
+    """A model, Pinocchio's data and views of both, which follow every change; dearer to make than one pose to compute.
+
+    Attributes:
+        model: Joints that count; those of a small robot several times, so that one call computes several poses.
+        data: Of the model.
+        origins, poses: `flat_poses` of origins and of all joints, (n_copies, n_reduced, 12).
+        jacobian: World Jacobian, transposed, (n_copies, n_reduced, 6).
+    """
+
+    model: pin.Model
+    data: pin.Data
+    origins: FloatArray
+    poses: FloatArray
+    jacobian: FloatArray
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, reduced: Reduced) -> _Workspace:
+        model, count = pin.Model(), len(reduced.joints)
+        copies = max(1, _JOINTS_IN_MODEL // max(count, 1))
+        for first in range(0, copies * count, max(count, 1)):
+            for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
+                name, before = f"{mechanism.origin_names[joint]} {first}", parent + first if parent else 0
+                model.addJoint(before, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
+        views = flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi)[1:], data.J.T
+        return cls(model, data, *(view.reshape(copies, count, view.shape[1]) for view in views))
+
+
+def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pair's constrained components, (n, n_rows) [m, rad]."""
+    if pair.full_pose:
+        logs = [pin.log6(pin.SE3(pose)).vector for pose in relative_pose(swept, pair)]
+        return np.array(logs).reshape(-1, 6)[:, pair.rows]
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    translation: FloatArray = np.matmul(offset[:, None, :], swept.rotation[:, a])[:, 0, :]
+    return translation[:, pair.rows]
+
+
+def gaps(swept: Sweep) -> FloatArray:
+    """Return `value` of all loops, one loop's rows after the other's, (n, n_rows) [m, rad]; faster than one by one."""
+    loops = swept.shared.mechanism.loops
+    if any(loop.full_pose for loop in loops):
+        return np.concatenate([value(swept, loop) for loop in loops], axis=1)
+    axes, points = swept.loop_frames
+    components: FloatArray = np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
+    return components
+
+
+def gap_maps(swept: Sweep) -> FloatArray:
+    """Return `twist_map` of all loops, from each row's own V_b - V_a, (n, n_rows, 6); faster than one by one."""
+    loops = swept.shared.mechanism.loops
+    if any(loop.full_pose for loop in loops):
+        return np.concatenate([twist_map(swept, loop) for loop in loops], axis=1)
+    axes, points = swept.loop_frames
+    return _with_moments(points, axes)
+
+
+def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArray]:
+    """Return rotation (n, 3, 3) and position (n, 3) [m] of frame b in frame a."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    return np.matmul(inverse_a, swept.rotation[:, b]), np.matmul(inverse_a, offset[:, :, None])[:, :, 0]
+
+
+def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+    poses = np.tile(np.eye(4), (len(swept.rotation), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = seen_frame(swept, pair)
+    return poses
+
+
+def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the (n, n_rows, 6) map from V_b - V_a (world twists) to the derivative of `value`."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    if pair.full_pose:
+        return _pose_map(swept, a, b)[:, pair.rows]
+    rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
+    return _with_moments(swept.translation[:, b, None], rows)
+
+
+def _with_moments(points: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return [r, p x r], what a twist moves at points p (n, 1 or k, 3) along rows r (n, k, 3): r^T (v + w x p)."""
+    x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
+    u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
+    result = np.empty((*rows.shape[:2], 6))
+    result[:, :, :3] = rows
+    result[:, :, 3] = y * w - z * v  # `np.cross` takes twice as long
+    result[:, :, 4] = z * u - x * w
+    result[:, :, 5] = x * v - y * u
+    return result
+
+
+def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
+    maps = np.empty((len(swept.rotation), 6, 6))
+    for k in range(len(maps)):
+        world_a = pin.SE3(swept.rotation[k, a], swept.translation[k, a])
+        world_b = pin.SE3(swept.rotation[k, b], swept.translation[k, b])
+        maps[k] = pin.Jlog6(world_a.actInv(world_b)) @ world_b.toActionMatrixInverse()
+    return maps
+
+
+def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> FloatArray:
+    """Return the maps from V_b - V_a (world twists) to [dp; dw], the motion of each b in the axes of its a.
+
+    dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
+
+    Args:
+        swept: Of the poses.
+        pairs: The frames.
+        angular: Whether dw is wanted too.
+
+    Returns:
+        (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
+    """
+    a, b = ([swept.index[frame] for frame in frames] for frames in zip(*((p.a, p.b) for p in pairs), strict=True))
+    n, width = len(swept.rotation), 6 if angular else 3
+    axes = swept.rotation[:, a].transpose(0, 1, 3, 2)
+    result = np.zeros((n, len(pairs), width, 6))
+    points = np.repeat(swept.translation[:, b], 3, axis=1)
+    result[:, :, :3] = _with_moments(points, axes.reshape(n, -1, 3)).reshape(n, -1, 3, 6)
+    if angular:
+        result[:, :, 3:, 3:] = axes
+    return result.reshape(n, -1, 6)
+
+
+def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates) -> FloatArray:
+    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
+
+    Args:
+        swept: Of the poses.
+        mapping: From `twist_map` or `motion_map`.
+        coordinates: In the model of the same joints.
+    """
+    assert swept.jacobian is not None  # compiled code has its own way
+    moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
+    return moved if coordinates.sums is None else moved @ coordinates.sums
+
+
+def origin_derivative(
+    swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: Along, result: FloatArray
+) -> None:
+    """Compute map (V_b - V_a) along origin twists, less what they do through the loops, (n, n_rows, k).
+
+    Args:
+        swept: Of the poses.
+        mapping: From V_b - V_a to the rows, (n, n_rows, 6).
+        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
+        along: The twists, and what they move.
+        result: Where to put it, (n, n_rows, k).
+    """
+    n, n_rows = mapping.shape[:2]
+    world, (own, in_loops) = along.world.seen(swept), along.signs_of_entries
+    moved = np.matmul(mapping, world)
+    moved *= own
+    if loops is not None:
+        through, maps = loops
+        opened = np.matmul(maps, world)
+        opened *= in_loops
+        moved -= np.matmul(through, opened)
+    if along.sums is None:
+        result.fill(0.0)
+        result[:, :, along.entries[1]] = moved
+    else:
+        np.matmul(moved.reshape(n * n_rows, -1), along.sums, out=result.reshape(n * n_rows, -1))

@@ -1,0 +1,207 @@
+"""How robots are made: from a robot description, from a plain URDF, or from a URDF and keywords."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.parameter import index_of
+from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.instruments.kind import Instrument, JointInstrument
+from calib.core.robots.described_instruments import instruments_of, places_of
+from calib.core.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
+from calib.core.robots.gravity import check_inclinometers
+from calib.core.robots.joint_errors import build_terms
+from calib.core.robots.loops import closed_home
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.mechanism_builder import build_mechanism, home_values
+from calib.core.robots.parametrisation import build_parametrisation, default_sections
+from calib.core.robots.robot import Robot, require_robot
+from calib.core.robots.terms.gravity import columns_of
+from calib.core.robots.terms.term import CONTEXT
+from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
+from calib.core.robots.urdf.text import UrdfText, read_urdf
+
+
+def load(path: str | Path) -> Robot:
+    """Load a robot from a robot description (YAML) or from a plain URDF.
+
+    A plain URDF means its arm (see `calib.core.robots.urdf.arm_chain`): every moving joint on the way to the arm's last
+    link is actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
+    measurement frame nor the measured point is known beforehand.
+
+    Raises:
+        UrdfError: The URDF is not valid.
+        DescriptionError: The description is not valid, or does not fit the URDF; or the file is a table.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".csv", ".xlsx"):
+        raise DescriptionError(f"{path}: is a table; the robot comes first: its description or its URDF")
+    if path.suffix.lower() in (".yaml", ".yml"):
+        description = read_description(path)
+        urdf = read_urdf(path.parent / description.urdf)
+    else:
+        urdf = read_urdf(path)
+        description = describe(arm_chain(urdf), path.name)
+    return _built(description, urdf, str(path))
+
+
+def describe(chain: ArmChain, urdf_path: str) -> Description:
+    """Return the description that a plain URDF stands for.
+
+    The base is the link that the first moving joint stands on, not the root: where an unknown base is, a fixed joint
+    between the two says nothing.
+
+    Args:
+        chain: Its arm, or the chain to the link that carries the measured point.
+        urdf_path: How the description names the URDF.
+    """
+    return Description(
+        urdf=urdf_path,
+        name_mot=chain.joints,
+        base=BaseSection(frame=chain.base, pose="unknown"),
+        targets={chain.target: TargetSection(frame=chain.target, position="unknown")},
+        parametrisation=default_sections(),
+    )
+
+
+def robot(
+    urdf: Path | str,
+    *,
+    motors: Sequence[str] | None = None,
+    target: str | Mapping[str, Any] | None = None,
+    base: str | Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> Robot:
+    """Make a robot from a URDF without a robot description; what is left out is as for a plain URDF (`load`).
+
+    Args:
+        urdf: The URDF.
+        motors: Joints with a motor, in the order of every joint vector.
+        target: Link that carries the measured point, whose position there is unknown; or `targets` as in a description.
+        base: Link that the robot stands with, whose place in the measurement frame is unknown; or `base` as in a
+            description.
+        keys: Any other key of a robot description, such as `sigma="0.04 mm"`, `closed_loop`, `home`.
+
+    Raises:
+        UrdfError: The URDF is not valid.
+        DescriptionError: A key is not valid, or does not fit the URDF.
+    """
+    if Path(urdf).suffix in (".yaml", ".yml"):
+        raise DescriptionError(f"{urdf}: is a robot description; load it with calib.load({str(urdf)!r})")
+    text, where = read_urdf(Path(urdf)), str(urdf)
+    content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
+    if motors is None or target is None or base is None:
+        chain = arm_chain(text, target if isinstance(target, str) else None)
+        plain = describe(chain, Path(urdf).name)
+        content = {key: getattr(plain, key) for key in plain.model_fields_set}
+    if motors is not None:
+        content["name_mot"] = motors
+    if base is not None:
+        content["base"] = {"frame": base, "pose": "unknown"} if isinstance(base, str) else base
+    if target is not None:
+        content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
+    return _built(checked_description(content | keys, urdf), text, where)
+
+
+RobotLike = Robot | Path | str
+"""A robot as callers give it: loaded, or its description or URDF."""
+
+
+def as_robot(robot: RobotLike) -> Robot:
+    """Return a robot as it is, or loaded from its description or URDF.
+
+    Raises:
+        InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
+    """
+    if isinstance(robot, (Path, str)):
+        if Path(robot).is_dir():
+            raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
+        return load(robot)
+    require_robot(robot)
+    return robot
+
+
+def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
+    """Put a robot together at its nominal values."""
+    instruments = instruments_of(description, where)
+    places = places_of(description, instruments, where)
+    nominal = build_mechanism(urdf, description, instruments, where)
+    check_inclinometers(description, nominal, where)
+    _check_columns(description, nominal, instruments, where)
+    _check_joints(nominal, instruments, where)
+    home = home_values(urdf, description, where)
+    mode = closed_home(nominal, home, description.singularity_limit, where)
+    parametrisation = build_parametrisation(description, urdf, nominal, places, where)
+    terms = build_terms(description, urdf, nominal, where)
+    robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
+    if description.fleet is not None:
+        description.fleet.check(robot.parameters, where)
+    for held in description.held:
+        index_of(robot.parameters, held, f"{where}: held")
+    for name in description.elimination_order:
+        index_of(robot.parameters, name, f"{where}: elimination_order")
+    return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))
+
+
+def _check_columns(
+    description: Description, mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str
+) -> None:
+    """Raise `DescriptionError` if a foreign column stands for something that is not read."""
+    dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
+    dimensions |= {column.name: column.dimension for instrument in instruments for column in instrument.columns()}
+    dimensions |= CONTEXT
+    for sensor in description.inclinometers:
+        dimensions |= columns_of(sensor)
+    texts = {
+        name
+        for instrument in instruments
+        for name in (*instrument.text_columns(), instrument.label_column)
+        if name is not None
+    }
+    texts |= {"pose", "setup"}
+    taken: dict[str, str] = {}
+    for foreign, column in description.columns.items():
+        name, unit = split_column(column)
+        if name in taken:
+            raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
+        taken[name] = foreign
+        if name in texts and unit is None:
+            continue
+        if name not in dimensions:
+            raise DescriptionError(
+                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
+            )
+        dimension = dimensions[name]
+        if dimension is None:
+            continue
+        try:
+            per_si(unit, dimension, f"{where}: columns.{foreign}")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+
+
+def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
+    """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
+    for instrument in instruments:
+        if not isinstance(instrument, JointInstrument):
+            continue
+        place = f"{where}: instruments.{instrument.name}.joint"
+        moving = [
+            name
+            for k, name in enumerate(mechanism.origin_names)
+            if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
+        ]
+        if instrument.joint not in moving:
+            raise DescriptionError(
+                f"{place}: no joint '{instrument.joint}' that moves{nearest(instrument.joint, moving)}"
+            )
+        dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
+        if dimension_read != dimension:
+            moves = "slides" if dimension == "length" else "turns"
+            raise DescriptionError(f"{place}: joint '{instrument.joint}' {moves}; set dimension: {dimension}")

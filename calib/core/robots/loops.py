@@ -1,0 +1,261 @@
+"""Closing kinematic loops: passive joints from actuated ones, always in the assembly mode of the home configuration.
+
+Problem. Find passive joints p with r(a, p) = 0 for given actuated joints a. Several solutions exist (a five-bar's elbow
+up or down); only the one that can be reached from the home configuration without passing a singularity is the robot.
+
+Method. Newton from a solution under similar parameters where one is known; else the loops are followed from home
+(`calib.core.robots.continuation`). A solution beyond the limits of a passive joint does not count. On the way of a fit
+to its minimum it does: a limit would be a wall there, behind which the minimum may lie.
+
+The home configuration itself must close and be regular; it decides the assembly mode (`closed_home`).
+
+When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
+it is said why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be as
+many as passive joints and independent at home.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
+from calib.core.base.errors import DescriptionError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
+from calib.core.base.words import joints_named
+from calib.core.robots.closure import (
+    AssemblyMode,
+    block_signs,
+    blocks,
+    gap_text,
+    open_by,
+    residual,
+    scaled,
+    singular_values,
+)
+from calib.core.robots.continuation import closing_tolerance, follow, newton
+from calib.core.robots.mechanism import Mechanism
+
+LIMIT_MARGIN = 1e-9
+"""How far beyond its limit a passive joint may be [m, rad]."""
+_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
+_CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """Solved loops.
+
+    Attributes:
+        passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
+        ok: Which poses closed, (n,).
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
+    """
+
+    passive: FloatArray
+    ok: BoolArray
+    slope: FloatArray | None
+
+    def at(self, index: IntArray) -> Closed:
+        """Return the poses with these indices, (n,)."""
+        return Closed(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
+
+
+@one_blas_thread
+def close(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    actuated: FloatArray,
+    seed: FloatArray | None = None,
+    *,
+    thorough: bool = True,
+    limits: bool = True,
+) -> Closed:
+    """Solve the loops of each pose in the assembly mode of home.
+
+    Args:
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
+            not follow from it at once are solved afresh.
+        thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
+        limits: Whether a solution beyond the limits of a passive joint is none.
+    """
+    n, n_passive = len(actuated), len(mechanism.passive)
+    if not mechanism.loops:
+        return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
+    if seed is None:
+        passive, slope, ok = follow(mechanism, mode, actuated, thorough=thorough)
+        passive = wrapped(mechanism, mode, passive)
+    else:
+        slope, seeded = None, np.all(np.isfinite(seed), axis=1)
+        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
+        part = slice(None) if np.all(seeded) else seeded
+        passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
+        passive = wrapped(mechanism, mode, passive)
+        ok &= within_limits(mechanism, passive) | (not limits)
+        todo = np.flatnonzero(~ok)
+        if len(todo):
+            followed, _, ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
+            passive[todo] = wrapped(mechanism, mode, followed)
+    ok &= within_limits(mechanism, passive) | (not limits)
+    if not np.all(ok):
+        passive[~ok] = np.nan
+        if slope is not None:
+            slope[~ok] = np.nan
+    hold(passive, *(() if slope is None else (slope,)))
+    return Closed(passive, ok, slope)
+
+
+def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
+    """Bring turning joints within half a turn of home, or within their limits: a full turn is the same pose.
+
+    Args:
+        mechanism: The robot.
+        mode: Home and its assembly mode.
+        passive: Passive joints, (n, n_passive) [m or rad].
+    """
+    turn = 2 * np.pi
+    turns = np.round((passive - mode.passive) / turn)
+    if not turns.any() and np.all(within_limits(mechanism, passive)):
+        return passive
+    near_home = passive - turn * turns
+    low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
+    raised = near_home + turn * np.ceil((low - near_home) / turn)
+    lowered = near_home - turn * np.ceil((near_home - high) / turn)
+    inside = np.where((near_home < low) & (raised <= high), raised, near_home)
+    inside = np.where((near_home > high) & (lowered >= low), lowered, inside)
+    return np.where(mechanism.is_metre_column, passive, inside)
+
+
+def within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
+    """Return where passive joints (n, n_passive) [m or rad] keep their limits, (n,)."""
+    low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
+    inside: BoolArray = (passive >= low) & (passive <= high)
+    return np.all(inside, axis=1)
+
+
+def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far each loop stays open at best in one pose: (n_loops,) [m] and (n_loops,) [rad].
+
+    All are 0 where the loops do close, but in another assembly mode, or where no way leads from home.
+
+    Args:
+        mechanism: The robot.
+        mode: The assembly mode of home.
+        actuated: Actuated joints of a pose that could not be closed, (n_actuated,) [m or rad].
+    """
+    weight = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
+
+    def values(passive: FloatArray) -> FloatArray:
+        return weight * residual(mechanism, actuated[None], passive[None])[0][0]
+
+    def slope(passive: FloatArray) -> FloatArray:
+        return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
+
+    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
+    lengths, angles = open_by(mechanism, best.fun[None] / weight)
+    return lengths[0], angles[0]
+
+
+def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
+    """Say in words why a pose could not be closed.
+
+    Args:
+        mechanism: The robot.
+        mode: The assembly mode of home.
+        actuated: Its actuated joints, (n_actuated,) [m or rad].
+    """
+    passive, _, closes = follow(mechanism, mode, actuated[None])
+    if closes[0]:
+        passive = wrapped(mechanism, mode, passive)
+        if within_limits(mechanism, passive)[0]:
+            return "it can be reached alone, but by way of the other poses its loops close beyond the limits of a joint"
+        return "its loops close only with " + _beyond(mechanism, passive[0])
+    lengths, angles = smallest_gap(mechanism, mode, actuated)
+    loop = int(np.argmax(lengths / mechanism.length + angles))
+    if max(lengths[loop], angles[loop]) > _CLOSED:
+        return f"loop {mechanism.loops[loop].name} stays open by {gap_text(lengths[loop], angles[loop])} at best"
+    return "its loops close there, but no way there was found from home in its assembly mode"
+
+
+def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
+    """Name the joint that is farthest beyond its limits."""
+    excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
+    worst = int(np.argmax(excess))
+    dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
+    unit, factor = DISPLAY_UNIT[dimension], display_scale(dimension)
+    value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
+    return (
+        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
+        f" ({low:.4g} to {high:.4g} {unit})"
+    )
+
+
+def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
+    """Check that the home configuration closes, polish it, and record its assembly mode.
+
+    Args:
+        mechanism: The robot.
+        home: Joint values by name [m or rad]; names that are missing count as 0 where there are no loops.
+        singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
+        where: The description, for messages.
+
+    Raises:
+        DescriptionError: Home does not close, or is singular.
+    """
+    actuated = np.array([[home.get(name, 0.0) for name in mechanism.driven]])
+    passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
+    if not mechanism.loops:
+        return AssemblyMode(mechanism, actuated[0], passive[0], (), (), np.ones(0))
+    missing = [name for name in mechanism.actuated + mechanism.passive if name not in home]
+    if missing:
+        raise DescriptionError(
+            f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
+            " assembled configuration of every joint"
+        )
+    values, slope, _ = residual(mechanism, actuated, passive)
+    _check_closed(mechanism, values, where)
+    _check_regular(mechanism, slope, singularity_limit, where)
+    rows, columns = blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
+    mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
+    polished, _, _, ok = newton(mechanism, mode, actuated, passive)
+    if not ok[0]:
+        raise DescriptionError(
+            f"{where}: home: cannot be closed to {closing_tolerance(mechanism):.2g} m from the values given"
+        )
+    return AssemblyMode(mechanism, actuated[0], polished[0], rows, columns, mode.signs)
+
+
+def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
+    lengths, angles = (gaps[0] for gaps in open_by(mechanism, values))
+    limit = _OPEN_HOME * mechanism.length
+    excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
+    loop = int(np.argmax(excess))
+    if excess[loop] > 1:
+        turned = f" and {np.degrees(_OPEN_HOME):.0f} deg" if angles[loop] > 0 else ""
+        raise DescriptionError(
+            f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
+            f" give joint values at which the robot is assembled (to {millimetres(limit):.0f} mm{turned} or better)"
+        )
+
+
+def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where: str) -> None:
+    smallest = float(singular_values(mechanism, slope)[0])
+    if smallest < limit:
+        loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
+        raise DescriptionError(
+            f"{where}: home: the closures do not determine the passive joints (smallest singular value {smallest:.2g}"
+            f" of the scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
+            " closed_loop_axes names a direction that the mechanism does not constrain"
+        )
+
+
+def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
+    """Loops whose rows make up the direction in which the closures hold nothing."""
+    left = np.linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
+    lengths, angles = open_by(mechanism, left[None])
+    return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

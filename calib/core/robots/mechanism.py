@@ -1,0 +1,298 @@
+"""The robot as Pinocchio sees it: one placement per URDF origin, and which joints each frame depends on.
+
+Pinocchio folds fixed joints into their parents, so their origins could not be calibrated. Here every joint of the URDF
+becomes a joint of one degree of freedom, those that do not move being held at zero; joint `i` then has exactly one
+placement, `model.jointPlacements[i]`, which is the origin in the file. Two kinds of origin are added that the file
+does not have: `base` (the measurement frame in the link it is attached to) and one per target (the measured point).
+Because each link is the child of one joint, links, frames and joints share one index.
+
+Joint values. The user gives the actuated ones; a loop decides the passive ones; the rest is held:
+
+    q_all = E_actuated q_actuated + E_passive q_passive + q_constant
+
+with selection matrices E that also hold `<mimic>` multipliers, so that a follower joint moves with its leader.
+
+Where a joint term tilts the link behind a joint (`calib.core.robots.terms.term.Tilting`), that link hangs on joints of
+its own, one for each rotation that the joint itself does not make. They are given like the actuated ones and come after
+them in q_actuated; they are not commanded, and what they are follows from the commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.units import Dimension
+
+
+@dataclass(frozen=True)
+class RelativeFrame:
+    """Frame b seen from frame a: what a loop closure constrains and what a tracker measures.
+
+    Attributes:
+        name: For messages.
+        a, b: Joint indices of the two frames (0 is the root link).
+        full_pose: False: the translation of b in a counts; True: log6 of the relative pose (loops of type 6d).
+        rows: Indices of the constrained components, of x, y, z(, rx, ry, rz), in the axes of frame a.
+    """
+
+    name: str
+    a: int
+    b: int
+    full_pose: bool
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The joints that decide some pairs of frames: those that move both frames of every pair alike are left out.
+
+    They cancel, but for rounding: coordinates of size L are wrong by eps L, so that a robot that stands kilometres from
+    the root link's origin would otherwise lose the digits that closed loops need. Joints of other branches cost time.
+
+    Attributes:
+        joints: Which origins stay, parents first, (n_reduced,).
+        places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
+        parents: `places` of the frame before each origin that stays, (n_reduced,).
+        compiled: What compiled code has made of that (`calib.core.robots.kernels`).
+    """
+
+    joints: IntArray
+    places: IntArray
+    parents: IntArray
+    compiled: dict[Any, Any] = field(default_factory=dict)
+
+
+class Workspaces(dict[tuple[RelativeFrame, ...], tuple[Reduced, list[Any]]]):
+    """By pairs of frames: what is left of the model, and what sweeps work in, kept for the next ones.
+
+    Shared by all placements of a mechanism. Views of Pinocchio's memory, so a pickle or copy starts empty.
+    """
+
+    def __reduce__(self) -> tuple[type[Workspaces], tuple[()]]:
+        return Workspaces, ()
+
+
+def flat_poses(poses: Any) -> FloatArray:
+    """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
+
+    C++ keeps the elements of a vector one behind the other, the two parts of each alike.
+    """
+    rotation, translation = poses[0].rotation, poses[0].translation
+    start = rotation.__array_interface__["data"][0]
+    assert translation.__array_interface__["data"][0] - start == 72
+    assert rotation.strides == (8, 24)
+    step = poses[1].rotation.__array_interface__["data"][0] - start if len(poses) > 1 else 96
+    return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
+
+
+def before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
+    """Return Ad(placement) xi, twists of origins in the frames before them, (..., 6, k).
+
+    Args:
+        placements: `flat_poses` of the origins, (..., 12).
+        twists: xi, (..., 6, k).
+    """
+    rotation = placements[..., :9].reshape(*placements.shape[:-1], 3, 3).swapaxes(-1, -2)
+    x, y, z = np.moveaxis(placements[..., 9:], -1, 0)[..., None]
+    along, across, up = np.moveaxis(rotation, -2, 0)
+    action = np.zeros((*placements.shape[:-1], 6, 6))
+    action[..., :3, :3] = action[..., 3:, 3:] = rotation
+    action[..., :3, 3:] = np.stack([y * up - z * across, z * along - x * up, x * across - y * along], axis=-2)
+    return np.matmul(action, twists)
+
+
+def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    """Return an origin as a URDF has it [m], [rad] as a rigid transform."""
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
+def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
+    """Return place b seen from place a, from the joint index of each place."""
+    return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism(ReadOnlyArrays):
+    """Pinocchio model of a robot plus its loops and targets. Arrays are read-only; pickles.
+
+    Attributes:
+        model: Pinocchio model with one joint per URDF joint, then `base` and the targets.
+        origin_names: Name of origin i; its joint index is i + 1.
+        frames: Joint index of every link and joint name: of a joint, that of the link behind it.
+        actuated, passive: Names of the joints that the user gives, and that the loops decide.
+        tilts: Names of the joints that tilt links.
+        select_actuated, select_passive: E of the module docstring, (n_joints, n_driven or n_passive).
+        constant: Value of each joint that is neither, (n_joints,).
+        lower, upper: Limits of the passive joints [m or rad], (n_passive,).
+        loops: Closures, in the order of the description.
+        targets: Each target seen from the measurement frame.
+        places: Joint index of every place that instruments look from or at, by name.
+        views: What instruments look along.
+        support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
+        axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
+        length: Characteristic length that makes metres and radians comparable [m].
+        workspaces: See `around`.
+    """
+
+    model: pin.Model
+    origin_names: tuple[str, ...]
+    frames: dict[str, int]
+    actuated: tuple[str, ...]
+    passive: tuple[str, ...]
+    tilts: tuple[str, ...]
+    dimensions: dict[str, Dimension]
+    select_actuated: FloatArray
+    select_passive: FloatArray
+    constant: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    loops: tuple[RelativeFrame, ...]
+    targets: tuple[RelativeFrame, ...]
+    places: dict[str, int]
+    views: tuple[RelativeFrame, ...]
+    support: FloatArray
+    axes: FloatArray
+    length: float
+    workspaces: Workspaces = field(default_factory=Workspaces, compare=False)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, which is also the number of origins."""
+        return len(self.origin_names)
+
+    @cached_property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the actuated joints, then of those that tilt links."""
+        return self.actuated + self.tilts
+
+    @cached_property
+    def is_tilt(self) -> BoolArray:
+        """Which of the driven joints tilt links, (n_driven,)."""
+        return np.arange(len(self.driven)) >= len(self.actuated)
+
+    def untilted(self, actuated: FloatArray) -> FloatArray:
+        """Return the driven joints, (n, n_driven), where no link is tilted, from the actuated ones (n, n_actuated)."""
+        return np.pad(actuated, ((0, 0), (0, len(self.tilts)))) if self.tilts else actuated
+
+    def joint(self, name: str) -> int:
+        """Return the index of a link's or joint's frame; an unknown name is a `DescriptionError`."""
+        if name not in self.frames:
+            raise DescriptionError(f"no link or joint '{name}'{nearest(name, self.frames)}")
+        return self.frames[name]
+
+    def origin(self, place: str) -> str:
+        """Return the name of the origin of a place."""
+        return self.origin_names[self.places[place] - 1]
+
+    def placement(self, origin: str) -> pin.SE3:
+        """Return a copy of an origin's placement, parent link to joint."""
+        return self.model.jointPlacements[self.origin_names.index(origin) + 1].copy()
+
+    def with_placements(self, placements: dict[str, pin.SE3]) -> Mechanism:
+        """Return a mechanism in which the named origins have these placements."""
+        model = self.model.copy()
+        for name, placement in placements.items():
+            model.jointPlacements[self.origin_names.index(name) + 1] = placement
+        return self._with(forgotten=("placements",), model=model)
+
+    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[Reduced, list[Any]]:
+        """Return what is left of the model where only these pairs count, and workspaces that no sweep uses now."""
+        if pairs not in self.workspaces:
+            signs = np.array([self.between(pair) for pair in pairs]).reshape(-1, self.n_joints)
+            moving, parents = signs.any(axis=0), self.model.parents.tolist()
+            places = np.concatenate([[0], np.cumsum(moving)])
+            for joint in np.flatnonzero(~moving):
+                places[joint + 1] = places[parents[joint + 1]]
+            joints = np.flatnonzero(moving)
+            self.workspaces[pairs] = Reduced(joints, places, places[[parents[joint + 1] for joint in joints]]), []
+        return self.workspaces[pairs]
+
+    @cached_property
+    def placements(self) -> FloatArray:
+        """All origins as `flat_poses`, (n_joints, 12)."""
+        return flat_poses(self.model.jointPlacements)[1:].copy()
+
+    def twists_before(self, twists: FloatArray | None) -> FloatArray:
+        """Return Ad(placement) xi, twists of origins in the frames before them, (n_joints, 6, k).
+
+        Args:
+            twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
+        """
+        n = self.n_joints
+        every = np.eye(6 * n) if twists is None else twists
+        return before_origins(self.placements, every.reshape(n, 6, -1))
+
+    def between_origins(self, other: Mechanism, part: float) -> Mechanism:
+        """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
+        start, end = self.model.jointPlacements, other.model.jointPlacements
+        moved = {
+            name: pin.SE3.Interpolate(start[k + 1], end[k + 1], part)
+            for k, name in enumerate(self.origin_names)
+            if start[k + 1] != end[k + 1]
+        }
+        return self.with_placements(moved)
+
+    def all_joints(self, actuated: FloatArray, passive: FloatArray) -> FloatArray:
+        """Assemble q_all of the module docstring, (n_poses, n_joints), from the driven and the passive joints."""
+        return actuated @ self.select_actuated.T + passive @ self.select_passive.T + self.constant
+
+    def between(self, relative: RelativeFrame) -> FloatArray:
+        """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
+        return self.support[relative.b] - self.support[relative.a]
+
+    @cached_property
+    def moved_targets(self) -> tuple[RelativeFrame, ...]:
+        """Targets that motors move, seen from the measurement frame: not a board that a camera on the arm looks at."""
+        driven = np.any(self.select_moving, axis=1)
+        return tuple(target for target in self.targets if np.any(driven & (self.between(target) != 0)))
+
+    @cached_property
+    def loop_signs(self) -> FloatArray:
+        """`between` of the loop of each closure row, (n_rows, n_joints)."""
+        return np.array([self.between(loop) for loop in self.loops for _ in loop.rows]).reshape(-1, self.n_joints)
+
+    @cached_property
+    def loop_rows(self) -> IntArray:
+        """Joint indices of frames a and b, and the coordinate, of each closure row, (n_rows, 3)."""
+        rows = [(loop.a, loop.b, row) for loop in self.loops for row in loop.rows]
+        return np.array(rows, dtype=np.intp).reshape(-1, 3)
+
+    @cached_property
+    def select_moving(self) -> FloatArray:
+        """E of the passive joints, then of the driven ones, (n_joints, n_passive + n_driven)."""
+        return np.hstack([self.select_passive, self.select_actuated])
+
+    @cached_property
+    def is_seen(self) -> BoolArray:
+        """Which joints move a target, a view or a loop, (n_joints,)."""
+        pairs = self.targets + self.views + self.loops
+        return np.any([self.between(pair) != 0 for pair in pairs], axis=0)
+
+    @cached_property
+    def joint_scale(self) -> FloatArray:
+        """What one radian of each actuated joint is compared with: 1, or the characteristic length, (n_actuated,)."""
+        return self.driven_scale[: len(self.actuated)]
+
+    @cached_property
+    def driven_scale(self) -> FloatArray:
+        """The same of each driven joint, (n_driven,)."""
+        lengths = [self.dimensions[name] == "length" for name in self.driven]
+        return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
+
+    @cached_property
+    def is_metre_row(self) -> BoolArray:
+        """Which closure rows are lengths, (n_rows,)."""
+        return np.array([row < 3 for loop in self.loops for row in loop.rows], dtype=bool)
+
+    @cached_property
+    def is_metre_column(self) -> BoolArray:
+        """Which passive joints slide, (n_passive,)."""
+        return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)

@@ -1,0 +1,225 @@
+"""Which parameters a robot description means: the origin components that it lists, or a named plugin.
+
+Other packages add parametrisations of their own under the entry point group `calib.parametrisations`: a callable that
+takes the nominal origins by name and returns a `calib.core.robots.parameters.Parametrisation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest
+from calib.core.base.parameter import Parameter, index_of
+from calib.core.base.registry import installed
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
+from calib.core.instruments.kind import Place
+from calib.core.robots.described_instruments import places_of
+from calib.core.robots.description import Description, OriginSection
+from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked, WithPriors
+from calib.core.robots.robot_data import SomeRobot
+from calib.core.robots.urdf.text import UrdfText
+from calib.printers import linear_delta
+
+ENTRY_POINTS = "calib.parametrisations"
+_OWN: dict[str, Callable[[Mapping[str, Origin]], Parametrisation]] = {linear_delta.NAME: linear_delta.LinearDelta}
+DEFAULT_LENGTH_SIGMA = 2e-3
+"""Expected error of an origin's coordinate where nothing is stated [m]."""
+DEFAULT_ANGLE_SIGMA = 5e-3
+"""Expected error of an origin's angle where nothing is stated [rad]."""
+
+
+def build_parametrisation(
+    description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
+) -> Parametrisation:
+    """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
+
+    Args:
+        description: The robot description.
+        urdf: The URDF, whose numbers the nominal origins are.
+        mechanism: The nominal mechanism.
+        places: What instruments look from and at.
+        where: File of the description, for messages.
+
+    Raises:
+        DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.
+    """
+    plain = _without_names(description, urdf, mechanism, places, where)
+    parameters = list(plain.parameters)
+    for name, sigma in description.prior.items():
+        try:
+            place = index_of(parameters, name, f"{where}: prior")
+            sigma_si = quantity(sigma, parameters[place].dimension, f"{where}: prior of '{name}'")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+        if sigma_si <= 0:
+            raise DescriptionError(f"{where}: prior of '{name}': sigma must be positive; 'held' keeps it at nominal")
+        parameters[place] = replace(parameters[place], sigma_si=sigma_si, prior=True)
+    return WithPriors(plain, tuple(parameters)) if description.prior else plain
+
+
+def _without_names(
+    description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
+) -> Parametrisation:
+    """The parametrisation before what `prior` says of single parameters."""
+    origins = _nominal_origins(urdf, mechanism, places)
+    unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
+    inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
+    if isinstance(description.parametrisation, str):
+        if description.base.pose == "unknown" or any(t.position == "unknown" for t in description.targets.values()):
+            raise DescriptionError(
+                f"{where}: a named parametrisation has its own base and target parameters;"
+                " set base.pose and targets.*.position to 'known'"
+            )
+        plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
+        return Stacked((plugin, _components(unknown, origins, mechanism, inverted, where))) if unknown else plugin
+    listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
+    entries = [(section, description.priors, False) for section in listed]
+    return _components(entries + unknown, origins, mechanism, inverted, where)
+
+
+def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
+    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
+    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    for place in places:
+        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
+    return result
+
+
+def _components(
+    entries: list[tuple[OriginSection, bool, bool]],
+    origins: Mapping[str, Origin],
+    mechanism: Mechanism,
+    inverted: frozenset[str],
+    where: str,
+) -> OriginComponents:
+    """Parameters of entries, each with whether it has a prior and whether it is a mere place."""
+    parameters: dict[str, Parameter] = {}
+    components: list[tuple[str, int]] = []
+    from_all: set[str] = set()
+    for section, prior, placement in entries:
+        for origin in _origins_of(section, mechanism, where):
+            for component in section.components:
+                parameter = _component_parameter(section, origin, component, origins, where)
+                parameter = replace(parameter, prior=prior, placement=placement)
+                if parameter.name in parameters:
+                    if section.origin == "all" and parameter.name not in from_all:
+                        continue
+                    why = "; an unknown pose of the base or place of a target is free already" if placement else ""
+                    raise DescriptionError(f"{where}: parametrisation: '{parameter.name}' is listed twice{why}")
+                parameters[parameter.name] = parameter
+                if section.origin == "all":
+                    from_all.add(parameter.name)
+                components.append((origin, COMPONENTS.index(component)))
+    nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in components)}
+    return OriginComponents(tuple(parameters.values()), tuple(components), nominal, inverted)
+
+
+def default_sections() -> tuple[OriginSection, ...]:
+    """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
+    return (
+        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
+        OriginSection(
+            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
+        ),
+    )
+
+
+def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:
+    """Entries for the unknown components of a place; its sigmas are priors where they are stated."""
+    entries = []
+    for components, sigma, default in (
+        (LENGTH_COMPONENTS, place.sigma, "10 mm"),
+        (ANGLE_COMPONENTS, place.sigma_angle, "10 mrad"),
+    ):
+        unknown = tuple(component for component in components if component in place.unknown)
+        if unknown:
+            section = OriginSection(origin=origin, components=unknown, sigma=default if sigma is None else sigma)
+            entries.append((section, sigma is not None, True))
+    return entries
+
+
+def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
+    known = {name: i + 1 for i, name in enumerate(mechanism.origin_names) if name not in mechanism.tilts}
+    if section.origin != "all":
+        if section.origin not in known:
+            raise DescriptionError(
+                f"{where}: parametrisation: no joint origin '{section.origin}'"
+                f"{nearest(section.origin, (*known, 'all'))}"
+            )
+        return [section.origin]
+    virtual = set(mechanism.places.values())
+    return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
+
+
+def _component_parameter(
+    section: OriginSection, origin: str, component: Component, origins: Mapping[str, Origin], where: str
+) -> Parameter:
+    dimension = section.dimension
+    name = f"{origin}.{component}"
+    place = f"{where}: parametrisation: {name}"
+    try:
+        sigma = quantity(section.sigma, dimension, f"{place}, sigma")
+        unit = section.unit or DISPLAY_UNIT[dimension]
+        per_si(unit, dimension, f"{place}, unit")
+    except InputError as error:
+        raise DescriptionError(str(error)) from None
+    if sigma <= 0:
+        raise DescriptionError(f"{place}: sigma must be positive; leave a component out to keep it at nominal")
+    nominal = float(origins[origin].xyz[COMPONENTS.index(component)]) if dimension == "length" else 0.0
+    return Parameter(name, dimension, nominal, sigma, unit)
+
+
+def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
+    plugins = {entry.name: entry for entry in installed(ENTRY_POINTS)}
+    if name not in plugins and name not in _OWN:
+        known = (*plugins, *_OWN)
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, known)}")
+    factory: Callable[[Mapping[str, Origin]], Parametrisation]
+    try:
+        factory = _OWN[name] if name in _OWN else plugins[name].load()
+    except (ImportError, AttributeError) as error:
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"
+        ) from None
+    parametrisation = factory(origins)
+    nominal = np.array([parameter.nominal_si for parameter in parametrisation.parameters])
+    twists = parametrisation.twists(nominal)
+    edited = parametrisation.placements(nominal)
+    for origin in (*edited, *twists):
+        if origin not in mechanism.origin_names:
+            raise DescriptionError(
+                f"{where}: parametrisation '{name}': edits an origin '{origin}' that the robot does not have"
+                f"{nearest(origin, mechanism.origin_names)}"
+            )
+    if set(edited) != set(twists) or any(twist.shape != (6, len(nominal)) for twist in twists.values()):
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}': twists must give a (6, {len(nominal)}) array for each of the origins"
+            " that placements edits"
+        )
+    return parametrisation
+
+
+def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> SomeRobot:
+    """Return a robot of which parameters are expected to be off by `sigma`; see `Robot.with_prior`."""
+    priors = dict(robot.description.prior)
+    for name in [names] if isinstance(names, str) else names:
+        place = index_of(robot.parameters, name)
+        if place >= robot.n_origin_parameters:
+            raise ParameterError(f"parameter '{name}' is of a joint term, whose sigma stands in the robot description")
+        if not isinstance(sigma, str):
+            number = isinstance(sigma, (float, int))
+            lacks = "has no unit; write it" if number else "is not one standard deviation, about nominal, with its unit"
+            raise InputError(f"prior of '{name}': {sigma!r:.40} {lacks}, such as '0.5 mm' or '1 mrad'")
+        if quantity(sigma, robot.parameters[place].dimension, f"prior of '{name}'") <= 0:
+            raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
+        priors[name] = sigma
+    description = robot.description.model_copy(update={"prior": priors})
+    places = places_of(description, robot.instruments, robot.path)
+    parametrisation = build_parametrisation(description, robot.urdf, robot.nominal, places, robot.path)
+    known = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
+    return replace(robot, description=description, parametrisation=parametrisation).with_parameters(known)

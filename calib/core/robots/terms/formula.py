@@ -1,0 +1,85 @@
+"""Formulas of joint terms: phi as data, so that it can be computed here and written down in other languages.
+
+Every phi is one of two things: a number that is known of a command, or its smooth sign, times a constant; or sines and
+cosines of multiples of a joint's command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+
+
+class Source(Enum):
+    """Numbers that are known of a command, which terms are proportional to."""
+
+    ONE = "one"
+    COMMAND = "the command of a joint"
+    APPROACH = "the direction of approach of a joint"
+    TIME = "time"
+    WARMTH = "kelvins above the reference"
+    TORQUE = "the torque of gravity that a driven joint holds"
+
+
+Known = Mapping[Source, FloatArray]
+"""The numbers of n commands, (n, n_joints) or (n, 1) each."""
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """phi = factor x, one column; with a knee h, phi = factor x / sqrt(x^2 + h^2): the sign of x, but smooth.
+
+    Attributes:
+        source: What x is.
+        place: Of which joint, where there is one for each.
+        factor: Of x.
+        knee: h, in the unit of x; 0: phi is proportional to x.
+    """
+
+    source: Source
+    place: int = 0
+    factor: float = 1.0
+    knee: float = 0.0
+
+    def columns(self, known: Known) -> FloatArray:
+        """Return phi, (n, 1)."""
+        values = known[self.source][:, self.place : self.place + 1]
+        if self.knee:
+            values = values / np.hypot(values, self.knee)
+        return np.asarray(values if self.factor == 1.0 else self.factor * values)
+
+    def slope(self, known: Known) -> FloatArray:
+        """Return the derivative of phi by x, (n, 1)."""
+        values = known[self.source][:, self.place : self.place + 1]
+        if not self.knee:
+            return np.full_like(values, self.factor)
+        return np.asarray(self.factor * self.knee**2 / np.hypot(values, self.knee) ** 3)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """phi = sin(k base q), cos(k base q) for every order k, two columns each.
+
+    Attributes:
+        place: Which actuated joint q is the command of.
+        base: Phase per unit of q [rad/rad or rad/m].
+        orders: Every k.
+    """
+
+    place: int
+    base: float
+    orders: tuple[int, ...]
+
+    def columns(self, known: Known) -> FloatArray:
+        """Return phi, (n, 2 n_orders)."""
+        q = known[Source.COMMAND][:, self.place]
+        phase = np.outer(q, self.orders) * self.base
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
+
+
+Formula = Proportional | Waves

@@ -1,0 +1,194 @@
+"""Terms with one coefficient: zero, gain, backlash, drift by time and temperature, and what gives way under gravity.
+
+Backlash has a side. Where the load is small, the motion before decides it. Where gravity loads the joint, it rests on
+the side to which gravity pulls it, wherever it came from, and changes over where the torque changes its sign:
+dq = -c tau / sqrt(tau^2 + h^2), with the torque tau that the joint holds. h stands for friction: a torque about as
+small leaves the joint somewhere between the sides. It also keeps derivatives finite.
+
+Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
+masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
+virtual work. The payload is the mass in the column `load`, beside what the URDF has; it hangs at the first target that
+motors move, or at the frame that the robot description calls `payload`.
+
+Bending: bearings and links give way across the axis of a joint, in proportion to the torque that they hold there.
+Joints of a robot arm are about as soft against tilting as about their axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from calib.core.base.parameter import Parameter
+from calib.core.robots.terms.formula import Formula, Proportional, Source
+from calib.core.robots.terms.term import Condition, Joint, JointTerm, TermSection, coefficient
+
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class OneCoefficient(JointTerm):
+    """A term with one coefficient, dq = c phi, named after its joint and the term.
+
+    Attributes:
+        word: Last part of the coefficient's name (class attribute).
+        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
+            attribute).
+        expected_length: The same of one that slides [m] (class attribute).
+    """
+
+    word: ClassVar[str]
+    expected_angle: ClassVar[float]
+    expected_length: ClassVar[float]
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        return cls(joint.name, cls.coefficients(joint, sigma))
+
+    @classmethod
+    def coefficients(cls, joint: Joint, sigma: float | None) -> tuple[Parameter, ...]:
+        """Return its coefficient, of the expected size where none is stated."""
+        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
+        size = expected if sigma is None else sigma
+        return (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),)
+
+
+class Zero(OneCoefficient):
+    """dq = c: the joint's zero, where that alone is looked for. Joint origins have it already, so it is not listed."""
+
+    word = "zero"
+    expected_angle, expected_length = 5e-3, 1e-3
+
+    def formula(self, j: int) -> Formula:
+        """Return ones."""
+        return Proportional(Source.ONE)
+
+
+class Gain(OneCoefficient):
+    """dq = c q, with q in radians or metres, as of a gear ratio, a belt, or the pitch of a lead screw."""
+
+    word = "gain"
+    cause = "gain and harmonics"
+    counts_turns = True
+    expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
+
+    def formula(self, j: int) -> Formula:
+        """Return q."""
+        return Proportional(Source.COMMAND, j)
+
+
+class Backlash(OneCoefficient):
+    """dq = c (half the play) times the direction of approach, +1 or -1; 0 where it is not known."""
+
+    word = "backlash"
+    cause = "backlash"
+    depends_on = (Condition.APPROACH,)
+    per = "to either side"
+    follows_command = False
+    expected_angle, expected_length = 2e-4, 5e-5  # half of the play
+
+    def formula(self, j: int) -> Formula:
+        """Return the direction of approach."""
+        return Proportional(Source.APPROACH, j)
+
+
+class Drift(OneCoefficient):
+    """dq = c times the hours, as the file counts time."""
+
+    word = "drift"
+    cause = "drift"
+    depends_on = (Condition.TIME,)
+    per = "per hour"
+    follows_command = False
+    expected_angle, expected_length = 1e-4, 2e-5  # per hour
+
+    def formula(self, j: int) -> Formula:
+        """Return hours."""
+        return Proportional(Source.TIME, factor=1.0 / _HOUR)
+
+
+class Temperature(OneCoefficient):
+    """dq = c times the kelvins above 20 degC."""
+
+    word = "temperature"
+    cause = "drift"
+    depends_on = (Condition.TEMPERATURE,)
+    per = "per kelvin"
+    follows_command = False
+    expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
+
+    def formula(self, j: int) -> Formula:
+        """Return kelvins."""
+        return Proportional(Source.WARMTH)
+
+
+class Compliance(OneCoefficient):
+    """dq = c times the torque of gravity that the joint holds; c < 0 where it gives way."""
+
+    word = "compliance"
+    cause = "load (compliance)"
+    depends_on = (Condition.LOAD,)
+    per = "per N m or N"
+    expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
+    needs_torque = True
+
+    def formula(self, j: int) -> Formula:
+        """Return the torque."""
+        return Proportional(Source.TORQUE, j)
+
+
+class GravityBacklashSection(TermSection):
+    """Backlash whose side gravity decides.
+
+    Attributes:
+        torque: The torque h about which the joint changes over: from it on, gravity has taken up most of the play
+            [N m; N of one that slides].
+    """
+
+    torque: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+
+
+@dataclass(frozen=True)
+class GravityBacklash(OneCoefficient):
+    """dq = c (half the play) towards the side to which gravity pulls the joint, smooth where that changes.
+
+    Attributes:
+        knee: The torque h about which it changes over [N m or N].
+    """
+
+    section = GravityBacklashSection
+    word = "gravity_backlash"
+    cause = "backlash"
+    depends_on = (Condition.LOAD,)
+    per = "to the side of gravity"
+    expected_angle, expected_length = Backlash.expected_angle, Backlash.expected_length
+    needs_torque = True
+    in_auto = False
+    knee: float
+
+    @classmethod
+    def of(cls, joint: Joint, section: GravityBacklashSection, sigma: float | None) -> GravityBacklash:
+        """Return the term that an entry of a robot description means."""
+        return cls(joint.name, cls.coefficients(joint, sigma), section.torque)
+
+    def formula(self, j: int) -> Formula:
+        """Return the sign of the torque, smooth: gravity pulls against the torque that the joint holds."""
+        return Proportional(Source.TORQUE, j, -1.0, self.knee)
+
+
+class Bending(Compliance):
+    """The link tilts by c times the torque of gravity across the axis, the same about every direction across."""
+
+    word = "bending"
+    tilts = True
+
+    @classmethod
+    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        size = cls.expected_angle if sigma is None else sigma  # a joint that slides tilts, too
+        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", "angle", size),))

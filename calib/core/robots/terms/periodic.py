@@ -1,0 +1,159 @@
+"""Periodic terms: harmonics of a joint's turn, and a curve of any shape.
+
+Harmonics: an error that repeats with the joint's turn, as of an eccentric encoder, or with the teeth of a gear.
+
+Curve: any smooth error over the joint's value: gears, encoders, belts, screws, whatever their orders. A periodic
+Gaussian process as a Fourier series. Over a turn (or, for a prismatic joint, over twice its stroke, so that the two
+ends are free of each other),
+
+    dq = sum over k = 1 .. K of a_k sin(k q) + b_k cos(k q),        a_k, b_k ~ N(0, (amplitude / k)^2)
+
+Coefficients fall off with their order as those of a curve with bounded slope do. The amplitude is common to all orders
+of a joint and found by marginal likelihood (`calib.core.numerics.variance_components`), so that the curve follows what
+the data show and nothing else; where the joint did not move, it stays at zero with the prior's band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Length
+from calib.core.base.units import Dimension
+from calib.core.robots.terms.formula import Formula, Waves
+from calib.core.robots.terms.term import Joint, JointTerm, TermSection, coefficient
+
+TURN = 2.0 * np.pi
+AMPLITUDE: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
+"""Expected size of an amplitude where nothing is stated [rad, m]."""
+
+
+def period(dimension: Dimension, section: TermSection, key: str, length: float | None) -> float:
+    """Return after what a term of a joint repeats: a turn [rad], or the stated length of a prismatic joint [m].
+
+    Args:
+        dimension: The joint's.
+        section: The term's entry.
+        key: The entry's key of that length.
+        length: What the entry says there [m].
+
+    Raises:
+        ValueError: A prismatic joint without a length, or a length that is stated for one revolute joint.
+    """
+    if dimension == "length":
+        if length is None:
+            raise ValueError(f"a prismatic joint needs the length `{key}`")
+        return length
+    if length is not None and section.joint != "all":  # of all joints, the length is for the prismatic ones
+        raise ValueError(f"`{key}` is for prismatic joints; this one repeats after a turn: leave it out")
+    return TURN
+
+
+@dataclass(frozen=True)
+class _Periodic(JointTerm):
+    """dq = sum over orders k of a_k sin(k q) + b_k cos(k q), with q in turns of 2 pi or periods.
+
+    Attributes:
+        orders: Every k.
+        period: After what the first order repeats [rad or m].
+    """
+
+    joint: str
+    parameters: tuple[Parameter, ...]
+    orders: tuple[int, ...]
+    period: float
+
+    def formula(self, j: int) -> Formula:
+        """Return sines and cosines of every order."""
+        return Waves(j, TURN / self.period, self.orders)
+
+    def curvature(self, values: FloatArray) -> float:
+        """Return sum of |a_k| (2 pi k / period)^2 [1/rad or 1/m], from the coefficients (2 n_orders,)."""
+        amplitude = np.hypot(values[0::2], values[1::2])
+        return float(amplitude @ (np.asarray(self.orders) * TURN / self.period) ** 2)
+
+
+class HarmonicsSection(TermSection):
+    """Harmonics of a joint.
+
+    Attributes:
+        orders: Cycles per turn, or per `period` of a prismatic joint.
+        period: Length after which the error of a prismatic joint repeats, such as the lead of its screw [m].
+    """
+
+    orders: tuple[Annotated[int, Field(gt=0)], ...] = (1, 2)
+    period: Annotated[Length, Field(gt=0)] | None = None
+
+
+class Harmonics(_Periodic):
+    """Harmonics of the joint's turn, or of a period."""
+
+    cause = "gain and harmonics"
+    section = HarmonicsSection
+
+    @classmethod
+    def of(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
+        """Return the term that an entry of a robot description means.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
+        repeats = period(joint.dimension, section, "period", section.period)
+        size = AMPLITUDE[joint.dimension] if sigma is None else sigma
+        names = [f"{joint.name}.{kind}{order}" for order in section.orders for kind in ("sin", "cos")]
+        return cls(
+            joint.name, tuple(coefficient(name, joint.dimension, size) for name in names), section.orders, repeats
+        )
+
+    @classmethod
+    def needs_more(cls, dimension: Dimension) -> str:
+        """Return the period of a joint that slides: the length after which a screw repeats is not known."""
+        return "prismatic joints need a period, which only a description can state" if dimension == "length" else ""
+
+
+class CurveSection(TermSection):
+    """A curve.
+
+    Attributes:
+        orders: K.
+        stroke: Of a prismatic joint [m]; what its limits in the URDF allow if not given.
+        found: Whether the amplitude is found from the data; else it is `sigma`.
+    """
+
+    orders: Annotated[int, Field(gt=0, le=500)] = 60
+    stroke: Annotated[Length, Field(gt=0)] | None = None
+    found: bool = True
+
+    def within(self, stroke: float) -> CurveSection:
+        """Return the entry with the stroke of a prismatic joint [m] where it states none."""
+        return self if self.stroke is not None else self.model_copy(update={"stroke": stroke})
+
+
+class Curve(_Periodic):
+    """A smooth curve over a turn, or over the stroke of a prismatic joint."""
+
+    cause = "joint curves"
+    section = CurveSection
+
+    @classmethod
+    def of(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
+        """Return the term that an entry of a robot description means.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
+        repeats = period(joint.dimension, section, "stroke", section.stroke)
+        amplitude = AMPLITUDE[joint.dimension] if sigma is None else sigma
+        family = f"{joint.name}.curve" if section.found else ""
+        orders = tuple(range(1, section.orders + 1))
+        parameters = tuple(
+            coefficient(f"{joint.name}.curve_{kind}{k}", joint.dimension, amplitude / k, family)
+            for k in orders
+            for kind in ("sin", "cos")
+        )
+        return cls(joint.name, parameters, orders, repeats if joint.dimension == "angle" else 2.0 * repeats)

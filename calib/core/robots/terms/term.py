@@ -1,0 +1,301 @@
+"""What a term of a joint's error is.
+
+Joints do not stand where they are told. The error of joint j is a sum of terms,
+
+    dq_j = sum over terms of c_k phi_k(q, context)
+
+with coefficients c_k that are found like all other parameters, and columns phi_k that depend on what was commanded
+alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops too, and a new
+term is one small class, here with a line in `calib.core.robots.terms.terms`, or in another package with an entry point.
+
+Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
+
+A term may tilt the link behind its joint instead: about each axis about which the joint itself does not turn, by an
+angle c_k phi_k, all with the same coefficients.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, ClassVar
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Quantity, Section
+from calib.core.base.units import Dimension
+from calib.core.robots.terms.formula import Formula, Proportional, Source
+from calib.core.robots.terms.gravity import COLUMNS as GRAVITY
+from calib.core.robots.terms.gravity import read_down
+
+
+class TermSection(Section):
+    """A term of one joint's error, or of every actuated joint's.
+
+    Attributes:
+        joint: Which joint; `all` for every actuated joint.
+        term: Which term.
+        sigma: Expected size of its coefficients (one standard deviation), in the joint's unit.
+    """
+
+    joint: str
+    term: str
+    sigma: Quantity | None = None
+
+    def within(self, stroke: float) -> TermSection:
+        """Return the entry for a prismatic joint with this stroke [m], which says no more unless a term asks for it."""
+        return self
+
+
+class Condition(Enum):
+    """What the error of a joint may depend on beside the joint's own command, in words."""
+
+    APPROACH = "the direction of approach"
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    LOAD = "the load"
+    ANOTHER_JOINT = "another joint"
+
+
+COLUMNS = {Condition.TIME: "time", Condition.TEMPERATURE: "temperature", Condition.LOAD: "load"}
+"""Columns of a file that say under which conditions a command was given; the direction of approach has one a joint."""
+CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
+"""Columns that say under which conditions a visit was made, and what they measure."""
+_STEP = 1e-4  # part of the largest torque by which a central difference changes it
+REFERENCE_TEMPERATURE = 20.0
+"""At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint that a term belongs to.
+
+    Attributes:
+        name: Its name.
+        dimension: Whether it turns or slides.
+        actuated: Names of all actuated joints, in the order of commands.
+    """
+
+    name: str
+    dimension: Dimension
+    actuated: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Context(ReadOnlyArrays):
+    """Under which conditions commands were given. Where nothing is known of one, it is neutral.
+
+    Attributes:
+        approach: Direction in which each joint moved last, +1, -1, or 0 where not known, (n, n_actuated).
+        time: As the file counts it, (n,) [s]; 0 where not known.
+        temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
+        load: Mass at the tool, (n,) [kg]; 0 where not known.
+        down: Direction of gravity as a sensor read it, unit vectors in its axes, (n, 3); NaN where it was not read;
+            None where it never was.
+        setups: Number of the setup, (n,); None: the first.
+        torque: Torque or force of gravity that each driven joint holds (`calib.core.robots.mechanism`), (n, n_driven)
+            [N m or N]; None where it is not known: what depends on it counts as nothing.
+    """
+
+    approach: FloatArray
+    time: FloatArray
+    temperature: FloatArray
+    load: FloatArray
+    down: FloatArray | None = None
+    setups: IntArray | None = None
+    torque: FloatArray | None = None
+
+    def known(self, q: FloatArray) -> dict[Source, FloatArray]:
+        """Return the numbers that terms may depend on, with those of the commands q (n, n_actuated)."""
+        numbers = {
+            Source.ONE: np.ones((len(q), 1)),
+            Source.COMMAND: q,
+            Source.APPROACH: self.approach,
+            Source.TIME: self.time[:, None],
+            Source.WARMTH: self.temperature[:, None],
+        }
+        return numbers if self.torque is None else numbers | {Source.TORQUE: self.torque}
+
+    @staticmethod
+    def neutral(n: int, n_actuated: int) -> Context:
+        """Return a context of which nothing is known."""
+        nothing, none = np.zeros(n), np.zeros((n, n_actuated))
+        return Context(none, nothing, nothing, nothing)
+
+    def at(self, which: slice | IntArray) -> Context:
+        """Return the conditions of some of the commands, a slice or places (k,)."""
+        known = {key: value for key, value in vars(self).items() if value is not None}
+        return Context(**{key: value[which] for key, value in known.items()})
+
+    @staticmethod
+    def of(approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None) -> Context:
+        """Return the context of visits.
+
+        Args:
+            approach: Direction of approach, (n, n_actuated).
+            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], and those of
+                `calib.core.robots.terms.gravity`, as far as they are known, (n,).
+            setups: Number of the setup, (n,); None: the first.
+        """
+        n = len(approach)
+
+        def known(name: str) -> FloatArray:
+            return np.nan_to_num(conditions.get(name, np.zeros(n)))
+
+        warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
+        return Context(approach, known("time"), warmer, known("load"), read_down(conditions), setups)
+
+
+class JointTerm(ABC):
+    """One term of one joint's error. It gives its columns, or a formula that has them.
+
+    Attributes:
+        section: Keys of its entry in a robot description (class attribute).
+        joint: The joint.
+        parameters: Its coefficients.
+        needs_torque: Whether it asks for `Context.torque` (class attribute).
+        tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
+        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
+            and its columns are the derivative of these by its coefficients (class attribute).
+        cause: Under which name an error budget counts it (class attribute).
+        depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
+            change their sign.
+        per: What a coefficient is of, such as `per hour` (class attribute).
+        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
+            not show it (class attribute).
+        counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
+        in_auto: Whether it is tried if it is not named which terms a robot has (class attribute).
+    """
+
+    section: ClassVar[type[TermSection]] = TermSection
+    needs_torque: ClassVar[bool] = False
+    tilts: ClassVar[bool] = False
+    adds: ClassVar[bool] = True
+    cause: ClassVar[str] = "other joint terms"
+    depends_on: ClassVar[tuple[Condition, ...]] = ()
+    per: ClassVar[str] = ""
+    follows_command: ClassVar[bool] = True
+    counts_turns: ClassVar[bool] = False
+    in_auto: ClassVar[bool] = True
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    @abstractmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means.
+
+        Args:
+            joint: The joint.
+            section: The entry.
+            sigma: Its sigma [m or rad], or None.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
+
+    @classmethod
+    def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
+        """Return the entries that are tried if a robot's terms are not named.
+
+        Args:
+            term: Its name.
+            joints: The joints that can show it.
+            actuated: All actuated joints.
+        """
+        named = ["all"] if len(joints) == len(actuated) else joints
+        return tuple(cls.section(joint=name, term=term) for name in named)
+
+    @classmethod
+    def needs_more(cls, dimension: Dimension) -> str:
+        """Return what a joint of a dimension needs that only a description can state, in words; empty: nothing."""
+        return ""
+
+    def answers(self, section: TermSection) -> bool:
+        """Whether a robot that has this term needs no other one for an entry of the same term."""
+        return section.joint in ("all", self.joint)
+
+    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+        """Return the names of the driven joints whose errors depend on it.
+
+        Args:
+            dimensions: Of the actuated joints, by name.
+        """
+        return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
+
+    def followed(self, actuated: tuple[str, ...]) -> str:
+        """Return the joint whose command it follows, of the actuated ones."""
+        return self.joint
+
+    def formula(self, j: int) -> Formula | None:
+        """Return phi of the coefficients as data, which functions in other languages are made of; None: there is none.
+
+        Args:
+            j: Place of the term's joint among the actuated ones; of a term that tilts, of one of the rotations among
+                the driven joints.
+        """
+        return None
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return phi of each coefficient, (n, n_coefficients).
+
+        Args:
+            q: Commanded actuated joints, (n, n_actuated) [m or rad].
+            j: As in `formula`.
+            context: Conditions of the commands, the torque among them if the term asks for it.
+
+        Raises:
+            NotImplementedError: The class gives neither columns nor a formula.
+        """
+        formula = self.formula(j)
+        if formula is None:
+            raise NotImplementedError(f"{type(self).__qualname__} gives neither columns nor a formula")
+        return formula.columns(context.known(q))
+
+    def by_torque(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
+        """Return how phi of a term that asks for the torque changes as that does, (n, n_coefficients).
+
+        By its formula; without one, by a central difference.
+
+        Args:
+            q, j, context: As in `columns`.
+            rate: At which rate the torque changes, (n, n_driven).
+        """
+        formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
+        if isinstance(formula, Proportional) and formula.knee:
+            return formula.slope(context.known(q)) * rate[:, formula.place, None]
+        if formula is not None:
+            return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
+        assert context.torque is not None  # the term asks for it
+        step = _STEP * (float(np.max(np.abs(context.torque))) or 1.0) / (largest or 1.0)
+        ends = [self.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
+
+    def curvature(self, values: FloatArray) -> float:
+        """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""
+        return 0.0
+
+
+def tilts_of(joint: str, dimension: Dimension) -> tuple[str, ...]:
+    """Return the names of the rotations that tilt the link behind a joint: two if it turns, else three."""
+    return tuple(f"{joint}:tilt_{k}" for k in range(2 if dimension == "angle" else 3))
+
+
+UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}
+"""Units of coefficients in tables."""
+
+
+def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "") -> Parameter:
+    """Return the parameter of a coefficient, nominally zero.
+
+    Args:
+        name: Its name.
+        dimension: The joint's.
+        sigma: Expected size [m or rad].
+        family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
+    """
+    return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)

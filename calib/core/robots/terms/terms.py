@@ -1,0 +1,99 @@
+"""Every term of a joint's error, by the name that robot descriptions use: the one place that knows them all.
+
+Terms of other packages come in by entry points of the group `calib.terms`, or by `TERMS.register` in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import TypeAdapter, ValidationError
+
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import way
+from calib.core.base.registry import Registry, entry
+from calib.core.robots.terms.coupling import Coupling
+from calib.core.robots.terms.one_coefficient import (
+    Backlash,
+    Bending,
+    Compliance,
+    Drift,
+    Gain,
+    GravityBacklash,
+    Temperature,
+)
+from calib.core.robots.terms.periodic import Curve, Harmonics
+from calib.core.robots.terms.term import JointTerm, TermSection
+
+TERMS: Registry[JointTerm] = Registry(
+    "joint term",
+    "calib.terms",
+    JointTerm,  # type: ignore[type-abstract]
+    {
+        "gain": Gain,
+        "harmonics": Harmonics,
+        "curve": Curve,
+        "backlash": Backlash,
+        "coupling": Coupling,
+        "drift": Drift,
+        "temperature": Temperature,
+        "compliance": Compliance,
+        "bending": Bending,
+        "gravity_backlash": GravityBacklash,
+    },
+    either=("columns", "formula"),
+)
+
+if TYPE_CHECKING:
+    AnyTerm = TermSection
+else:
+    AnyTerm = Annotated[TermSection, *entry("term", TERMS)]
+    """The entry of a joint term in a robot description."""
+
+
+def terms_text(terms: str | Sequence[str]) -> str:
+    """Return a choice of terms as text: a list of names or of `JOINT=TERM` with commas between, text as it is.
+
+    Raises:
+        InputError: It is neither, or an empty list.
+    """
+    if isinstance(terms, str):
+        return terms
+    if not isinstance(terms, Sequence) or not all(isinstance(item, str) for item in terms):
+        raise InputError(f"terms {terms!r:.60}: must be text, or a list of texts such as 'elbow=backlash'")
+    if not terms:
+        raise InputError("terms: the list is empty; leave it out for the description's terms, or give 'none' for none")
+    return ",".join(terms)
+
+
+def listed_terms(text: str) -> tuple[TermSection, ...]:
+    """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
+
+    Args:
+        text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
+
+    Raises:
+        InputError: No such term, or one that only a description can state.
+    """
+    sections = []
+    for item in text.split(","):
+        joint, _, term = (part.strip() for part in item.rpartition("="))
+        if term not in TERMS:
+            raise InputError(f"terms '{text}': no term '{term}'{way(term, 'joint terms') or nearest(term, TERMS)}")
+        try:
+            sections.append(TERMS[term].section(joint=joint or "all", term=term))
+        except ValidationError:
+            raise InputError(
+                f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
+            ) from None
+    return tuple(sections)
+
+
+def stored_terms(entries: object) -> tuple[TermSection, ...]:
+    """Return the entries that a result stores.
+
+    Raises:
+        ValueError: They are no entries of terms.
+    """
+    return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)

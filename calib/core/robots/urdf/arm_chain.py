@@ -1,0 +1,212 @@
+"""Which chain of a URDF is the arm, if the link that carries the measured point is not named.
+
+The arm is the chain with the most motors, without the fingers of a gripper. Where several are as long, the first in the
+file is taken. Fingers are known by structure first: two or more joints on one link of which the longest two reach about
+as far, and all reach less than a third of the way from the arm's first joint to there. (In the robots that Pinocchio's
+example-robot-data has, hands reach up to a quarter of that way, the arms of a torso more than twice as far.) A gripper
+of which one joint alone moves looks like a last axis; there names decide: the last joint and its link are both called
+finger, gripper or the like, and the joint before is not.
+
+When it fails. A tool changer with two short tools that have motors looks like a gripper, and of two legs and an arm
+with as many joints the first in the file is taken. What was left out is always said, and `calib init --target`
+overrules.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+
+from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.words import listed
+from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
+
+_SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
+_ALIKE = 0.5  # reach of the second longest finger over that of the longest
+_FINGER = re.compile("finger|thumb|jaw|claw", re.IGNORECASE)
+_GRIPPER = re.compile(f"gripper|{_FINGER.pattern}", re.IGNORECASE)
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class ArmChain:
+    """A chain of joints from the base to a link.
+
+    Attributes:
+        target: Link at its end.
+        base: Link that its first moving joint stands on.
+        joints: Its moving joints, without those that follow others.
+        fingers: Moving joints that hang on its end and were taken for those of a gripper.
+        branches: The robot's other moving joints, if the chain was chosen and not asked for.
+        others: Links at the ends of what was left out.
+    """
+
+    target: str
+    base: str
+    joints: tuple[str, ...]
+    fingers: tuple[str, ...] = ()
+    branches: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+    @property
+    def remark(self) -> str:
+        """What the choice leaves out, and how to choose another link; empty if it leaves out nothing."""
+        parts = [
+            f"{listed(names, shown=_SHOWN)} ({why})"
+            for names, why in ((self.fingers, "taken for a gripper"), (self.branches, "not on the way to it"))
+            if names
+        ]
+        if not parts:
+            return ""
+        return (
+            f"the arm is taken to end at {self.target}; left out: {'; '.join(parts)}; another end, such as"
+            f" {listed(self.others)}: calib init --target NAME"
+        )
+
+
+def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
+    """Return the chain to a link, or if none is given, to the end of the arm.
+
+    Args:
+        urdf: The URDF.
+        target: Link that carries the measured point.
+
+    Raises:
+        DescriptionError: There is no such link, or no joint moves it, or one of a type that is not supported.
+    """
+    tree = _Tree(urdf)
+    if target is not None:
+        if target not in urdf.links:
+            raise DescriptionError(f"{urdf.path}: no link '{target}'{nearest(target, urdf.links)}")
+        return tree.chain(target)
+    return tree.arm()
+
+
+class _Tree:
+    """The joints on the way to each link, and what moves together.
+
+    Attributes:
+        way: Joints from the root to each link.
+        body: For each link, the name of the moving joint that carries it; empty for the root's body.
+        carried: Link that each joint carries.
+        distance: Length of the way to each link [m].
+        furthest: Length of the longest way that leads over each link [m].
+    """
+
+    def __init__(self, urdf: UrdfText) -> None:
+        self.urdf = urdf
+        parent = {joint.child: joint for joint in urdf.joints}
+        self.way: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links if link not in parent}
+        self.distance: dict[str, float] = dict.fromkeys(self.way, 0.0)
+        standing: dict[str, list[UrdfJoint]] = {}
+        for joint in urdf.joints:
+            standing.setdefault(joint.parent, []).append(joint)
+        outwards = list(self.way)
+        for link in outwards:  # grows while it is read
+            for joint in standing.get(link, ()):
+                self.way[joint.child] = [*self.way[link], joint]
+                self.distance[joint.child] = self.distance[link] + math.hypot(*joint.xyz)
+                outwards.append(joint.child)
+        self.furthest = dict(self.distance)
+        for link in reversed(outwards):
+            if link in parent:
+                carrier = parent[link].parent
+                self.furthest[carrier] = max(self.furthest[carrier], self.furthest[link])
+        self.body = {link: ([""] + [joint.name for joint in _moving(self.way[link])])[-1] for link in urdf.links}
+        self.carried = {joint.name: joint.child for joint in urdf.joints}
+
+    def chain(self, target: str) -> ArmChain:
+        """The chain to a link."""
+        way = self.way[target]
+        names, moving = _motors(way), _moving(way)
+        require_supported(way[way.index(moving[0]) :] if moving else way, self.urdf.path)
+        if not names:
+            raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; there is nothing to calibrate")
+        return ArmChain(target, moving[0].parent, names)
+
+    def arm(self) -> ArmChain:
+        """The chain to the end of the arm, and what it leaves out."""
+        cut = self._hands() | self._single_jaws()
+        bodies = [
+            body
+            for body in dict.fromkeys(self.body.values())
+            if all(joint.name in cut for joint in self._on(body)) and not cut & self._before(body)
+        ]
+        ends = sorted((self._end(body) for body in bodies), key=lambda link: -len(_motors(self.way[link])))
+        chain = self.chain(ends[0])
+        kept = {joint.name for joint in self.way[chain.target]}
+        left = [joint for joint in _moving(self.urdf.joints) if joint.name not in kept]
+        fingers = [joint for joint in left if self.body[chain.target] in self._before(self.body[joint.parent])]
+        tips = [joint.child for joint in fingers if not self._on(joint.name)]
+        return replace(
+            chain,
+            fingers=tuple(joint.name for joint in fingers),
+            branches=tuple(joint.name for joint in left if all(joint is not finger for finger in fingers)),
+            others=(*(link for link in ends[1:] if _motors(self.way[link])), *tips),
+        )
+
+    def _on(self, body: str) -> list[UrdfJoint]:
+        """Moving joints that stand on a body."""
+        return [joint for joint in _moving(self.urdf.joints) if self.body[joint.parent] == body]
+
+    def _before(self, body: str) -> set[str]:
+        """Moving joints on the way to a body, its own with them."""
+        return {joint.name for joint in _moving(self.way[self.carried[body]])} if body else set()
+
+    def _hands(self) -> set[str]:
+        """Joints at which fingers begin, by structure."""
+        fingers: set[str] = set()
+        for body in set(self.body.values()) - {""}:
+            joints = self._on(body)
+            reach = sorted(self._reach(joint) for joint in joints)
+            if len(joints) > 1 and _ALIKE * reach[-1] <= reach[-2] and reach[-1] < _SHORT * self._arm_length(joints):
+                fingers |= {joint.name for joint in joints}
+        return fingers
+
+    def _single_jaws(self) -> set[str]:
+        """Last joints, with nothing on their links, that their names alone say to be a gripper's."""
+        parents = {joint.parent for joint in self.urdf.joints}
+        chains = [_moving(self.way[link]) for link in self.urdf.links if link not in parents]
+        return {
+            chain[-1].name
+            for chain in chains
+            if len(chain) > 1
+            and chain[-1].child not in parents
+            and _is_gripper(chain[-1])
+            and not _is_gripper(chain[-2])
+        }
+
+    def _end(self, body: str) -> str:
+        """The last link in the file at the end of a body: no stiff finger, and beyond a palm if there is one."""
+        links = [link for link in self.urdf.links if self.body[link] == body]
+        plain = [link for link in links if not self._is_stiff_finger(link)] or links
+        parents = {joint.parent for joint in self.urdf.joints if joint.child in plain}
+        ends = [link for link in plain if link not in parents]
+        palms = {joint.parent for joint in self._on(body)}
+        beyond = [link for link in ends if palms & {link, *(joint.parent for joint in self.way[link])}]
+        return (beyond or ends)[-1]
+
+    def _is_stiff_finger(self, link: str) -> bool:
+        """Whether a link is called a finger, or hangs on a fixed joint that was to follow another one."""
+        return bool(_FINGER.search(link)) or any(j.mimic and j.type in HELD_TYPES for j in self.way[link])
+
+    def _reach(self, joint: UrdfJoint) -> float:
+        return self.furthest[joint.child] - self.distance[joint.parent]
+
+    def _arm_length(self, joints: list[UrdfJoint]) -> float:
+        """Way from the first moving joint to where these hang."""
+        first = _moving(self.way[joints[0].parent])[0]
+        return min(self.distance[joint.parent] for joint in joints) - self.distance[first.child]
+
+
+def _moving(joints: list[UrdfJoint] | tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
+    return [joint for joint in joints if joint.type not in HELD_TYPES]
+
+
+def _motors(way: list[UrdfJoint]) -> tuple[str, ...]:
+    return tuple(joint.name for joint in _moving(way) if joint.mimic is None)
+
+
+def _is_gripper(joint: UrdfJoint) -> bool:
+    return bool(_GRIPPER.search(joint.name) and _GRIPPER.search(joint.child))

@@ -1,0 +1,272 @@
+"""Mechanisms with loops, put together from a few lengths: planar ones, deltas and Stewart platforms.
+
+Every mechanism here is exact, and has no joint that spins without moving anything, since no closure could hold it:
+
+* Planar ones turn about z and are cut at a hinge; the closure holds x and y.
+* The platform of a delta or a Stewart robot hangs on six joints without motors (x, y, z, rx, ry, rz) that only name
+  where it is. Each leg ends in a point of the platform (type 3d). A leg stands on a universal joint, two hinges that
+  cross, and so has no spin about itself. Six legs: 6 + 12 passive joints, 18 equations.
+* A parallelogram of the delta is its two rods, each of them a leg. So the platform tilts where rods differ.
+
+Home is computed from the lengths; lengths from which nothing can be assembled are an error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.units import millimetres
+from calib.core.robots.urdf.text import Triple, joint_text
+
+BASE = "base"
+_HERE: Triple = (0.0, 0.0, 0.0)
+_ROUND = (-2 * math.pi, 2 * math.pi)
+_DELTA = (-0.6, 1.2)  # where all three arms of a usual delta reach the platform [rad]
+Lengths = Mapping[str, float]
+
+
+@dataclass
+class Plan:
+    """What a mechanism's function puts together.
+
+    Attributes:
+        axes: Directions that each closure holds.
+        joints: Of the URDF, as text.
+        links: Of the URDF.
+        motors: Joints with motors.
+        home: Value of every moving joint [m or rad].
+        loops: Pairs of links that coincide.
+        targets: Link and point on it [m], by name.
+        free: Joint origin, its components.
+    """
+
+    axes: str
+    joints: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=lambda: [BASE])
+    motors: list[str] = field(default_factory=list)
+    home: dict[str, float] = field(default_factory=dict)
+    loops: list[tuple[str, str]] = field(default_factory=list)
+    targets: dict[str, tuple[str, Triple]] = field(default_factory=dict)
+    free: list[tuple[str, str]] = field(default_factory=list)
+
+    def fixed(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
+        """A joint that only holds a place."""
+        self._add(name, "fixed", parent, child, xyz)
+        self.free.append((name, free))
+
+    def place(self, name: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0) -> None:
+        """A joint that only holds a place that no component of it alone makes free."""
+        self._add(name, "fixed", parent, child, xyz, turned)
+
+    def hinge(
+        self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",
+        turned: float = 0.0, motor: bool = False, limits: tuple[float, float] = _ROUND,
+    ) -> None:  # fmt: skip
+        """A joint that turns; its origin is turned about z by `turned` [rad]; without a motor it has no limits."""
+        self._add(
+            name, "revolute" if motor else "continuous", parent, child, xyz, turned, axis, limits if motor else None
+        )
+        self._moving(name, home, motor)
+
+    def slider(
+        self, name: str, parent: str, child: str, home: float, axis: str, limits: tuple[float, float], *, motor: bool
+    ) -> None:
+        """A joint that slides, between limits [m]."""
+        self._add(name, "prismatic", parent, child, _HERE, 0.0, axis, limits)
+        self._moving(name, home, motor)
+
+    def _add(
+        self, name: str, kind: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0, axis: str = "",
+        limits: tuple[float, float] | None = None,
+    ) -> None:  # fmt: skip
+        x, y, z = (float(value) for value in xyz)
+        self.joints.append(joint_text(name, kind, (parent, child), (x, y, z), (0.0, 0.0, turned), axis, limits))
+        self.links.append(child)
+
+    def _moving(self, name: str, home: float, motor: bool) -> None:
+        self.home[name] = float(home)
+        if motor:
+            self.motors.append(name)
+
+
+def four_bar(length: Lengths) -> Plan:
+    """A crank with a motor, a coupler, a rocker; home in the middle of what the crank can do.
+
+    Raises:
+        InputError: The lengths do not close.
+    """
+    ground, crank, coupler, rocker = (length[name] for name in ("ground", "crank", "coupler", "rocker"))
+    low, high = max(abs(coupler - rocker), abs(ground - crank)), min(coupler + rocker, ground + crank)
+    if low >= high:
+        raise InputError("the longest link is longer than the other three together")
+    across = (low + high) / 2
+    angle = math.acos((crank**2 + ground**2 - across**2) / (2 * crank * ground))
+    end = crank * np.array([math.cos(angle), math.sin(angle)])
+    along, bend = _two_links(np.array([ground, 0.0]) - end, coupler, rocker, 1)
+    plan = Plan("x, y")
+    plan.hinge("crank", BASE, "crank_link", angle, motor=True)
+    plan.hinge("coupler", "crank_link", "coupler_link", along - angle, (crank, 0, 0))
+    plan.fixed("coupler_end", "coupler_link", "coupler_tip", (coupler, 0, 0), "x")
+    plan.hinge("rocker", BASE, "rocker_link", along + bend + math.pi, (ground, 0, 0))
+    plan.fixed("rocker_end", "rocker_link", "rocker_tip", (rocker, 0, 0), "x")
+    plan.loops.append(("coupler_tip", "rocker_tip"))
+    plan.targets["pin"] = ("coupler_link", (coupler / 2, 0.0, 0.0))
+    plan.free += [("crank", "x, y, rz"), ("coupler", "x"), ("rocker", "x, y")]
+    return plan
+
+
+def five_bar(length: Lengths) -> Plan:
+    """Two arms with a motor each that meet at the pen, elbows outwards.
+
+    Raises:
+        InputError: The lengths do not close.
+    """
+    half, proximal, distal = length["motor_distance"] / 2, length["proximal"], length["distal"]
+    low, high = max(abs(proximal - distal), half), proximal + distal
+    if low >= high:
+        raise InputError("the two arms are too short to meet")
+    tip = np.array([0.0, math.sqrt(((low + high) / 2) ** 2 - half**2)])
+    plan = Plan("x, y")
+    for arm, side in (("left", 1), ("right", -1)):
+        _planar_arm(plan, arm, np.array([-side * half, 0.0]), tip, (proximal, distal), side)
+    plan.loops.append(("left_tip", "right_tip"))
+    plan.targets["pen"] = ("left_tip", _HERE)
+    return plan
+
+
+def three_rrr(length: Lengths) -> Plan:
+    """A platform in a plane on three arms of two links, motors at the base."""
+    links = (length["proximal"], length["distal"])
+    plan = Plan("x, y")
+    anchors = [length["platform_radius"] * _direction(angle)[:2] for angle in (90, 210, 330)]
+    for k, (angle, anchor) in enumerate(zip((90, 210, 330), anchors, strict=True), start=1):
+        turn = _planar_arm(plan, f"arm_{k}", length["base_radius"] * _direction(angle)[:2], anchor, links, 1)
+        if k == 1:
+            plan.hinge("wrist", "arm_1_tip", "wrist_link", -turn)
+            plan.fixed("platform_1", "wrist_link", "platform", (*-anchor, 0), "x, y")
+        else:
+            plan.fixed(f"platform_{k}", "platform", f"platform_{k}_link", (*anchor, 0), "x, y")
+            plan.loops.append((f"platform_{k}_link", f"arm_{k}_tip"))
+    plan.targets["reflector_1"] = ("platform", (length["platform_radius"] / 2, 0.0, 0.0))
+    plan.targets["reflector_2"] = ("platform", (-length["platform_radius"] / 2, 0.0, 0.0))
+    return plan
+
+
+def delta(length: Lengths) -> Plan:
+    """Three arms with motors; home with all of them level, the platform below (z is up, positive angles go down).
+
+    Raises:
+        InputError: The lengths do not close.
+    """
+    upper, rod, half = length["upper_arm"], length["rod"], length["rod_distance"] / 2
+    out = length["base_radius"] + upper - length["platform_radius"]
+    if rod <= abs(out):
+        raise InputError("the rods are too short to reach the platform from level arms")
+    plan = Plan("x, y, z")
+    _platform(plan, -math.sqrt(rod**2 - out**2), 2 * (upper + rod))
+    for k, angle in enumerate((0, 120, 240), start=1):
+        outwards, sideways = _direction(angle), _direction(angle + 90)
+        arm, place = f"arm_{k}", length["base_radius"] * outwards
+        turned = math.radians(angle)
+        plan.hinge(arm, BASE, f"{arm}_link", 0.0, place, axis="0 1 0", turned=turned, motor=True, limits=_DELTA)
+        plan.free += [(arm, "x, y, z"), (arm, "rx, ry, rz")]
+        for j, side in enumerate((-half, half), start=1):
+            name = f"rod_{k}{j}"
+            plan.hinge(
+                f"{name}_y", f"{arm}_link", f"{name}_cross", math.asin(out / rod), (upper, side, 0), axis="0 1 0"
+            )
+            plan.hinge(f"{name}_x", f"{name}_cross", f"{name}_link", 0.0, axis="1 0 0")
+            plan.free.append((f"{name}_y", "x, y, z"))
+            plan.fixed(f"{name}_end", f"{name}_link", f"{name}_tip", (0, 0, -rod), "z")
+            _anchor(plan, name, length["platform_radius"] * outwards + side * sideways)
+    plan.targets["tool"] = ("platform", _HERE)
+    return plan
+
+
+def stewart(length: Lengths) -> Plan:
+    """A 6-UPS hexapod: joints in pairs, at 0, 120 and 240 degrees below, at 60, 180 and 300 above.
+
+    The value of a motor is the length of its leg.
+
+    Raises:
+        InputError: A pair is wider than its circle.
+    """
+    for level in ("base", "platform"):
+        if length[f"{level}_pair"] >= length[f"{level}_radius"]:
+            raise InputError(f"{level}_pair must be less than {level}_radius")
+    below, above = (
+        math.degrees(math.asin(length[f"{level}_pair"] / 2 / length[f"{level}_radius"]))
+        for level in ("base", "platform")
+    )
+    height = length["height"]
+    plan = Plan("x, y, z")
+    _platform(plan, height, 3 * (height + length["base_radius"] + length["platform_radius"]))
+    for k in range(6):
+        centre, side = 120 * (k // 2), -1 if k % 2 == 0 else 1
+        foot = length["base_radius"] * _direction(centre + side * below)
+        anchor = length["platform_radius"] * _direction(centre + side * (60 - above))
+        leg = anchor + np.array([0, 0, height]) - foot
+        long = float(np.linalg.norm(leg))
+        name = f"leg_{k + 1}"
+        plan.hinge(f"{name}_x", BASE, f"{name}_cross", math.atan2(-leg[1], leg[2]), foot, axis="1 0 0")
+        plan.hinge(f"{name}_y", f"{name}_cross", f"{name}_cylinder", math.asin(leg[0] / long), axis="0 1 0")
+        plan.slider(name, f"{name}_cylinder", f"{name}_tip", long, "0 0 1", (0.8 * long, 1.2 * long), motor=True)
+        plan.free += [(f"{name}_x", "x, y, z"), (name, "z")]
+        _anchor(plan, name, anchor)
+    for k, angle in enumerate((0, 120, 240), start=1):
+        x, y, _ = length["platform_radius"] / 2 * _direction(angle)
+        plan.targets[f"reflector_{k}"] = ("platform", (float(x), float(y), 0.0))
+    return plan
+
+
+def _direction(degrees: float) -> FloatArray:
+    return np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees)), 0.0])
+
+
+def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[float, float]:
+    """Angle of the first link and the bend to the second, to reach `to` (2,) [m], elbow to the left for side 1."""
+    far = math.hypot(*to)
+    if not abs(first - second) < far < first + second:
+        shown = [f"{millimetres(length):.9g} mm" for length in (first, second, far)]
+        raise InputError(f"links of {shown[0]} and {shown[1]} cannot span {shown[2]}")
+    start = math.atan2(to[1], to[0]) + side * math.acos((first**2 + far**2 - second**2) / (2 * first * far))
+    bend = -side * (math.pi - math.acos((first**2 + second**2 - far**2) / (2 * first * second)))
+    return start, bend
+
+
+def _planar_arm(
+    plan: Plan, arm: str, foot: FloatArray, tip: FloatArray, links: tuple[float, float], side: int
+) -> float:
+    """Motor, elbow and tip of an arm of two links; returns which way its end points at home [rad]."""
+    start, bend = _two_links(tip - foot, *links, side)
+    plan.hinge(
+        f"{arm}_motor", BASE, f"{arm}_proximal", start, (*foot, 0), motor=True, limits=(start - 0.6, start + 0.6)
+    )
+    plan.hinge(f"{arm}_elbow", f"{arm}_proximal", f"{arm}_distal", bend, (links[0], 0, 0))
+    plan.fixed(f"{arm}_end", f"{arm}_distal", f"{arm}_tip", (links[1], 0, 0), "x")
+    plan.free += [(f"{arm}_motor", "x, y, rz"), (f"{arm}_elbow", "x")]
+    return start + bend
+
+
+def _platform(plan: Plan, z: float, reach: float) -> None:
+    """Six joints without motors that say where the platform is."""
+    parent = BASE
+    for axis, name, home in (("1 0 0", "x", 0.0), ("0 1 0", "y", 0.0), ("0 0 1", "z", z)):
+        plan.slider(f"platform_{name}", parent, f"platform_at_{name}", home, axis, (-reach, reach), motor=False)
+        parent = f"platform_at_{name}"
+    for axis, name, child in (("1 0 0", "rx", "at_rx"), ("0 1 0", "ry", "at_ry"), ("0 0 1", "rz", "")):
+        link = f"platform_{child}" if child else "platform"
+        plan.hinge(f"platform_{name}", parent, link, 0.0, axis=axis)
+        parent = link
+
+
+def _anchor(plan: Plan, leg: str, xyz: FloatArray) -> None:
+    """The point of the platform in which a leg ends."""
+    plan.fixed(f"{leg}_anchor", "platform", f"{leg}_place", xyz, "x, y, z")
+    plan.loops.append((f"{leg}_place", f"{leg}_tip"))

@@ -1,0 +1,391 @@
+"""MuJoCo's format (MJCF) read as a URDF: what `urdf: robot.xml` stands for.
+
+MuJoCo reads the file, with its includes, defaults and units; what it makes of it is written as a URDF that means the
+same. With p a joint's place in its body and q0 its value in the file (`ref`):
+
+    body        a link of its name in the body's frame
+    joint       T_parent_joint = T_parent_body Trans(p) Motion(-q0): its value is MuJoCo's own (qpos); then Trans(-p) to
+                the body. Several joints of a body follow each other, with links of their own between them
+    ball joint  three hinges about x, y and z, in a row
+    site        a link that is fixed to its body
+    connect, weld (equality)
+                a loop that stays cut open: two links, one fixed to each body, that coincide
+    joint (equality)
+                `mimic`, about the values in the file
+
+Directions of a loop. A `connect` names three; a planar loop holds two of them. In the frame of its first body, no joint
+moves the two points apart along the third one, n: all rows n^T (J_a - J_b), at configurations drawn around that of the
+file, are zero. The links of a loop have n as their z axis, so that x and y are what the loop holds.
+
+When it fails. Free joints hold their bodies where the file has them. Ties by tendons, and joints that follow others by
+a polynomial, are errors: URDF has none. Of shapes, boxes, spheres, cylinders and mesh files are kept.
+
+Reference: todorov2012.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import UrdfError
+
+_DRAWN = 12  # configurations at which directions of a loop are looked at
+_SPREAD = 0.3  # how far from those of the file [m, rad]
+_MOVES = 1e-7  # singular value over the largest, from which a direction moves
+_SHOWN_GROUPS = 3  # of shapes: MuJoCo draws groups 0, 1 and 2
+_MESHES = (".stl", ".obj", ".dae", ".ply")
+
+
+@dataclass(frozen=True)
+class MjcfLoop:
+    """Two links that coincide.
+
+    Attributes:
+        links: Their names.
+        kind: `3d`: their points; `6d`: their whole frames.
+        axes: Directions that the loop holds, in the frame of the first.
+    """
+
+    links: tuple[str, str]
+    kind: str
+    axes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MjcfRobot:
+    """What an MJCF file says of a robot.
+
+    Attributes:
+        source: The URDF.
+        motors: Joints with an actuator, in the order of these.
+        loops: Cut open in the URDF.
+        home: Value of each joint in the file [m or rad].
+        remarks: What the URDF does not hold.
+    """
+
+    source: bytes
+    motors: tuple[str, ...]
+    loops: tuple[MjcfLoop, ...]
+    home: dict[str, float]
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion(ReadOnlyArrays):
+    """A joint of one degree of freedom.
+
+    Attributes:
+        name: In the URDF.
+        kind: As URDF calls it.
+        axis: In the body, (3,).
+        before, after: From the body's frame to the joint's place before it, and back after it, (3,) [m].
+        value: In the file [m or rad].
+        limits: Lowest and highest value, if there are any.
+        number: In the model; none of a part of a ball joint.
+    """
+
+    name: str
+    kind: str
+    axis: FloatArray
+    before: FloatArray
+    after: FloatArray
+    value: float = 0.0
+    limits: tuple[float, float] | None = None
+    number: int | None = None
+
+
+def is_mjcf(source: bytes) -> bool:
+    """Whether a file is MJCF: its outermost element is `mujoco`."""
+    try:
+        for _, element in ElementTree.iterparse(io.BytesIO(source), events=("start",)):
+            return element.tag == "mujoco"
+    except ElementTree.ParseError:
+        pass
+    return False
+
+
+def read_mjcf(path: Path | str) -> MjcfRobot:
+    """Read an MJCF file by MuJoCo.
+
+    Args:
+        path: Of the file; what it includes lies where it says.
+
+    Raises:
+        UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no words for what is in it.
+    """
+    try:
+        import mujoco
+    except ImportError:
+        raise UrdfError(
+            f"{path}: is an MJCF file, and the package that reads them is not installed: pip install mujoco; or give a"
+            " URDF"
+        ) from None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        model = spec.compile()
+    except (ValueError, OSError) as error:
+        raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
+    folder = Path(str(path)).resolve().parent
+    return _Reader(mujoco, model, str(path), os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
+
+
+class _Reader:
+    def __init__(self, mujoco: Any, model: Any, path: str, meshes: str) -> None:
+        self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
+        self.root = Element("robot", name=_text(model.names) or Path(path).stem)
+        self.links: dict[str, Element] = {}
+        self.joints: dict[int, Element] = {}  # by number in the model; of hinges and slides
+        self.link_of: dict[int, str] = {}  # of each body
+        self.home: dict[str, float] = {}
+        self.remarks: list[str] = []
+
+    def read(self) -> MjcfRobot:
+        self._link("world", 0)
+        for body in range(1, self.model.nbody):
+            self._body(body)
+        for site in range(self.model.nsite):
+            name = self._new(self._name("SITE", site), self.links)
+            carrier = self.link_of[int(self.model.site_bodyid[site])]
+            self._fixed(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
+        loops = tuple(self._equalities())
+        remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
+        self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
+        ElementTree.indent(self.root)
+        source = b'<?xml version="1.0"?>\n' + ElementTree.tostring(self.root, encoding="utf-8") + b"\n"
+        return MjcfRobot(source, tuple(dict.fromkeys(self._motors())), loops, self.home, tuple(self.remarks))
+
+    def _name(self, kind: str, number: int) -> str:
+        of = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}")
+        return self.mujoco.mj_id2name(self.model, of, number) or f"{kind.lower()}_{number}"
+
+    def _new(self, name: str, taken: Iterable[str]) -> str:
+        while name in taken:
+            name += "_"
+        return name
+
+    def _body(self, body: int) -> None:
+        model, name = self.model, self._new(self._name("BODY", body), self.links)
+        parent = self.link_of[int(model.body_parentid[body])]
+        place = _se3(model.body_pos[body], model.body_quat[body])
+        first = int(model.body_jntadr[body])
+        joints = list(range(first, first + int(model.body_jntnum[body])))
+        motions = [motion for joint in joints for motion in self._motions(joint)]
+        for count, motion in enumerate(motions, start=1):
+            ends = count == len(motions) and not np.any(motion.after)
+            child = name if ends else self._new(f"{name}_{motion.name}", self.links)
+            self._moving(motion, parent, child, place * pin.SE3(np.eye(3), motion.before))
+            self._link(child, body if ends else None)
+            parent, place = child, pin.SE3(np.eye(3), -motion.after)
+        if name not in self.links:
+            self._fixed(parent, name, place, body)
+
+    def _motions(self, joint: int) -> Iterator[_Motion]:
+        """What the motion of a joint is made of: nothing of a free one."""
+        model, types = self.model, self.mujoco.mjtJoint
+        kind, name = int(model.jnt_type[joint]), self._name("JOINT", joint)
+        about, nowhere = np.array(model.jnt_pos[joint]), np.zeros(3)
+        if kind == types.mjJNT_FREE:
+            body = self._name("BODY", int(model.jnt_bodyid[joint]))
+            self.remarks.append(f"body {body} moves freely in the file, and stands still here")
+        elif kind == types.mjJNT_BALL:
+            self.remarks.append(f"ball joint {name} is three hinges, {name}_x, {name}_y and {name}_z")
+            around = [(about, nowhere), (nowhere, nowhere), (nowhere, about)]
+            for letter, axis, (before, after) in zip("xyz", np.eye(3), around, strict=True):
+                yield _Motion(f"{name}_{letter}", "continuous", axis, before, after)
+        else:
+            limits = (float(model.jnt_range[joint, 0]), float(model.jnt_range[joint, 1]))
+            limited = bool(model.jnt_limited[joint])
+            turning = "revolute" if limited else "continuous"
+            moves = "prismatic" if kind == types.mjJNT_SLIDE else turning
+            if moves == "prismatic" and not limited:
+                raise UrdfError(
+                    f"{self.path}: joint '{name}' slides without a range, which a URDF must have: add range"
+                )
+            value = float(model.qpos0[model.jnt_qposadr[joint]])
+            axis = np.array(model.jnt_axis[joint])
+            yield _Motion(name, moves, axis, about, about, value, limits if limited else None, joint)
+
+    def _moving(self, motion: _Motion, parent: str, child: str, place: pin.SE3) -> None:
+        """Add a joint whose value is MuJoCo's."""
+        if motion.kind == "prismatic":
+            place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
+        elif motion.value:
+            place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
+        element = self._joint(motion.name, motion.kind, parent, child, place)
+        SubElement(element, "axis", xyz=_numbers(motion.axis))
+        if motion.limits:
+            lower, upper = map(repr, motion.limits)
+            SubElement(element, "limit", lower=lower, upper=upper, effort="0", velocity="0")
+        if motion.number is not None:
+            self.joints[motion.number] = element
+        self.home[motion.name] = motion.value
+
+    def _fixed(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
+        self._joint(f"{child}_fixed", "fixed", parent, child, origin)
+        self._link(child, body)
+
+    def _joint(self, name: str, kind: str, parent: str, child: str, origin: pin.SE3) -> Element:
+        element = SubElement(self.root, "joint", name=name, type=kind)
+        SubElement(element, "parent", link=parent)
+        SubElement(element, "child", link=child)
+        SubElement(element, "origin", _placed(origin))
+        return element
+
+    def _link(self, name: str, body: int | None) -> None:
+        """Add a link; with mass and shapes where it is that of a body."""
+        self.links[name] = link = SubElement(self.root, "link", name=name)
+        if body is None:
+            return
+        model, self.link_of[body] = self.model, name
+        if body and model.body_mass[body] > 0:
+            inertial = SubElement(link, "inertial")
+            SubElement(inertial, "origin", _placed(_se3(model.body_ipos[body], model.body_iquat[body])))
+            SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
+            diagonal = dict(zip(("ixx", "iyy", "izz"), map(repr, map(float, model.body_inertia[body])), strict=True))
+            SubElement(inertial, "inertia", diagonal | {"ixy": "0", "ixz": "0", "iyz": "0"})
+        first = int(model.body_geomadr[body])
+        for geom in range(first, first + int(model.body_geomnum[body])) if body else ():
+            if model.geom_group[geom] < _SHOWN_GROUPS:
+                self._shape(link, geom)
+
+    def _shape(self, link: Element, geom: int) -> None:
+        model, types = self.model, self.mujoco.mjtGeom
+        size, place = np.array(model.geom_size[geom]), _se3(model.geom_pos[geom], model.geom_quat[geom])
+        kind = int(model.geom_type[geom])
+        shape: tuple[str, dict[str, str]] | None = None
+        if kind == types.mjGEOM_BOX:
+            shape = "box", {"size": _numbers(2 * size)}
+        elif kind == types.mjGEOM_SPHERE:
+            shape = "sphere", {"radius": repr(float(size[0]))}
+        elif kind in (types.mjGEOM_CYLINDER, types.mjGEOM_CAPSULE):
+            shape = "cylinder", {"radius": repr(float(size[0])), "length": repr(float(2 * size[1]))}
+        elif kind == types.mjGEOM_MESH:
+            mesh = int(model.geom_dataid[geom])
+            file = _text(model.paths[model.mesh_pathadr[mesh] :]) if model.mesh_pathadr[mesh] >= 0 else ""
+            if Path(file).suffix.lower() in _MESHES:
+                place = place * _se3(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()  # MuJoCo centres meshes
+                where = Path(self.meshes, file).as_posix()
+                shape = "mesh", {"filename": where, "scale": _numbers(model.mesh_scale[mesh])}
+        if shape is not None:
+            visual = SubElement(link, "visual")
+            SubElement(visual, "origin", _placed(place))
+            SubElement(SubElement(visual, "geometry"), *shape)
+
+    def _motors(self) -> Iterator[str]:
+        types = self.mujoco.mjtTrn
+        for number in range(self.model.nu):
+            joint = int(self.model.actuator_trnid[number, 0])
+            of_joint = int(self.model.actuator_trntype[number]) in (types.mjTRN_JOINT, types.mjTRN_JOINTINPARENT)
+            if of_joint and joint in self.joints:
+                yield self.joints[joint].attrib["name"]
+
+    def _equalities(self) -> Iterator[MjcfLoop]:
+        model, types = self.model, self.mujoco.mjtEq
+        for number in range(model.neq):
+            name, kind = self._name("EQUALITY", number), int(model.eq_type[number])
+            if not model.eq_active0[number]:
+                continue
+            if kind in (types.mjEQ_CONNECT, types.mjEQ_WELD):
+                yield self._loop(number, name, whole=kind == types.mjEQ_WELD)
+            elif kind == types.mjEQ_JOINT:
+                self._follower(number, name)
+            else:
+                raise UrdfError(f"{self.path}: equality '{name}' ties neither bodies nor joints; a URDF cannot hold it")
+
+    def _follower(self, number: int, name: str) -> None:
+        model = self.model
+        follower, leader = (int(ids[number]) for ids in (model.eq_obj1id, model.eq_obj2id))
+        polynomial = model.eq_data[number]
+        if leader < 0 or follower not in self.joints or leader not in self.joints or np.any(polynomial[2:5]):
+            raise UrdfError(
+                f"{self.path}: equality '{name}' is not linear, or not between two joints; a URDF cannot hold it"
+            )
+        element, led_by = self.joints[follower], self.joints[leader].attrib["name"]
+        factor = float(polynomial[1])
+        offset = self.home[element.attrib["name"]] + float(polynomial[0]) - factor * self.home[led_by]
+        SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
+
+    def _loop(self, number: int, name: str, *, whole: bool) -> MjcfLoop:
+        model = self.model
+        ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        data = np.array(model.eq_data[number])
+        if model.eq_objtype[number] == self.mujoco.mjtObj.mjOBJ_SITE:
+            places = [_se3(model.site_pos[k], model.site_quat[k]) for k in ids]
+            bodies = [int(model.site_bodyid[k]) for k in ids]
+        else:
+            bodies = ids
+            points = (data[3:6], data[0:3]) if whole else (data[0:3], data[3:6])
+            turned = data[6:10] if whole else np.array([1.0, 0.0, 0.0, 0.0])
+            places = [_se3(points[0], turned), _se3(points[1], np.array([1.0, 0.0, 0.0, 0.0]))]
+        axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
+        if not whole:
+            turn, count = self._held(bodies, [place.translation for place in places])
+            axes = axes[:count]
+            places = [pin.SE3(turn, place.translation) for place in places]  # of the second, its point alone counts
+        links = []
+        for letter, body, place in zip("ab", bodies, places, strict=True):
+            link = self._new(f"{name}_{letter}", self.links)
+            self._fixed(self.link_of[body], link, place)
+            links.append(link)
+        return MjcfLoop((links[0], links[1]), "6d" if whole else "3d", axes)
+
+    def _held(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
+        """Axes of a loop in its first body, (3, 3), those that its joints move along before the others; how many do."""
+        mujoco, model = self.mujoco, self.model
+        data, random = mujoco.MjData(model), np.random.default_rng(0)
+        columns = []
+        for _ in range(_DRAWN):
+            data.qpos[:] = model.qpos0
+            mujoco.mj_integratePos(model, data.qpos, _SPREAD * random.standard_normal(model.nv), 1.0)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            turn = data.xmat[bodies[0]].reshape(3, 3)
+            jacobians = []
+            for body, point in zip(bodies, points, strict=True):
+                jacobian = np.zeros((3, model.nv))
+                where = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+                mujoco.mj_jac(model, data, jacobian, None, where, body)
+                jacobians.append(jacobian)
+            columns.append(turn.T @ (jacobians[0] - jacobians[1]))
+        directions, values, _ = np.linalg.svd(np.hstack(columns), full_matrices=False)
+        count = int(np.sum(values > _MOVES * max(values[0], 1e-12)))
+        if count == 3:
+            return np.eye(3), 3
+        axis = directions[:, 2] if count == 2 else directions[:, 0]
+        across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        second = np.cross(axis, across)
+        second /= np.linalg.norm(second)
+        third = np.cross(axis, second)
+        return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
+
+
+def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:
+    """A placement from MuJoCo's numbers: w, x, y, z."""
+    w, x, y, z = map(float, quaternion)
+    turned = pin.Quaternion(w, x, y, z)
+    turned.normalize()
+    return pin.SE3(turned.matrix(), np.array(xyz, dtype=float))
+
+
+def _placed(place: pin.SE3) -> dict[str, str]:
+    return {"xyz": _numbers(place.translation), "rpy": _numbers(pin.rpy.matrixToRpy(place.rotation))}
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def _text(names: bytes) -> str:
+    return bytes(itertools.takewhile(bool, names)).decode(errors="replace")

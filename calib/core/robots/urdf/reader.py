@@ -1,0 +1,307 @@
+"""Reading a URDF: links, joints, and where in the file's bytes each joint origin stands.
+
+The XML parser (expat) walks through the bytes and reports the byte offset of every tag; that is what `urdf_text` needs
+to change a number without touching anything else. Elements and attributes that this program does not use (visuals,
+transmissions, gazebo and xacro leftovers, comments) are skipped here and stay in the file.
+
+What is refused, with a message that says what to do: files that are not one tree, names given twice, numbers that are
+not three plain decimals (xacro expressions, commas), two `<origin>` in one joint (which of them counts?).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.parsers.expat
+from collections import Counter
+from dataclasses import dataclass
+
+from calib.core.base.errors import UrdfError, nearest
+
+Triple = tuple[float, float, float]
+Span = tuple[int, int]
+MOVING_TYPES = ("revolute", "continuous", "prismatic")
+UNSUPPORTED_TYPES = ("floating", "planar")
+HELD_TYPES = ("fixed", *UNSUPPORTED_TYPES)
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+_TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+MOST_LINKS = 300
+"""More would fill the memory: Pinocchio's data grow with the third power."""
+_LARGEST = 1e9  # of an origin [m or rad]: squares and products of such numbers stay finite
+_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
+_NO_NUMBERS = ("name", "filename")
+_SPACE = " \t\r\n"  # XML's; str.split() would also take the no-break space, which other programs refuse
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """One `<joint>` of the file.
+
+    Attributes:
+        name, type, parent, child: As in the file.
+        xyz: Origin translation, parent link to joint [m].
+        rpy: Origin rotation, fixed-axis roll, pitch, yaw [rad].
+        axis: Unit axis in the joint frame.
+        lower, upper: Limits [rad or m]; infinite where the file gives none.
+        mimic: Name of the joint it follows, multiplier and offset, or None.
+        tag_span: Bytes of the joint's start tag; None if the joint comes out of an XML entity.
+        origin_span: Bytes of the `<origin>` tag, or None where the file has none.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    xyz: Triple
+    rpy: Triple
+    axis: Triple
+    lower: float
+    upper: float
+    mimic: tuple[str, float, float] | None
+    tag_span: Span | None
+    origin_span: Span | None
+
+
+class UrdfReader:
+    """Collects a URDF's content while expat walks through it.
+
+    Args:
+        source: The file's bytes.
+        path: For messages.
+
+    Attributes:
+        name: The robot's name.
+        links, joints: In file order.
+        root_span: Bytes of the `<robot>` start tag.
+        end: Byte at which `</robot>` starts.
+
+    Raises:
+        UrdfError: Not XML, not a URDF, or not one tree.
+    """
+
+    def __init__(self, source: bytes, path: str) -> None:
+        self.source, self.path = source, path
+        self.name, self.root_span, self.end = "", (0, 0), 0
+        self.links: list[str] = []
+        self.joints: list[UrdfJoint] = []
+        self._stack: list[str] = []
+        self._joint: dict[str, object] = {}
+        self._seen: dict[str, dict[str, str]] = {}
+        self._parser = xml.parsers.expat.ParserCreate()
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.EntityDeclHandler = self._entity
+        self._run()
+        check_tree(self.path, self.links, self.joints)
+
+    def _run(self) -> None:
+        if self.source.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\x00" in self.source[:64]:
+            raise UrdfError(f"{self.path}: UTF-16 or binary, not a text URDF; save it as UTF-8")
+        try:
+            self._parser.Parse(self.source, True)
+        except xml.parsers.expat.ExpatError as error:
+            message = xml.parsers.expat.errors.messages[error.code]
+            hint = (
+                "; the <?xml ...?> line must be the very first"
+                if "declaration not at start" in message
+                else "; declare it on the top element, such as xmlns:xacro"
+                if "prefix" in message
+                else ""
+            )
+            raise UrdfError(
+                f"{self.path}, line {error.lineno}: not valid XML ({message}){hint};"
+                " a robot is a URDF, a YAML description or a result folder"
+            ) from None
+        except (LookupError, ValueError) as error:
+            raise UrdfError(f"{self.path}: its character encoding cannot be read ({error}); save it as UTF-8") from None
+
+    def _span(self) -> Span | None:
+        """Bytes of the tag at hand; None where an XML entity stands for it."""
+        match = _TAG.match(self.source, self._parser.CurrentByteIndex)
+        return match.span() if match else None
+
+    def _entity(self, name: str, _parameter: bool, value: str | None, *_where: str | None) -> None:
+        if value is None:
+            raise UrdfError(
+                f"{self.path}, line {self._parser.CurrentLineNumber}: entity '{name}' stands for another file, which is"
+                " not read; put its content here (xmllint --noent)"
+            )
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        depth = len(self._stack)
+        if depth == 0:
+            if tag != "robot":
+                raise UrdfError(
+                    f"{self.path}: the top element is <{tag}>, not <robot>; is this a URDF"
+                    " (run xacro first if it is a xacro file)?"
+                )
+            self.name = attributes.get("name", "")
+            self.root_span = self._span() or (0, 0)
+        elif depth == 1 and tag == "link":
+            self.links.append(self._required(attributes, "name", "<link>"))
+        elif depth == 1 and tag == "joint":
+            self._start_joint(attributes)
+        elif depth == 2 and self._joint:
+            self._joint_child(tag, attributes)
+        elif depth >= 2 and self._stack[1] == "link" and tag in _SHAPES:
+            self._check_finite(tag, attributes)
+        self._stack.append(tag)
+
+    def _check_finite(self, tag: str, attributes: dict[str, str]) -> None:
+        """Refuse shapes and masses that no program can draw or move; what else they say is not used here."""
+        for key, text in attributes.items():
+            for part in () if key in _NO_NUMBERS else text.split():
+                try:
+                    finite = abs(float(part)) < _LARGEST or key.startswith(("i", "value"))
+                except ValueError:
+                    continue  # a xacro leftover, for instance, which stays in the file
+                if not finite or not math.isfinite(float(part)):
+                    line = self._parser.CurrentLineNumber
+                    raise UrdfError(
+                        f"{self.path}, line {line}: <{tag}> of link '{self.links[-1]}' has {key}=\"{text}\";"
+                        " every number must be finite, and none beyond 1e9 m: correct it"
+                    )
+
+    def _start_joint(self, attributes: dict[str, str]) -> None:
+        name = self._required(attributes, "name", "<joint>")
+        kind = self._required(attributes, "type", f"joint '{name}'")
+        if kind not in MOVING_TYPES + HELD_TYPES:
+            raise UrdfError(
+                f"{self.path}, joint '{name}': unknown type '{kind}'{nearest(kind, MOVING_TYPES + HELD_TYPES)}"
+            )
+        self._seen = {}
+        self._joint = {
+            "name": name,
+            "type": kind,
+            "tag_span": self._span(),
+            "origin_span": None,
+            "xyz": (0.0, 0.0, 0.0),
+            "rpy": (0.0, 0.0, 0.0),
+            "axis": (1.0, 0.0, 0.0),
+            "lower": -math.inf,
+            "upper": math.inf,
+            "mimic": None,
+        }
+
+    def _joint_child(self, tag: str, attributes: dict[str, str]) -> None:
+        joint = self._joint
+        where = f"joint '{joint['name']}'"
+        if tag not in ("parent", "child", "origin", "axis", "limit", "mimic"):
+            return
+        if tag in self._seen and (tag == "origin" or self._seen[tag] != attributes):
+            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has two <{tag}>; keep one")
+        self._seen[tag] = attributes
+        if tag in ("parent", "child"):
+            joint[tag] = self._required(attributes, "link", f"<{tag}> of {where}")
+        elif tag == "origin":
+            joint["origin_span"] = self._span()
+            joint["xyz"] = self._triple(attributes.get("xyz", "0 0 0"), f"{where}, xyz")
+            joint["rpy"] = self._triple(attributes.get("rpy", "0 0 0"), f"{where}, rpy")
+            if joint["origin_span"] is None:  # inside an entity: there is no place in the file to write to
+                joint["tag_span"] = None
+        elif tag == "axis":
+            joint["axis"] = self._axis(attributes, where, joint["type"] in MOVING_TYPES)
+        elif tag == "limit" and joint["type"] != "continuous":
+            lower = self._number(attributes.get("lower", "0"), f"{where}, lower limit")
+            upper = self._number(attributes.get("upper", "0"), f"{where}, upper limit")
+            if lower > upper:
+                raise UrdfError(
+                    f"{self.path}, {where}: the lower limit {lower:g} is above the upper one {upper:g};"
+                    " correct the <limit>"
+                )
+            joint["lower"], joint["upper"] = lower, upper
+        elif tag == "mimic":
+            joint["mimic"] = (
+                self._required(attributes, "joint", f"<mimic> of {where}"),
+                self._number(attributes.get("multiplier", "1"), f"{where}, mimic multiplier"),
+                self._number(attributes.get("offset", "0"), f"{where}, mimic offset"),
+            )
+
+    def _axis(self, attributes: dict[str, str], where: str, moving: bool) -> Triple:
+        x, y, z = self._triple(attributes.get("xyz", "1 0 0"), f"{where}, axis")
+        length = math.sqrt(x * x + y * y + z * z)
+        if length < 1e-6:
+            if moving:
+                raise UrdfError(f"{self.path}, {where}: the axis has no direction")
+            return (1.0, 0.0, 0.0)
+        return (x / length, y / length, z / length)
+
+    def _end(self, tag: str) -> None:
+        self._stack.pop()
+        if not self._stack:
+            self.end = self._parser.CurrentByteIndex
+        if tag == "joint" and len(self._stack) == 1 and self._joint:
+            for side in ("parent", "child"):
+                if side not in self._joint:
+                    raise UrdfError(f"{self.path}, joint '{self._joint['name']}': has no <{side}>")
+            self.joints.append(UrdfJoint(**self._joint))  # type: ignore[arg-type]
+            self._joint = {}
+
+    def _required(self, attributes: dict[str, str], key: str, where: str) -> str:
+        if not attributes.get(key):
+            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
+        return attributes[key]
+
+    def _number(self, text: str, where: str) -> float:
+        if "$" in text:
+            raise UrdfError(f"{self.path}, {where}: '{text}' is a xacro expression; run xacro on the file first")
+        if not NUMBER.fullmatch(text.strip(_SPACE)):
+            raise UrdfError(f"{self.path}, {where}: '{text}' is not a number")
+        value = float(text)
+        if not math.isfinite(value):
+            raise UrdfError(f"{self.path}, {where}: '{text}' is not finite")
+        return value
+
+    def _triple(self, text: str, where: str) -> Triple:
+        parts = [text] if "$" in text else re.split(f"[{_SPACE}]+", text.strip(_SPACE))
+        numbers = tuple(self._number(part, where) for part in parts)
+        if len(numbers) != 3:
+            raise UrdfError(f"{self.path}, {where}: '{text}' is not three numbers separated by spaces")
+        if max(map(abs, numbers)) > _LARGEST:
+            raise UrdfError(f"{self.path}, {where}: '{text}' is beyond 1e9, more than any robot needs; correct it")
+        return numbers
+
+
+def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
+    """Raise `UrdfError` unless links and joints have unique names and form exactly one tree."""
+    if len(links) > MOST_LINKS:
+        raise UrdfError(f"{path}: has {len(links)} links, more than {MOST_LINKS}; cut the file down to the arm")
+    if not links:
+        raise UrdfError(f"{path}: has no links; is this a URDF (run xacro first if it is a xacro file)?")
+    for kind, given in (("link", links), ("joint", [joint.name for joint in joints])):
+        repeated = [name for name, count in Counter(given).items() if count > 1]
+        if repeated:
+            raise UrdfError(f"{path}: {kind} '{repeated[0]}' is defined twice; names must be unique")
+    known, names = set(links), {joint.name for joint in joints}
+    parent_of: dict[str, UrdfJoint] = {}
+    for joint in joints:
+        for side in (joint.parent, joint.child):
+            if side not in known:
+                raise UrdfError(f"{path}, joint '{joint.name}': link '{side}' does not exist{nearest(side, known)}")
+        if joint.child in parent_of:
+            raise UrdfError(
+                f"{path}: link '{joint.child}' is the child of joints '{parent_of[joint.child].name}'"
+                f" and '{joint.name}'; cut the loop and name it as closed_loop in the robot description"
+            )
+        parent_of[joint.child] = joint
+        if joint.mimic and joint.mimic[0] not in names:
+            raise UrdfError(
+                f"{path}, joint '{joint.name}': mimics '{joint.mimic[0]}', which does not exist"
+                f"{nearest(joint.mimic[0], names)}"
+            )
+    roots = [link for link in links if link not in parent_of]
+    if len(roots) != 1:
+        fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
+        raise UrdfError(f"{path}: {fault}; a URDF is one tree")
+    reached = {roots[0]}
+    children: dict[str, list[str]] = {}
+    for child, joint in parent_of.items():
+        children.setdefault(joint.parent, []).append(child)
+    waiting = [roots[0]]
+    while waiting:
+        child_links = children.get(waiting.pop(), [])
+        reached.update(child_links)
+        waiting.extend(child_links)
+    if len(reached) < len(known):
+        lost = next(link for link in links if link not in reached)
+        raise UrdfError(f"{path}: link '{lost}' is its own ancestor; a URDF is one tree")

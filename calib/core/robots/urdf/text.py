@@ -1,0 +1,295 @@
+"""The URDF as text: write new joint origins into the file and touch nothing else.
+
+A URDF writer would reorder elements, drop what it does not know and round numbers again. Here the file is kept as
+bytes, and an edit replaces only the numbers that changed, inside the `xyz` or `rpy` attribute of a joint's `<origin>`.
+Where nothing changes the bytes are identical: comments, order, spelling of numbers, line ends, encoding, all of it.
+
+Angles of an edited rotation are recovered with Pinocchio's `matrixToRpy`, which is exact to 1e-15 also near
+pitch = +-90 degrees, and written as the shortest decimal that reads back to the same number. Every edited file is read
+back, and must then have the origins that were asked for.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, UrdfError, nearest
+from calib.core.base.files import read_bytes
+from calib.core.robots.urdf.mjcf_reading import is_mjcf, read_mjcf
+from calib.core.robots.urdf.reader import (
+    HELD_TYPES,
+    MOVING_TYPES,
+    NUMBER,
+    UNSUPPORTED_TYPES,
+    Span,
+    Triple,
+    UrdfJoint,
+    UrdfReader,
+)
+
+__all__ = [
+    "HELD_TYPES",
+    "MOVING_TYPES",
+    "UNSUPPORTED_TYPES",
+    "Triple",
+    "UrdfJoint",
+    "UrdfText",
+    "joint_text",
+    "parse_urdf",
+    "read_urdf",
+    "robot_text",
+]
+
+_ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
+_BLANK = re.compile(rb"[ \t\r\n]*")
+Edit = tuple[int, int, bytes]
+
+
+@dataclass(frozen=True)
+class UrdfText:
+    """A URDF file as bytes, with what was read from it.
+
+    Attributes:
+        source: The file's bytes.
+        path: Where it came from, for messages.
+        name: The robot's name.
+        links: Link names in file order.
+        joints: Joints in file order.
+        root_span: Bytes of the `<robot>` start tag.
+        end: Byte at which `</robot>` starts.
+    """
+
+    source: bytes
+    path: str
+    name: str
+    links: tuple[str, ...]
+    joints: tuple[UrdfJoint, ...]
+    root_span: Span
+    end: int
+
+    @property
+    def root(self) -> str:
+        """The link that is no joint's child."""
+        children = {joint.child for joint in self.joints}
+        return next(link for link in self.links if link not in children)
+
+    @property
+    def outwards(self) -> list[UrdfJoint]:
+        """Joints so that parents come first, otherwise in file order."""
+        children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
+        for joint in self.joints:
+            children[joint.parent].append(joint)
+        order: list[UrdfJoint] = []
+        waiting = [self.root]
+        while waiting:
+            joints = children[waiting.pop(0)]
+            order.extend(joints)
+            waiting = [joint.child for joint in joints] + waiting
+        return order
+
+    def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper limits, (n,) each [m or rad]; infinite where the URDF has none."""
+        known = {joint.name: (joint.lower, joint.upper) for joint in self.joints}
+        lower, upper = np.array([known.get(name, (-math.inf, math.inf)) for name in names]).reshape(-1, 2).T
+        return lower, upper
+
+    def with_origins(self, origins: Mapping[str, tuple[Triple, Triple]]) -> bytes:
+        """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.
+
+        Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
+
+        Raises:
+            UrdfError: Unknown joint, a number that is not finite, or an origin that the file has no place for.
+        """
+        by_name = {joint.name: joint for joint in self.joints}
+        edits: list[Edit] = []
+        for name, (xyz, rpy) in origins.items():
+            if name not in by_name:
+                raise UrdfError(f"{self.path}: no joint '{name}'{nearest(name, by_name)}")
+            if not all(math.isfinite(value) for value in (*xyz, *rpy)):
+                raise UrdfError(f"{self.path}, joint '{name}': the new origin {xyz} {rpy} is not finite")
+            edits.extend(self._origin_edits(by_name[name], xyz, rpy))
+        if not edits:
+            return self.source
+        result = apply_edits(self.source, edits)
+        self._check_written(result, origins)
+        return result
+
+    def _origin_edits(self, joint: UrdfJoint, xyz: Triple, rpy: Triple) -> list[Edit]:
+        changes = {key: new for key, old, new in (("xyz", joint.xyz, xyz), ("rpy", joint.rpy, rpy)) if new != old}
+        if not changes:
+            return []
+        if joint.tag_span is None:
+            raise UrdfError(
+                f"{self.path}, joint '{joint.name}': comes from an XML entity, so that its origin cannot be"
+                " written; expand the entities first (xmllint --noent)"
+            )
+        if joint.origin_span is None:
+            end = joint.tag_span[1]
+            blank = _BLANK.match(self.source, end)  # the line end and indent of what follows
+            attributes = " ".join(f'{key}="{_spell(value)}"' for key, value in changes.items())
+            return [(end, end, (blank.group() if blank else b"") + f"<origin {attributes}/>".encode())]
+        return _attribute_edits(self.source, joint.origin_span, changes)
+
+    def _check_written(self, result: bytes, origins: Mapping[str, tuple[Triple, Triple]]) -> None:
+        written = {joint.name: (joint.xyz, joint.rpy) for joint in parse_urdf(result, self.path).joints}
+        for joint in self.joints:
+            if written[joint.name] != origins.get(joint.name, (joint.xyz, joint.rpy)):
+                raise UrdfError(
+                    f"{self.path}, joint '{joint.name}': its <origin> is spelled in a way that cannot be"
+                    ' edited; write it as <origin xyz="x y z" rpy="r p y"/>'
+                )
+
+
+def read_urdf(path: Path | str) -> UrdfText:
+    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; or MuJoCo's format (MJCF).
+
+    Raises:
+        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
+            or MJCF file that cannot be turned into a URDF.
+    """
+    source = read_bytes(path, "the path of a URDF", UrdfError)
+    if Path(path).suffix == ".xacro":
+        source = _expanded(path)
+    elif is_mjcf(source):
+        source = read_mjcf(path).source
+    return parse_urdf(source, str(path))
+
+
+def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
+    """Raise `DescriptionError` for a floating or planar joint: it moves, and no joint value says where it is.
+
+    Args:
+        joints: Those that lie between what is measured and where it is measured from.
+        where: For the message.
+    """
+    for joint in joints:
+        if joint.type in UNSUPPORTED_TYPES:
+            raise DescriptionError(
+                f"{where}: joint '{joint.name}' is {joint.type}; planar and floating joints are not supported: make it"
+                " of prismatic and revolute joints, or fixed if it stands still while the robot is measured"
+            )
+
+
+def _expanded(path: Path | str) -> bytes:
+    """The URDF that a xacro file stands for, with the package xacro, which not everybody has."""
+    try:
+        import xacro
+    except ImportError:
+        raise UrdfError(
+            f"{path}: is a xacro file, and the package that expands them is not installed: pip install xacro; or expand"
+            f" it elsewhere: xacro {path} > robot.urdf"
+        ) from None
+    try:
+        expanded: bytes = xacro.process_file(str(path)).toprettyxml(indent="  ", encoding="utf-8")
+    except Exception as error:  # of xacro, of the XML parser, of expressions in the file
+        raise UrdfError(f"{path}: xacro cannot expand it ({type(error).__name__}: {error})") from None
+    return expanded
+
+
+def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:
+    """Parse URDF bytes; see `read_urdf`."""
+    reader = UrdfReader(source, path)
+    return UrdfText(source, path, reader.name, tuple(reader.links), tuple(reader.joints), reader.root_span, reader.end)
+
+
+def quoted(text: str) -> str:
+    """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
+    escaped = html.escape(text)
+    for letter in "\n\r\t":
+        escaped = escaped.replace(letter, f"&#{ord(letter)};")
+    return f'"{escaped}"'
+
+
+def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
+    """Return a new URDF.
+
+    Args:
+        name: Of the robot.
+        note: A comment at its head.
+        links: Names of links.
+        joints: Of `joint_text`.
+    """
+    body = "".join([*(f"  <link name={quoted(link)}/>\n" for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoted(name)}>\n{body}</robot>\n'
+
+
+def joint_text(
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    xyz: Triple,
+    rpy: Triple,
+    axis: str,
+    limits: tuple[float, float] | None,
+) -> str:
+    """Return the element of a joint of a new URDF.
+
+    Args:
+        name: Of the joint.
+        kind: As URDF calls it.
+        links: Parent and child.
+        xyz, rpy: Its origin [m], [rad].
+        axis: Three numbers; empty if it does not move.
+        limits: Lowest and highest value [m or rad], if there are any.
+    """
+    parent, child = map(quoted, links)
+    lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{_spell(xyz)}" rpy="{_spell(rpy)}"/>']
+    if axis:
+        lines.append(f'<axis xyz="{axis}"/>')
+    if axis and limits:
+        lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
+    inside = "".join(f"    {line}\n" for line in lines)
+    return f'  <joint name={quoted(name)} type="{kind}">\n{inside}  </joint>\n'
+
+
+def apply_edits(source: bytes, edits: list[Edit]) -> bytes:
+    """Replace byte ranges (start, end, replacement); all positions are those of `source`."""
+    for start, end, text in sorted(edits, reverse=True):
+        source = source[:start] + text + source[end:]
+    return source
+
+
+def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -> list[Edit]:
+    """Edits that give the tag at `span` new numbers in the named attributes."""
+    start, end = span
+    tag = source[start:end]
+    attributes = {match.group(1): match for match in _ATTRIBUTE.finditer(tag)}
+    edits = []
+    for key, value in changes.items():
+        if key.encode() in attributes:
+            first, last = attributes[key.encode()].span(2)
+            old = tag[first + 1 : last - 1]
+            edits.append((start + first + 1, start + last - 1, _respell(old, value)))
+        else:
+            at = start + len(b"<origin")
+            edits.append((at, at, f' {key}="{_spell(value)}"'.encode()))
+    return edits
+
+
+def _spell(values: Triple) -> str:
+    return " ".join(_shortest(value) for value in values)
+
+
+def _shortest(value: float) -> str:
+    return repr(float(value)) if value != 0 else "0"
+
+
+def _respell(old: bytes, values: Triple) -> bytes:
+    """Replace the numbers in `old` that changed, keeping the others as they were spelled."""
+    text = old.decode("ascii", errors="replace")
+    numbers = list(NUMBER.finditer(text))
+    if len(numbers) != 3 or "&" in text:  # spelled with character references: write it plainly
+        return _spell(values).encode()
+    for match, value in reversed(list(zip(numbers, values, strict=True))):
+        if float(match.group()) != value:
+            text = text[: match.start()] + _shortest(value) + text[match.end() :]
+    return text.encode("ascii")

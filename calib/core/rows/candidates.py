@@ -1,0 +1,326 @@
+"""Candidate poses: assembled, checked, turned into whitened rows, a part at a time so that many fit in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DataError, InputError, UnreachablePoseError
+from calib.core.base.memory import zeros_with_room
+from calib.core.data.in_memory import as_poses
+from calib.core.data.measurement_columns import rank_in_visit
+from calib.core.data.measurements import Measurements, Poses, measurements
+from calib.core.instruments.kind import Readings
+from calib.core.instruments.position import Position
+from calib.core.numerics.identifiability import reduced
+from calib.core.robots.configurations import Configurations, configured, near_singularity
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.loops import Closed, why_open
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.observed import Observed, looks_at, observe, predicted_readings
+from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import ASSUMED, Whitening, stated_noise
+
+_PART = 8192
+_SAME = 1e-9
+"""Joint values that differ by less are the same pose [m, rad]."""
+_MEASURED_AGAIN = 1e-4
+"""A candidate within this of a measured pose is that pose [m, rad]."""
+WHITENED = 1.0
+"""Unit of rows where no instrument measures a length, in place of its noise."""
+_SHOWN = 10
+_MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
+
+
+@dataclass(frozen=True, eq=False)
+class PoseRows:
+    """What measuring at poses would say, and how positions move there.
+
+    Attributes:
+        rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
+            n_rows_per_pose, n_parameters); 0 where one reads less there than elsewhere.
+        read: Which rows are read, (n, n_rows_per_pose).
+        blocks: Rows of each instrument, by name.
+        positions: Targets at the robot's present values, (n, n_targets, 3) [m].
+        position_rows: Derivative by the scaled parameters of those whose accuracy counts (`RobotData.located`), (n,
+            3 n_located, n_parameters) [m].
+    """
+
+    rows: FloatArray
+    read: BoolArray
+    blocks: Mapping[str, slice]
+    positions: FloatArray
+    position_rows: FloatArray
+
+
+def require_free(robot: Robot) -> None:
+    """Raise unless some parameter is free.
+
+    Raises:
+        InputError: All are held.
+    """
+    if not np.any(robot.is_free):
+        raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
+
+
+def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
+    """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
+
+    Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
+
+    Args:
+        robot: Its instruments may state their noise.
+        sigma: The noise of positions, if the caller knows it [m].
+
+    Raises:
+        DataError: It is not a positive number.
+    """
+    if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
+        raise DataError(f"sigma {sigma:g} m: must be a positive number")
+    assumed = any(not part.stated for instrument in robot.instruments for part in stated_noise(instrument, sigma).parts)
+    lengths = [
+        (part, noise)
+        for instrument in robot.instruments
+        for part, noise in zip(instrument.parts, stated_noise(instrument, sigma).parts, strict=True)
+        if part.dimension == "length"
+    ]
+    for part, noise in sorted(lengths, key=lambda length: not length[0].is_position):
+        typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
+        return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
+    return WHITENED, assumed
+
+
+def rows_of_poses(
+    robot: Robot,
+    configurations: Configurations,
+    sigma: float | None,
+    unknowns: Unknowns | None = None,
+    looks: Mapping[str, Readings] | None = None,
+    blocks: Mapping[str, slice] | None = None,
+) -> PoseRows:
+    """Return whitened rows of what the instruments are to read at assembled poses.
+
+    Unstated noise is assumed (`calib.core.rows.whitening.ASSUMED`).
+
+    Args:
+        robot: The robot, linearised at its present values.
+        configurations: The poses.
+        sigma: Noise of positions per axis in place of what is stated [m], or None.
+        unknowns: The parameters of the columns; the free ones if not given.
+        looks: What each instrument is to read, of `calib.core.rows.observed.looks_at`; all that it can in the first
+            setup, if not given.
+        blocks: Where the rows of each instrument shall be; as needed, if not given.
+    """
+    chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
+    n = len(configurations.actuated)
+    poses = as_poses(robot, configurations.actuated[:, : len(robot.joint_names)])
+    looks = looks_at(robot, poses) if looks is None else looks
+    places = blocks_of(robot, looks) if blocks is None else blocks
+    readings = predicted_readings(robot, configurations, looks)
+    data = measurements(poses, readings)
+    observed = observe(robot, configurations, readings)
+    positions, by_parameter = _positions(robot, configurations, data, observed)
+    position_rows = (by_parameter[:, robot.located][..., chosen.index] * chosen.scales).reshape(n, -1, len(chosen))
+    width = max((place.stop for place in places.values()), default=0)
+    rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
+    if data.n_readings == 0:
+        return PoseRows(rows, read, places, positions, position_rows)
+    whitening = Whitening(robot, data, sigma)
+    whitened = whitening.rows(observed, whitening.start(), chosen, chosen.deviations(robot.values))
+    for name in whitening.layout.instruments:
+        visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
+        at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
+        part = whitened.jacobian[whitening.layout.rows_of(name)]
+        rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
+        read[visits[:, None], at] = True
+    return PoseRows(rows, read, places, positions, position_rows)
+
+
+def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
+    """Return where in the rows of a pose those of each instrument are, so that there is room at every pose."""
+    result, start = dict[str, slice](), 0
+    for instrument in robot.instruments:
+        most = int(np.max(np.bincount(looks[instrument.name].visits), initial=0))
+        result[instrument.name] = slice(start, start + most * instrument.n_rows)
+        start += most * instrument.n_rows
+    return result
+
+
+def _positions(
+    robot: Robot, configurations: Configurations, data: Measurements, observed: dict[str, Observed]
+) -> tuple[FloatArray, FloatArray]:
+    """Positions of targets and their derivative, from instruments that measure just these where there are."""
+    n = len(configurations.actuated)
+    position_instruments = {
+        instrument.target: instrument.name
+        for instrument in robot.instruments
+        if isinstance(instrument, Position) and np.array_equal(data.readings[instrument.name].visits, np.arange(n))
+    }
+    if set(position_instruments) == set(robot.target_names):
+        names = [position_instruments[target] for target in robot.target_names]
+        positions = np.stack([data.readings[name].values for name in names], axis=1)
+        return positions, np.stack([observed[name].jacobian for name in names], axis=1)
+    linear = linearise(robot, configurations)
+    return linear.positions, linear.jacobian
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Poses that may be measured.
+
+    Attributes:
+        joints: (n, n_actuated) [m or rad].
+        pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions
+            only their R (`calib.core.numerics.identifiability.reduced`), (at most n_parameters, n_parameters) [m].
+        usable: Which can be assembled far enough from singularities, (n,).
+        skipped: What to call each pose that is not usable, and why.
+    """
+
+    joints: FloatArray
+    pose_rows: PoseRows
+    usable: BoolArray
+    skipped: tuple[str, ...]
+
+
+def configurations_at(
+    robot: Robot, q: FloatArray, closed: Closed, columns: tuple[FloatArray, ...], which: IntArray
+) -> Configurations:
+    """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
+    return configured(robot, q[which], closed.at(which), tuple(phi[which] for phi in columns))
+
+
+def build_candidates(
+    robot: Robot, poses: Poses, sigma: float | None = None, *, skip_unreachable: bool = False
+) -> Candidates:
+    """Assemble candidates and take their rows.
+
+    Args:
+        robot: The robot, linearised at its present values.
+        poses: The candidates.
+        sigma: Noise of positions per axis in place of what is stated [m], or None.
+        skip_unreachable: Leave poses out that cannot be assembled or are next to a singularity of the loops.
+
+    Raises:
+        DataError: A pose is given twice.
+        UnreachablePoseError: There are such poses, and they are not to be skipped.
+    """
+    _require_different(poses)
+    n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
+    blocks = blocks_of(robot, looks_at(robot, poses))
+    per_pose = max(block.stop for block in blocks.values())
+    rows = zeros_with_room((n, per_pose, len(unknowns)), f"rows of {n} candidates")
+    read = np.zeros((n, per_pose), dtype=bool)
+    positions = zeros_with_room((n, n_targets, 3), f"positions of {n} candidates")
+    position_rows: FloatArray = np.zeros((0, len(unknowns)))
+    usable, reasons = np.zeros(n, dtype=bool), list[str]()
+    for start in range(0, n, _PART):
+        part_poses = poses.subset(np.arange(start, min(start + _PART, n)))
+        q = part_poses.joints
+        columns = term_columns(robot, q, part_poses.conditions)
+        closed = robot.close(q, columns=columns)
+        good = np.flatnonzero(closed.ok)
+        distance = np.zeros(len(q))
+        distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
+        good = np.flatnonzero(distance >= robot.description.singularity_limit)
+        configurations = configurations_at(robot, q, closed, columns, good)
+        looks = looks_at(robot, part_poses.subset(good))
+        part = rows_of_poses(robot, configurations, sigma, unknowns, looks, blocks)
+        positions[start : start + len(q)] = np.nan
+        rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
+        position_rows = reduced(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
+        usable[start + good] = True
+        if len(good) < len(q):
+            reasons += _reasons(robot, q, closed.ok, distance, part_poses.labels, len(reasons))
+    if reasons and not skip_unreachable:
+        raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
+    rows.flags.writeable = False  # who holds it needs no copy
+    return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
+
+
+def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return whitened rows of poses that are measured, positions of the targets there, and rows of those that count.
+
+    Of measurements: of what was really read. Of poses alone: of all that the instruments can read.
+
+    Args:
+        robot: The robot, linearised at its present values.
+        poses: The poses.
+        sigma: Noise of positions per axis in place of what is stated [m], or None.
+
+    Returns:
+        (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
+    if not isinstance(poses, Measurements):
+        part = rows_of_poses(robot, configurations, sigma, looks=looks_at(robot, poses))
+        return part.rows[part.read], part.positions, part.position_rows
+    unknowns = Unknowns.chosen_by_poses(robot)
+    whitening = Whitening(robot, poses, sigma)
+    observed = observe(robot, configurations, poses.readings)
+    whitened = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
+    linear = linearise(robot, configurations)
+    located = linear.jacobian[:, robot.located]
+    position_rows = (located[..., unknowns.index] * unknowns.scales).reshape(len(poses), -1, len(unknowns))
+    return whitened.jacobian, linear.positions, position_rows
+
+
+def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
+    """Return which candidates (n, n_actuated) are poses that were measured already, (n,)."""
+    gaps, _ = scipy.spatial.cKDTree(measured).query(candidates, p=np.inf)
+    result: BoolArray = gaps < _MEASURED_AGAIN
+    return result
+
+
+def _require_different(poses: Poses) -> None:
+    columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
+    key = np.zeros(len(poses), dtype=np.int64)
+    for column in columns:  # a number for each pose, the same where all columns are
+        key = key * _MIXING + _rounded(column)
+    ordered = np.sort(key)
+    some = np.flatnonzero(np.isin(key, ordered[1:][np.diff(ordered) == 0]))
+    if len(some) == 0:
+        return
+    rounded = np.stack([_rounded(column[some]) for column in columns], axis=1)
+    _, first, inverse = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    earlier = some[first[inverse.ravel()]]
+    again = np.flatnonzero(earlier != some)
+    if len(again):
+        k, same = some[again[0]], earlier[again[0]]
+        more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
+        raise DataError(
+            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[same]},"
+            " under the same conditions;"
+            " each candidate can be chosen once, so give it once"
+        )
+
+
+def _rounded(values: FloatArray) -> IntArray:
+    return np.round(np.nan_to_num(values) / _SAME).astype(np.int64)
+
+
+def _reasons(
+    robot: Robot, q: FloatArray, ok: BoolArray, distance: FloatArray, labels: Sequence[str], already: int
+) -> list[str]:
+    limit = robot.description.singularity_limit
+    reasons: list[str] = []
+    for k in (int(number) for number in np.flatnonzero(distance < limit)):
+        if ok[k]:
+            reasons.append(near_singularity(labels[k], distance[k], limit))
+            continue
+        shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
+        why = f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])})" if shown else ""
+        reasons.append(f"{labels[k]}: cannot be assembled{why}")
+    return reasons
+
+
+def _listed(reasons: Sequence[str]) -> str:
+    more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
+    return "; ".join(reasons[:_SHOWN]) + more

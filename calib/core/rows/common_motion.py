@@ -1,0 +1,231 @@
+"""A robot laid on another one: base and tools are moved until the two agree best at the same joint values.
+
+Where the measurement frame or a tool on its link stands is not known, an error that moves all positions as one body,
+or the tool on its link, cannot be told from that place. So a nominal robot is compared with a calibrated one beside
+such common motion. With x the positions of its targets over a set of poses, b and w a shift and a turn of all of them
+about their centroid c, t a shift of a tool on its link (and u a turn of it, where that is unknown too), L the robot's
+characteristic length, the motion m = (b, L w, t, L u) of the nominal robot is the one that makes
+
+    mean over poses and targets of  |x_calibrated - x(m)|^2  (+ L^2 |turn between them|^2 where u is unknown)
+
+smallest. Motions that hardly move its positions, such as the base one way and the tool of a platform that never turns
+the other way, are left out: m = V z, V the right singular vectors of the derivative A of x by m (a root mean square
+over poses and targets) whose singular values are above 0.03.
+
+For a small change d of the parameters of the calibrated robot, with J the derivative of its positions by them, z
+follows by z = (A V)^+ J d, so that at other poses (A', J') its positions move by (J' - A' V (A V)^+ J) d beside common
+motion. A is that of the nominal robot, and so known.
+
+When it fails. From few poses the motion is as uncertain as they leave it; that is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.numerics.rigid import cross_matrices
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import relative_poses
+
+_HARDLY_MOVES = 0.03  # positions, of a motion of 1 [m per m]
+_ROUNDS = 50
+_STANDS = 1e-12  # motion left [m]
+
+
+@dataclass(frozen=True)
+class Loose:
+    """What of a robot's places is not known.
+
+    Attributes:
+        base: Whether the measurement frame is.
+        counts: Places of the targets that are to agree, among all.
+        points: Places of those of them whose place on their link is not known.
+        frames: Places of those whose orientation there is not.
+    """
+
+    base: bool
+    counts: tuple[int, ...]
+    points: tuple[int, ...]
+    frames: tuple[int, ...]
+
+    @staticmethod
+    def of(robot: Robot) -> Loose:
+        """Return what measurements leave open of base and tools: what the description calls unknown.
+
+        The measurement frame is held where some instrument looks, from a place that is known beside the base, at
+        something that motors move (or the other way round).
+        """
+        mechanism, names = robot.mechanism, ("", *robot.mechanism.origin_names)
+        free = zip(robot.parameters, robot.is_free, strict=True)
+        unknown = [tuple(p.name.rpartition(".")[::2]) for p, is_free in free if p.placement and is_free]
+        looked = [
+            pair
+            for instrument in robot.instruments
+            if any(part.dimension != "angle" for part in instrument.parts)
+            for pair in robot.pairs(instrument)
+        ]
+        moved = mechanism.support @ np.any(mechanism.select_moving, axis=1) > 0
+
+        def holds(pair: RelativeFrame) -> bool:
+            standing = names[pair.a if moved[pair.b] else pair.b]
+            return bool(moved[pair.a] != moved[pair.b]) and standing not in {origin for origin, _ in unknown}
+
+        seen = {place for pair in looked for place in (pair.a, pair.b)}
+        tools = {t: mechanism.targets[t] for t in robot.located if mechanism.targets[t] in mechanism.moved_targets}
+        counts = [t for t, target in tools.items() if target.b in seen] or list(tools)
+
+        def with_unknown(components: tuple[str, ...]) -> tuple[int, ...]:
+            origins = {origin for origin, component in unknown if component in components}
+            return tuple(t for t in counts if names[tools[t].b] in origins)
+
+        points, frames = with_unknown(("x", "y", "z")), with_unknown(("rx", "ry", "rz"))
+        return Loose(not any(map(holds, looked)), tuple(counts), points, frames)
+
+    @property
+    def n_motions(self) -> int:
+        """Number of components of m."""
+        return 6 * self.base + 3 * len(self.points) + 3 * len(self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class CommonMotion(ReadOnlyArrays):
+    """A robot laid on another one; symbols as in the module docstring.
+
+    Attributes:
+        robot: It, with base and tools moved.
+        loose: What was moved.
+        joints: The poses, (n, n_actuated) [m or rad].
+        centre: c, (3,) [m].
+        basis: V, (n_motions, k); none where nothing was moved.
+    """
+
+    robot: Robot
+    loose: Loose
+    joints: FloatArray
+    centre: FloatArray
+    basis: FloatArray
+
+    @staticmethod
+    def of(robot: Robot, onto: Robot, loose: Loose, joints: FloatArray) -> CommonMotion:
+        """Lay a robot on another one.
+
+        Args:
+            robot: The robot.
+            onto: The other one.
+            loose: What of the robot's places is moved, from where the other one has it.
+            joints: Poses that both can assemble, (n, n_actuated) [m or rad].
+        """
+        motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
+        if not (len(joints) and loose.counts and loose.n_motions):
+            return motion
+        placements = {name: onto.mechanism.placement(name) for name in motion._origins()}
+        robot = replace(robot, mechanism=robot.mechanism.with_placements(placements))
+        positions, rotations = target_poses(onto, onto.assemble(joints))
+        centre = positions[:, loose.counts].mean(axis=(0, 1))
+        motion = replace(motion, robot=robot, centre=centre, basis=np.eye(loose.n_motions))
+        configurations = robot.assemble(joints)  # no place of base or tool is part of a loop
+        rows = motion._fitted(motion.columns(*target_poses(robot, configurations)))
+        _, values, right = np.linalg.svd(rows / np.sqrt(len(joints) * len(loose.counts)), full_matrices=False)
+        motion = replace(motion, basis=right[values > _HARDLY_MOVES].T)
+        for _ in range(_ROUNDS):
+            x, turned = target_poses(motion.robot, configurations)
+            off = np.concatenate([positions - x, _turns(rotations, turned)], axis=2)[..., None]
+            step = motion._best(motion.columns(x, turned), off)[:, 0]
+            motion = replace(motion, robot=motion._moved(motion.basis @ step))
+            if np.max(np.abs(step), initial=0.0) < _STANDS:
+                break
+        return motion
+
+    @cached_property
+    def _slope(self) -> FloatArray:
+        """A V at the poses, (n, n_targets, 6, k)."""
+        return self.columns(*target_poses(self.robot, self.robot.assemble(self.joints)))
+
+    def following(self, jacobian: FloatArray) -> FloatArray:
+        """Return dz/d(parameters of the other robot), (k, n_parameters).
+
+        Args:
+            jacobian: J with turns at the poses, (n, n_targets, 6, n_parameters).
+        """
+        return self._best(self._slope, jacobian)
+
+    def columns(self, positions: FloatArray, rotations: FloatArray) -> FloatArray:
+        """Return A V: how positions and turns of all targets move with z, (n, n_targets, 6, k).
+
+        Args:
+            positions: Of the targets, (n, n_targets, 3) [m].
+            rotations: Of the targets, (n, n_targets, 3, 3).
+        """
+        (n, n_targets, _), length, loose = positions.shape, self.robot.mechanism.length, self.loose
+        columns = np.zeros((n, n_targets, 6, loose.n_motions))
+        if loose.base:
+            columns[:, :, :3, :3] = np.eye(3)
+            arms = (positions - self.centre).reshape(-1, 3)
+            columns[:, :, :3, 3:6] = -cross_matrices(arms).reshape(n, n_targets, 3, 3) / length
+            columns[:, :, 3:, 3:6] = np.eye(3) / length
+        for t, place in self._places(loose.points, 6 * loose.base).items():
+            columns[:, t, :3, place] = rotations[:, t]
+        for t, place in self._places(loose.frames, 6 * loose.base + 3 * len(loose.points)).items():
+            columns[:, t, 3:, place] = rotations[:, t] / length
+        return columns @ self.basis
+
+    def _best(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
+        """The z that come nearest to changes (n, n_targets, 6, m) that are to be made, (k, m)."""
+        return np.asarray(np.linalg.lstsq(self._fitted(columns), self._fitted(changes), rcond=None)[0])
+
+    def _fitted(self, columns: FloatArray) -> FloatArray:
+        """Rows that are to agree, (n_rows, k), of columns (n, n_targets, 6, k)."""
+        parts = [columns[:, self.loose.counts, :3], self.robot.mechanism.length * columns[:, self.loose.frames, 3:]]
+        return np.concatenate([part.reshape(-1, columns.shape[3]) for part in parts])
+
+    def _moved(self, motion: FloatArray) -> Robot:
+        """The robot with base and tools moved by m (n_motions,)."""
+        mechanism, loose, length = self.robot.mechanism, self.loose, self.robot.mechanism.length
+        moves = dict.fromkeys(self._origins(), pin.SE3.Identity())
+        if loose.base:
+            turn = pin.exp3(motion[3:6] / length)
+            shift = self.centre + motion[:3] - turn @ self.centre
+            moves[self._base] = pin.SE3(turn, shift).inverse()  # the origin is the frame seen from the robot
+        for t, place in self._places(loose.points, 6 * loose.base).items():
+            moves[self._tool(t)] = pin.SE3(np.eye(3), motion[place])
+        for t, place in self._places(loose.frames, 6 * loose.base + 3 * len(loose.points)).items():
+            moves[self._tool(t)] = moves[self._tool(t)] * pin.SE3(pin.exp3(motion[place] / length), np.zeros(3))
+        placed = {name: mechanism.placement(name) * move for name, move in moves.items()}
+        return replace(self.robot, mechanism=mechanism.with_placements(placed))
+
+    @staticmethod
+    def _places(targets: tuple[int, ...], first: int) -> dict[int, slice]:
+        """Which components of m belong to each target, from `first` on."""
+        return {t: slice(first + 3 * k, first + 3 * k + 3) for k, t in enumerate(targets)}
+
+    def _origins(self) -> list[str]:
+        """Origins that move."""
+        tools = [self._tool(t) for t in sorted({*self.loose.points, *self.loose.frames})]
+        return [*([self._base] if self.loose.base else []), *tools]
+
+    @property
+    def _base(self) -> str:
+        return self.robot.mechanism.origin_names[self.robot.mechanism.targets[0].a - 1]
+
+    def _tool(self, t: int) -> str:
+        return self.robot.mechanism.origin_names[self.robot.mechanism.targets[t].b - 1]
+
+
+def target_poses(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:
+    """Return positions (n, n_targets, 3) [m] and rotations (n, n_targets, 3, 3) of the targets."""
+    mechanism = robot.mechanism
+    poses = relative_poses(mechanism, configurations, mechanism.targets).swapaxes(0, 1)
+    return poses[..., :3, 3], poses[..., :3, :3]
+
+
+def _turns(rotations: FloatArray, others: FloatArray) -> FloatArray:
+    """Rotation vectors from `others` to `rotations`, (n, n_targets, 3, 3) each, in common axes, (n, n_targets, 3)."""
+    relative = (rotations @ others.swapaxes(2, 3)).reshape(-1, 3, 3)
+    return np.array([pin.log3(turn) for turn in relative]).reshape(rotations.shape[:3])

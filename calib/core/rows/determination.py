@@ -1,0 +1,81 @@
+"""What poses and priors determine: one computation, and one wording, for every command that speaks of it.
+
+Whether a combination of parameters is seen is a fact of the mechanism and the poses. How large an error the description
+expects (sigma) has no say in it, so each column is divided by its own length before ranks are judged
+(`calib.core.numerics.identifiability.unit_columns`). A prior determines its parameter, however wide it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.parameter import Parameter
+from calib.core.base.words import sentence
+from calib.core.numerics.identifiability import Rank, numerical_rank, reduced, unit_columns
+
+
+@dataclass(frozen=True, eq=False)
+class Determination(ReadOnlyArrays):
+    """Ranks of one set of poses.
+
+    Attributes:
+        everything: Of all parameters, poses alone.
+        free: Of the free ones, poses alone.
+        together: Of the free ones, poses and priors.
+        columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
+        lengths: What each column was divided by, (n_parameters,) [m per m or rad].
+        open_columns: Unit columns of the free ones, and a row for each prior, (n, n_free).
+    """
+
+    everything: Rank
+    free: Rank
+    together: Rank
+    columns: FloatArray
+    lengths: FloatArray
+    open_columns: FloatArray
+
+    def lines(self) -> list[str]:
+        """Return both ranks of the poses alone with their gaps, and where they are unclear."""
+        lines = [f"All {self.everything.n_columns} parameters, poses alone: {self.everything}"]
+        if self.free.n_columns != self.everything.n_columns:
+            lines.append(f"The {self.free.n_columns} free ones, poses alone: {self.free}")
+        doubts = dict.fromkeys(rank.doubt for rank in (self.everything, self.free) if rank.unclear)
+        return lines + [sentence(doubt) for doubt in doubts]
+
+    @property
+    def missing(self) -> int:
+        """How many combinations of the free parameters neither poses nor priors determine."""
+        return self.together.n_columns - self.together.rank
+
+    def words(self) -> str:
+        """Return what poses and priors determine of the free parameters, as a clause."""
+        poses, n_free = self.free.rank, self.free.n_columns
+        if poses == n_free:
+            return f"these poses determine all {n_free} free parameters"
+        text = f"these poses determine {poses} combinations of the {n_free} free parameters"
+        more = self.together.rank - poses
+        if self.missing == 0:
+            return f"{text}; priors hold the other {more}"
+        are = "is" if self.missing == 1 else "are"
+        return f"{text}{f', priors {more} more' if more else ''}; {self.missing} {are} NOT determined"
+
+
+def determination(columns: FloatArray, parameters: Sequence[Parameter], free: BoolArray) -> Determination:
+    """Judge the derivatives of measured coordinates.
+
+    Args:
+        columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
+        parameters: All parameters.
+        free: Which of them are not held, (n_parameters,).
+    """
+    unit, lengths = unit_columns(columns)
+    unit = reduced(unit)
+    has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)
+    together = np.vstack([unit[:, free], np.eye(len(has_prior))[has_prior]])
+    return Determination(
+        numerical_rank(unit), numerical_rank(unit[:, free]), numerical_rank(together), unit, lengths, together
+    )

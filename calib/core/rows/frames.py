@@ -1,0 +1,194 @@
+"""The frames in which places are meant, the calibrated robot in them, and how sure its positions are there.
+
+The frame of a program. Where the base is known, and some instrument looks from a known place, a program is meant in
+the measurement frame: all that the robot's links are off there counts. What cannot be told from the place of a measured
+point on its link counts too, since that place is no error of the robot.
+
+Where the base is unknown, a tracker stood anywhere, and it is not known where the nominal robot's base frame is on the
+real one. Then a program is meant in the robot's own base frame, and that is laid where the nominal and the calibrated
+robot agree best over the poses that were measured (`calib.core.rows.common_motion`). In the same way a measured
+point whose place on its link is unknown is laid on the nominal robot's link. So no error is corrected that base or tool
+may as well have, and none is counted.
+
+The measurement frame. Goals that are meant where the instruments see them are places of the measured point itself, in
+the frame in which it was measured, wherever the calibration found base and target.
+
+What a fit gave an error of the robot, and readings would as well have where the measured point is on its link, is not
+corrected. Where a program is meant in the measurement frame, it is counted: the robot is most likely off by it.
+
+With d the error of the parameters and J' the derivative of positions by them, these are off by J' d: in the measurement
+frame with all parameters; of a program there with those of the robot itself; and in its own base frame beside the
+common motion that follows d. The covariance of just this is what is promised. It counts the noise of the measurements
+and what they leave to the priors, as far as a position in this frame depends on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.words import counted
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.common_motion import CommonMotion, Loose, target_poses
+from calib.core.rows.gauge import around_home, nearest_to_nominal
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.prediction import CHUNK, PositionUncertainty, carried
+
+_MOST = 400  # poses over which robots agree
+
+
+@dataclass(frozen=True, eq=False)
+class Frame(ReadOnlyArrays):
+    """A calibrated robot and the frame in which places are meant. Both robots are seen from the measurement frame.
+
+    Attributes:
+        known: What is known of the calibrated robot.
+        robot: It; its own parameters are as near to nominal as readings allow.
+        meant: The nominal robot, its base and tools where they are in this frame.
+        nominal: The robot as its description has it.
+        words: Which frame it is.
+        counts: Which of the free parameters move positions in this frame, (n_free,).
+        motion: The common motion that does not count; None where all counts.
+    """
+
+    known: KnownRobot
+    robot: Robot
+    meant: Robot
+    nominal: Robot
+    words: str
+    counts: BoolArray
+    motion: CommonMotion | None
+
+    @property
+    def nothing_to_correct(self) -> bool:
+        """Whether commands are those of the nominal robot, because the verdict says so."""
+        return self.known.nothing_to_correct
+
+    def predict(self, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions of all targets in this frame, with their covariance; NaN where it is not known.
+
+        Args:
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        context = Context.neutral(*q.shape) if context is None else context
+        parts = [self._predicted(q[k : k + CHUNK], context.at(slice(k, k + CHUNK))) for k in range(0, len(q), CHUNK)]
+        positions, covariance, turned = (np.concatenate(part) for part in zip(*parts, strict=True))
+        uncertainty = self.known.uncertainty
+        factor = np.nan if uncertainty is None else uncertainty.coverage_factor
+        return PositionUncertainty(positions, covariance, factor, turned, self.robot.left_out)
+
+    def _predicted(self, q: FloatArray, context: Context) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions, their covariance, and that of turns."""
+        uncertainty = self.known.uncertainty
+        if uncertainty is None:
+            positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
+            unknown = np.full((*positions.shape, 3), np.nan)
+            return positions, unknown, unknown
+        linear = uncertainty.linearised(self.robot, q, context)
+        counts = uncertainty.counting(self.robot, self.counts)
+        jacobian = linear.jacobian[..., counts]
+        covariance = uncertainty.covariance_of(self.robot)[np.ix_(counts, counts)]
+        if self.motion is not None:
+            jacobian = (
+                jacobian - self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+            )
+        spread, turned = (carried(jacobian[:, :, rows], covariance) for rows in (slice(3), slice(3, 6)))
+        return linear.positions, spread, turned
+
+    def not_corrected(self, q: FloatArray, context: Context) -> FloatArray:
+        """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
+
+        Args:
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+
+        Returns:
+            In the axes of the frame, (n, n_targets, 6).
+        """
+        uncertainty, shape = self.known.uncertainty, (len(q), len(self.robot.target_names), 6)
+        if uncertainty is None or self.motion is not None:  # common motion takes it
+            return np.zeros(shape)
+        left = (self.known.robot.values - self.robot.values)[uncertainty.free][self.counts]
+        if not np.any(left):
+            return np.zeros(shape)
+        linear = linearise(self.robot, self.robot.assemble(q, context=context), turns=True)
+        return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
+
+    @cached_property
+    def _following(self) -> FloatArray:
+        """How common motion follows the parameters that count, (k, n)."""
+        assert self.motion is not None
+        assert self.known.uncertainty is not None
+        joints, uncertainty = self.motion.joints, self.known.uncertainty
+        linear = uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
+        counts = uncertainty.counting(self.robot, self.counts)
+        return self.motion.following(linear.jacobian[..., counts]) * uncertainty.lasting(self.robot)[counts]
+
+
+def as_described(robot: Robot) -> Robot:
+    """Return the robot as its description has it, without joint terms."""
+    bare = robot.with_terms(())
+    return bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
+
+
+@one_blas_thread
+def program_frame(known: KnownRobot) -> Frame:
+    """Return the frame in which a program for the nominal robot means its places; see the module docstring."""
+    nominal, robot = as_described(known.robot), nearest_to_nominal(known.robot)
+    loose, of_robot = Loose.of(nominal), _of_the_robot(known)
+    if loose.base:
+        motion = _laid(nominal, robot, loose, known)
+        poses = f"over {counted(len(motion.joints), 'measured pose')}" if len(known.joints) else "around home"
+        words = f"in the robot's own base frame, placed where the nominal and the calibrated robot agree best {poses}"
+        words += "; the tool is placed on its link in the same way" if loose.points or loose.frames else ""
+        return Frame(
+            known, robot, motion.robot, nominal, words, np.ones_like(of_robot), motion if motion.basis.size else None
+        )
+    places = {p.name: value for p, value in zip(robot.parameters, robot.values, strict=True) if p.placement}
+    words = "in the measurement frame"
+    if loose.points or loose.frames:
+        words += ", and include that the place of the measured point on its link is not known"
+    meant = nominal.with_parameters(places) if places else nominal
+    return Frame(known, robot, meant, nominal, words, of_robot, None)
+
+
+@one_blas_thread
+def measurement_frame(known: KnownRobot) -> Frame:
+    """Return the frame in which the instruments see places; see the module docstring."""
+    nominal, placed = as_described(known.robot), any(parameter.placement for parameter in known.robot.parameters)
+    meant = _laid(nominal, known.robot, Loose.of(nominal), known).robot if known.nothing_to_correct else nominal
+    calibrated = any(
+        p.placement and v != p.nominal_si for p, v in zip(known.robot.parameters, known.robot.values, strict=True)
+    )
+    where = "the calibration found" if calibrated else "the robot description has"
+    words = "in the measurement frame" + (f", base and targets where {where} them" if placed else "")
+    return Frame(known, known.robot, meant, nominal, words, np.ones_like(_of_the_robot(known)), None)
+
+
+def _of_the_robot(known: KnownRobot) -> BoolArray:
+    """Which of the free parameters belong to the robot itself, and are no mere places, (n_free,)."""
+    of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
+    return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
+
+
+def _laid(nominal: Robot, robot: Robot, loose: Loose, known: KnownRobot) -> CommonMotion:
+    """The nominal robot laid on the calibrated one, over the poses at which that was measured."""
+    return CommonMotion.of(nominal, robot, loose, poses_of_agreement(known, nominal))
+
+
+def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
+    """Return the poses over which the nominal and the calibrated robot are to agree, (n, n_actuated) [m or rad]."""
+    measured = np.unique(known.joints, axis=0)
+    chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
+    joints = around_home(nominal) if chosen is None else chosen
+    return np.asarray(joints[nominal.close(joints).ok & known.robot.close(joints).ok])

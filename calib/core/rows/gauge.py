@@ -1,0 +1,90 @@
+"""Parameters that only trade against where the instruments and targets stand: nothing of them is said of the robot.
+
+If the base is unknown, the origin of the first joint can move and the base with it, and no measurement changes; the
+same holds for the last origin and an unknown target. A fit puts such motion where the priors have it cheapest, so that
+a reflector that sits 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. Who
+corrects the robot must not correct that.
+
+Let r be what the readings at many poses have changed, J their derivative by the scaled parameters u = (p - p_nominal) /
+s, N the combinations of u that no reading sees (J N = 0), and D what picks the parameters of the robot itself. The
+values along N are free, and chosen as
+
+    u' = u - J^+ r + N z,      z minimises |D (u - J^+ r + N z)|^2
+
+again and again until that stands: the robot is then as near its nominal one as the measurements allow, base and targets
+take the rest, and no reading has changed (N alone would see to that in the first order only).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.threads import one_blas_thread
+from calib.core.numerics.halton import halton
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.robots.robot import Robot
+from calib.core.rows.observed import Observed, observe, predicted_readings
+
+_POSES = 256
+_ROUNDS = 10
+_STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
+_AROUND_HOME = 0.5  # what no pose here sees, no pose sees: motion is analytic [rad, or characteristic lengths]
+
+
+@one_blas_thread
+def nearest_to_nominal(robot: Robot) -> Robot:
+    """Return a robot that reads the same, whose own parameters are as near to nominal as the readings allow.
+
+    Args:
+        robot: A calibrated robot; one whose base and targets are known comes back as it is.
+    """
+    parameters = robot.parameters[: robot.n_origin_parameters]
+    free = np.flatnonzero(robot.is_free[: len(parameters)])
+    of_robot = np.array([not parameters[k].placement for k in free], dtype=bool)
+    if np.all(of_robot):
+        return robot
+    sigma = np.array([parameters[k].sigma_si for k in free])
+    expected = np.array([parameters[k].expected_si for k in free])
+    q = around_home(robot)
+    predicted = predicted_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
+    readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
+    before, _ = _stacked(observe(robot, robot.assemble(q), readings))
+    for _ in range(_ROUNDS):
+        now, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
+        changed = now - before
+        seen, unseen = _split(jacobian[:, free] * sigma)
+        back = -seen @ np.linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)[0]
+        start = (robot.values[free] - expected) / sigma + back
+        step = back - unseen @ np.linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)[0]
+        values = robot.values.copy()
+        values[free] += sigma * step
+        robot = robot.with_parameters(values)
+        if np.max(np.abs(step), initial=0.0) < _STANDS:
+            break
+    return robot
+
+
+def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Combinations of the columns that count, and those that vanish, orthonormal, (n_columns, n) each."""
+    _, singular, right = np.linalg.svd(reduced(scaled), full_matrices=True)
+    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+    return right[:rank].T, right[rank:].T
+
+
+def around_home(robot: Robot) -> FloatArray:
+    """Return joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    spread = halton(_POSES, len(robot.home)) - 0.5
+    q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
+    return np.asarray(q[robot.close(q).ok])
+
+
+def _stacked(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; what was not read counts 0."""
+    residuals = np.concatenate([block.residuals.ravel() for block in observed.values()])
+    jacobian = np.concatenate([block.jacobian.reshape(-1, block.jacobian.shape[2]) for block in observed.values()])
+    return np.nan_to_num(residuals), np.nan_to_num(jacobian)

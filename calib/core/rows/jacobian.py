@@ -1,0 +1,302 @@
+"""The identification Jacobian: how frames seen from each other move with parameters, through closed loops, exactly.
+
+With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen from a frame a:
+
+    dx/dxi = X_xi - W C_xi        W = X_p C_p^-1
+
+(implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
+found first, so that one small solve per pose serves all frames and origins; then both terms are one sum of twist maps,
+times the twists that the parametrisation has for each origin, seen in the world. Moving an actuated joint by dq is the
+same as turning its origin by dq about the joint's own axis, so that derivatives by joints are columns of the same kind.
+
+x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.core.instruments.kind`): what every kind of
+measurement is differentiated by. Poses are processed in chunks that stay in the processor's cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.threads import one_blas_thread
+from calib.core.robots import kinematics
+from calib.core.robots.acceleration import kernels
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.joint_errors import driven_by
+from calib.core.robots.mechanism import Mechanism, RelativeFrame
+from calib.core.robots.robot import Robot
+
+_CHUNK_COMPILED = 256  # several times as many as compiled code computes at once; larger arrays need new pages of memory
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Positions of the targets and their derivatives.
+
+    Attributes:
+        positions: Targets in the measurement frame, (n, n_targets, 3) [m].
+        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
+            for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
+        by_joint: The same by the actuated joints, where they were asked for.
+    """
+
+    positions: FloatArray
+    jacobian: FloatArray
+    by_joint: FloatArray | None = None
+
+
+def linearise(
+    robot: Robot, configurations: Configurations, *, turns: bool = False, joints: bool = False
+) -> Linearisation:
+    """Positions of all targets and their derivative by every parameter, at the robot's current values.
+
+    Args:
+        robot: The robot.
+        configurations: Assembled poses, from `robot.assemble`.
+        turns: Whether the derivative of the targets' orientations is wanted too.
+        joints: Whether derivatives by the actuated joints are wanted too.
+    """
+    if not robot.terms and not joints:
+        twists = parameter_twists(robot)
+        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
+    twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
+    positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
+    n, n_targets, n_rows, width = both.shape
+    every = np.arange(len(robot.parameters))
+    jacobian = by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
+    first = robot.coefficients.start
+    by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
+    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1), by_joint)
+
+
+@one_blas_thread
+def origin_jacobian(
+    mechanism: Mechanism,
+    configurations: Configurations,
+    twists: FloatArray | None = None,
+    *,
+    turns: bool = False,
+) -> tuple[FloatArray, FloatArray]:
+    """Positions of all targets and their derivative by the right-perturbation twist of every origin.
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        twists: If given, (6 n_joints, k), the derivative is taken along these combinations instead.
+        turns: Whether dw is wanted behind dp.
+
+    Returns:
+        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
+        `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
+    """
+    n, n_targets = len(configurations.actuated), len(mechanism.targets)
+    width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
+    positions = np.empty((n, n_targets, 3))
+    derivative = np.empty((n, n_targets, 6 if turns else 3, width))
+    for part, swept in sweeps(mechanism, configurations, mechanism.targets):
+        for t, target in enumerate(mechanism.targets):
+            positions[part, t] = kinematics.value(swept, target)
+        relative_motion(mechanism, swept, mechanism.targets, twists, angular=turns, out=derivative[part])
+    return positions, derivative
+
+
+def sweeps(
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+) -> Iterator[tuple[slice, kinematics.Sweep]]:
+    """Yield the kinematics of chunks of poses, for these pairs and the loops.
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        pairs: Frames that are needed.
+    """
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    needed = pairs + mechanism.loops
+    functions = kernels(mechanism, len(joints))
+    shared = kinematics.Shared(mechanism, needed, functions)
+    if functions is None:
+        for part in kinematics.chunks(len(joints), kinematics.at_once(shared.reduced)):
+            yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=not mechanism.loops)
+    else:
+        for start in range(0, len(joints), _CHUNK_COMPILED):
+            part = slice(start, min(start + _CHUNK_COMPILED, len(joints)))
+            yield part, kinematics.compiled_sweep(shared, joints[part])
+
+
+@one_blas_thread
+def relative_poses(
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+) -> FloatArray:
+    """Return the poses of frames b in frames a, (n_pairs, n, 4, 4) [m].
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        pairs: The frames.
+    """
+    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
+    for part, swept in sweeps(mechanism, configurations, pairs):
+        for pair, to in zip(pairs, poses, strict=True):
+            to[part] = kinematics.relative_pose(swept, pair)
+    return poses
+
+
+def relative_motion(
+    mechanism: Mechanism,
+    swept: kinematics.Sweep,
+    pairs: tuple[RelativeFrame, ...],
+    twists: FloatArray | None,
+    *,
+    angular: bool,
+    out: FloatArray | None = None,
+) -> FloatArray:
+    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        pairs: The frames.
+        twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
+        angular: Whether dw is wanted too.
+        out: Where to put it, if that is known.
+
+    Returns:
+        (n, n_pairs, 3 or 6, 6 n_joints or k).
+    """
+    each = 6 if angular else 3
+    n, n_rows = len(swept.poses), each * len(pairs)
+    signs = np.repeat([mechanism.between(pair) for pair in pairs], each, axis=0)
+    direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.along(twists, signs)
+    result = np.empty((n, len(pairs), each, along.before.shape[2])) if out is None else out
+    if swept.compiled is not None:
+        index = swept.index
+        rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
+        _compiled_motion(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
+    else:
+        mapping = kinematics.motion_map(swept, pairs, angular=angular)
+        _fill_motion(mechanism, swept, mapping, along, direct, result.reshape(n, n_rows, -1))
+    return result
+
+
+def passive_motion(
+    mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, twists: FloatArray
+) -> FloatArray:
+    """Return d(q_j)/d(origin twists) of one joint coordinate that the loops decide, (n, 1, k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
+        twists: Combinations to take the derivative along, (6 n_joints, k).
+    """
+    n = len(swept.rotation)
+    if not np.any(coordinate):
+        return np.zeros((n, 1, twists.shape[1]))
+    along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
+    result = np.empty((n, 1, along.before.shape[2]))
+    if swept.compiled is not None:
+        _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
+    else:
+        _fill_motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], result)
+    return result
+
+
+def _compiled_motion(
+    swept: kinematics.Sweep,
+    rows: IntArray,
+    along: kinematics.Along,
+    direct: FloatArray,
+    result: FloatArray,
+) -> None:
+    """Do the same as `_fill_motion`, by compiled code.
+
+    Args:
+        swept: Of the poses.
+        rows: Places of frames a and b, coordinate, and whether it is a turn, of each row, (4, n_rows).
+        along, direct: As there.
+        result: Where to put it, (n, n_rows, k).
+    """
+    shared = swept.shared
+    model, signs = (shared.tree, shared.loops, swept.compiled), np.ascontiguousarray(along.signs)
+    shared.functions.motion(*model, rows, signs, direct, along.alike, along.entries, result)
+
+
+def _fill_motion(
+    mechanism: Mechanism,
+    swept: kinematics.Sweep,
+    mapping: FloatArray,
+    along: kinematics.Along,
+    direct: FloatArray,
+    result: FloatArray,
+) -> None:
+    """Fill in dx/dxi of the module docstring along origin twists.
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        mapping: From V_b - V_a to x, (n, n_rows, 6).
+        along: The twists, and what they move.
+        direct: What passive joints do to x beside that, (n_rows, n_passive).
+        result: Where to put it, (n, n_rows, k).
+    """
+    if not mechanism.loops:
+        kinematics.origin_derivative(swept, mapping, None, along, result)
+        return
+    maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
+    by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
+    slope = kinematics.joint_derivative(swept, maps, of_loops)
+    through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
+    kinematics.origin_derivative(swept, mapping, (through, maps), along, result)
+
+
+def parameter_twists(robot: Robot, values: FloatArray | None = None) -> FloatArray:
+    """Return twists of all origins per parameter that is no coefficient of a joint term, (6 n_joints, k).
+
+    Args:
+        robot: The robot.
+        values: Of all parameters, (n_parameters,); those of the robot if not given.
+    """
+    mechanism = robot.mechanism
+    matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
+    own = (robot.values if values is None else values)[: robot.n_origin_parameters]
+    for name, twist in robot.parametrisation.twists(own).items():
+        row = 6 * mechanism.origin_names.index(name)
+        matrix[row : row + 6, : robot.n_origin_parameters] = twist
+    return matrix
+
+
+def by_parameters(robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray) -> FloatArray:
+    """Return the derivative by some of the parameters, (n, n_rows, n_index).
+
+    Args:
+        robot: Knows the joints of the terms.
+        derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
+        columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+        index: Which parameters, in rising order, (n_index,).
+    """
+    first = k = robot.coefficients.start
+    filled = int(np.sum(index < first))
+    if filled == len(index):
+        every = filled > 0 and index[-1] - index[0] == filled - 1
+        return derivative[:, :, index[0] : index[-1] + 1].copy() if every else derivative[:, :, index]
+    result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
+    result[:, :, :filled] = derivative[:, :, index[:filled]]
+    for term, phi in zip(robot.terms, columns, strict=True):
+        own = index[(index >= first) & (index < first + phi.shape[2])] - first
+        first += phi.shape[2]
+        if len(own):
+            phi = phi if len(own) == phi.shape[2] else phi[:, :, own]
+            moved = k + np.array(driven_by(term, robot.mechanism), dtype=np.intp)
+            part = result[:, :, filled : filled + len(own)]
+            np.matmul(derivative[:, :, moved], phi, out=part)
+            filled += len(own)
+    return result
+
+
+def joint_twists(mechanism: Mechanism) -> FloatArray:
+    """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
+    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return by_joint.reshape(6 * mechanism.n_joints, -1)

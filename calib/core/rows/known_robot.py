@@ -1,0 +1,53 @@
+"""A calibrated robot with all that is known of it: what corrects a robot has to know how sure that is, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.rows.prediction import ParameterUncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class KnownRobot(ReadOnlyArrays):
+    """A calibrated robot.
+
+    Attributes:
+        robot: With the parameters that were found.
+        uncertainty: How well they are known; None where not stated.
+        joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
+        nothing_to_correct: Whether the verdict says that the nominal values are as good as any.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty | None
+    joints: FloatArray
+    nothing_to_correct: bool
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """What knows a calibrated robot: a fit, or a result that was loaded."""
+
+    @property
+    def known(self) -> KnownRobot:
+        """The robot, with how well it is known."""
+
+
+def known_robot(calibrated: RobotLike | Calibrated | KnownRobot) -> KnownRobot:
+    """Return what is known of a robot; of a robot alone no more than its values.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    if isinstance(calibrated, KnownRobot):
+        return calibrated
+    if isinstance(calibrated, Calibrated):
+        return calibrated.known
+    robot = as_robot(calibrated)
+    return KnownRobot(robot, None, np.zeros((0, len(robot.joint_names))), nothing_to_correct=False)

@@ -1,0 +1,311 @@
+"""What instruments would read of a robot, how that differs from what they read, and how it moves with parameters.
+
+For a reading of kind g at a visit, with x the motion [dp; dw] of the frame that it looks at, seen from the frame that
+it looks from (`calib.core.rows.jacobian`):
+
+    d(residual)/d(parameters) = d(residual)/dx  .  dx/d(parameters)
+
+The first factor is the kind's own; the second is the same for all kinds, loops included. Unknown numbers of the
+instrument, and joints that it reads, enter directly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray, as_slice
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.measurements import Measurements, Poses, in_setups, of_visits
+from calib.core.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
+from calib.core.robots import kinematics
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import (
+    by_parameters,
+    joint_twists,
+    parameter_twists,
+    passive_motion,
+    relative_motion,
+    sweeps,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Readings of one instrument compared with what the robot predicts.
+
+    Attributes:
+        robot: The robot.
+        residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
+        derivative: Of these by the parameters that are no coefficients of joint terms, then by the driven joints where
+            these were wanted, (n, n_rows, k + n_driven); (n, n_rows, 0) where no derivatives were wanted.
+        term_columns: phi of each joint term at each reading, (n, n_moved, n_coefficients) each.
+    """
+
+    robot: Robot
+    residuals: FloatArray
+    derivative: FloatArray
+    term_columns: tuple[FloatArray, ...]
+
+    def by(self, index: IntArray) -> FloatArray:
+        """Return a new derivative by some of the parameters, in rising order (k,), (n, n_rows, k)."""
+        return by_parameters(self.robot, self.derivative, self.term_columns, index)
+
+    @property
+    def jacobian(self) -> FloatArray:
+        """Derivative by all parameters, (n, n_rows, n_parameters)."""
+        return self.by(np.arange(len(self.robot.parameters)))
+
+    @property
+    def by_joint(self) -> FloatArray:
+        """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted."""
+        k = self.robot.coefficients.start
+        return self.derivative[:, :, k : k + len(self.robot.joint_names)]
+
+
+@one_blas_thread
+def observe(
+    robot: Robot,
+    configurations: Configurations,
+    readings: Mapping[str, Readings],
+    *,
+    joints: bool = False,
+    derivatives: bool = True,
+    index: IntArray | None = None,
+) -> dict[str, Observed]:
+    """Compare readings with what the robot predicts, with derivatives.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        readings: Of each instrument, by name; visits are indices into the configurations.
+        joints: Whether derivatives by the actuated joints are wanted too.
+        derivatives: Whether derivatives are wanted at all.
+        index: By which parameters they are wanted, (k,), if not by all: those by the other ones are left 0.
+    """
+    mechanism = robot.mechanism
+    n_driven = len(mechanism.driven) if joints or robot.terms else 0
+    twists = parameter_twists(robot)
+    if index is not None:
+        twists *= np.isin(np.arange(twists.shape[1]), index)
+    if n_driven:
+        twists = np.hstack([twists, joint_twists(mechanism)])
+    width = robot.coefficients.start + n_driven if derivatives else 0
+    works = [_Work(robot, robot.instrument(name), own, width) for name, own in readings.items()]
+    pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
+    for part, swept in sweeps(mechanism, configurations, pairs):
+        for work in works:
+            work.fill(part, swept, configurations, twists)
+    return {work.instrument.name: work.result(configurations) for work in works}
+
+
+class _Work:
+    """Fills the arrays of one instrument, chunk by chunk of visits."""
+
+    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
+        self.robot, self.instrument, self.readings = robot, instrument, readings
+        self.all_pairs = robot.pairs(instrument)
+        self._numbers: list[int] = np.unique(readings.pairs).tolist()
+        self.pairs = tuple(self.all_pairs[k] for k in self._numbers) if self.all_pairs else ()
+        self._by_joint, n = robot.coefficients.start, len(readings)  # where columns by joints begin
+        self._residuals = np.empty((n, instrument.n_rows))
+        self._columns = np.empty((n, instrument.n_rows, width))  # each is filled once
+        self._order = np.argsort(readings.visits, kind="stable")
+        self._sorted = readings.visits[self._order]
+
+    def fill(self, part: slice, swept: kinematics.Sweep, configurations: Configurations, twists: FloatArray) -> None:
+        """Compare the readings of a chunk of visits."""
+        first, last = np.searchsorted(self._sorted, [part.start, part.stop])
+        index = self._order[first:last]
+        if len(index) == 0:
+            return
+        if isinstance(self.instrument, JointInstrument):
+            self._fill_joint(self.instrument, index, part, swept, configurations, twists)
+            return
+        self._fill_pairs(self._of_pairs(index), part, swept, twists)
+
+    def _of_pairs(self, index: IntArray) -> dict[int, IntArray]:
+        """Readings (n,) of each pair that they look along."""
+        if len(self._numbers) == 1:
+            return {self._numbers[0]: index}
+        number = self.readings.pairs[index]
+        return {k: chosen for k in self._numbers if len(chosen := index[number == k])}
+
+    def _fill_pairs(
+        self, chosen: dict[int, IntArray], part: slice, swept: kinematics.Sweep, twists: FloatArray
+    ) -> None:
+        """Compare the readings of each pair."""
+        pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
+        comparisons: list[Comparison] = []
+        for pair, own in zip(pairs, chosen.values(), strict=True):
+            rotation, position = kinematics.seen_frame(swept, pair)
+            comparison = self._compare(own, View(rotation[visits[own]], position[visits[own]]))
+            assert isinstance(comparison, Comparison)  # of a kind that looks at frames
+            comparisons.append(comparison)
+        if not self._columns.shape[2]:
+            return
+        angular = any(np.any(comparison.by_twist[:, :, 3:]) for comparison in comparisons)
+        motions = relative_motion(self.robot.mechanism, swept, pairs, twists, angular=angular)
+        for k, (own, comparison) in enumerate(zip(chosen.values(), comparisons, strict=True)):
+            motion, by_twist, at = motions[:, k], comparison.by_twist[:, :, : motions.shape[2]], visits[own]
+            if len(at) != len(motion) or np.any(at != np.arange(len(at))):
+                motion = motion[at]
+            self._columns[as_slice(own)] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+            self._add_unknowns(own, comparison)
+
+    def _fill_joint(
+        self,
+        instrument: JointInstrument,
+        chosen: IntArray,
+        part: slice,
+        swept: kinematics.Sweep,
+        configurations: Configurations,
+        twists: FloatArray,
+    ) -> None:
+        mechanism = self.robot.mechanism
+        at = self.readings.visits[chosen] - part.start
+        index = mechanism.origin_names.index(instrument.joint)
+        joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
+        comparison = self._compare(chosen, joints[at, index])
+        assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
+        if not self._columns.shape[2]:
+            return
+        motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)
+        self._columns[as_slice(chosen)] = comparison.by_joint[:, :, None] * motion[at]
+        self._add_unknowns(chosen, comparison)
+        if self._columns.shape[2] > self._by_joint:
+            self._columns[chosen, :, self._by_joint :] += (
+                comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
+            )
+
+    def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
+        """Ask the kind, and keep residuals."""
+        unknowns = self.robot.unknowns(self.instrument.name)
+        comparison = self.instrument.compare(seen, self.robot.values[unknowns], _some(self.readings, chosen))
+        self._residuals[as_slice(chosen)] = comparison.residuals
+        return comparison
+
+    def _add_unknowns(self, chosen: IntArray, comparison: Comparison | JointComparison) -> None:
+        """Add the columns of the kind's own unknowns."""
+        unknowns = self.robot.unknowns(self.instrument.name)
+        if unknowns.stop > unknowns.start:
+            self._columns[chosen, :, unknowns] += comparison.by_unknown
+
+    def result(self, configurations: Configurations) -> Observed:
+        """Return what was filled in."""
+        visits = as_slice(self.readings.visits)
+        phi = tuple(columns[visits] for columns in configurations.term_columns)
+        return Observed(self.robot, self._residuals, self._columns, phi)
+
+
+def _some(readings: Readings, chosen: IntArray) -> Readings:
+    if len(chosen) == len(readings) and np.array_equal(chosen, np.arange(len(chosen))):
+        return readings
+    return some_readings(readings, chosen)
+
+
+def some_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
+    """Return the readings at some places (n,), with visits counted from `first`."""
+    return Readings(
+        readings.visits[chosen] - first,
+        readings.pairs[chosen],
+        readings.values[chosen],
+        None if readings.covariance is None else readings.covariance[chosen],
+        readings.details[chosen],
+    )
+
+
+def _is_identity(matrices: FloatArray) -> bool:
+    return matrices.shape[1] == matrices.shape[2] and bool(np.all(matrices == np.eye(matrices.shape[1])))
+
+
+def predicted_readings(
+    robot: Robot, configurations: Configurations, looks: Mapping[str, Readings] | None = None
+) -> dict[str, Readings]:
+    """Return what instruments would read, without noise.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        looks: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
+            given.
+    """
+    if looks is None:
+        looks = {
+            instrument.name: _every_look(instrument, len(configurations.actuated)) for instrument in robot.instruments
+        }
+    result = {}
+    for name, seen in seen_by(robot, configurations, looks).items():
+        readings = looks[name]
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], readings.details)
+        result[name] = Readings(readings.visits, readings.pairs, values, None, readings.details)
+    return result
+
+
+def seen_by(
+    robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]
+) -> dict[str, View | FloatArray]:
+    """Return what each instrument has before it at each of its readings, by name: frames, or values of a joint (n,).
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        looks: Visits and pairs of each instrument's readings.
+    """
+    mechanism = robot.mechanism
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
+    swept = kinematics.sweep(mechanism, joints, pairs)
+    result: dict[str, View | FloatArray] = {}
+    for name, readings in looks.items():
+        instrument = robot.instrument(name)
+        if isinstance(instrument, JointInstrument):
+            result[name] = joints[readings.visits, mechanism.origin_names.index(instrument.joint)]
+            continue
+        poses = np.tile(np.eye(4), (len(readings), 1, 1))
+        for number, pair in enumerate(robot.pairs(instrument)):
+            chosen = np.flatnonzero(readings.pairs == number)
+            poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
+        result[name] = View(poses[:, :3, :3], poses[:, :3, 3])
+    return result
+
+
+def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
+    """Return what each instrument is to read at poses, no values: what they say, else all that it can.
+
+    Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
+    """
+    return {instrument.name: _looks_of(robot, instrument, poses) for instrument in robot.instruments}
+
+
+def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
+    """Return the instruments that touch, and of which poses do not say what."""
+    said = poses.planned.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    return [instrument for instrument in robot.instruments if instrument.touches and instrument.name not in said]
+
+
+def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
+    if instrument.name in poses.planned:
+        return poses.planned[instrument.name]
+    if isinstance(poses, Measurements) and instrument.touches:
+        index = np.arange(len(poses))
+        touches = (
+            of_visits(poses.readings[instrument.name], index)
+            if instrument.name in poses.readings
+            else _every_look(instrument, 0)
+        )
+        return Readings(touches.visits, touches.pairs, np.zeros((len(touches), 0)), None, touches.details)
+    looks = _every_look(instrument, len(poses))
+    if poses.setups is None:
+        return looks
+    return replace(looks, pairs=looks.pairs + in_setups(robot, instrument, poses.setups)[looks.visits])
+
+
+def _every_look(instrument: Instrument, n: int) -> Readings:
+    """All that an instrument can read, at each of n visits; no values."""
+    pairs, details = instrument.looks()
+    visits = np.repeat(np.arange(n), len(pairs))
+    return Readings(visits, np.tile(pairs, n), np.zeros((len(visits), 0)), None, np.tile(details, (n, 1)))

@@ -1,0 +1,449 @@
+"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to poses.
+
+    covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
+
+and in the same way that of a target's orientation, as a small turn about the axes of the measurement frame.
+
+Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
+so a position can be known to micrometres although no single parameter is. What the model leaves out counts as an error
+of each joint that is another one at each pose, as large as residuals show it (`calib.core.fitting.unexplained`):
+
+    covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
+
+Where the noise of the readings is not known, it does not show, and comes on top. So does what the robot does not
+repeat.
+
+Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
+(`UndecidedTerms`). They stand beside the free parameters, in C and in B, and the free parameters follow them.
+
+Reference: jcgm100 (GUM), section 5.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
+from calib.core.base.other_words import UnknownOptionError
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted, listed
+from calib.core.robots.acceleration import compiled_for, many
+from calib.core.robots.configurations import Configurations
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context, TermSection
+from calib.core.rows.jacobian import linearise
+
+CHUNK = 1024
+"""Poses at once."""
+ROWS = (slice(3), slice(3, 6))
+"""Rows of positions and of turns."""
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
+_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
+    """Predicted positions and how sure they are; read as an array, it is `positions`.
+
+    Attributes:
+        positions: (n_poses, n_targets, 3) [m].
+        covariance: (n_poses, n_targets, 3, 3) [m^2].
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
+        left_out: Targets that summaries leave out (`RobotData.left_out`), and their places among the targets.
+        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        measured: The same positions with their covariance in the measurement frame, where that is another one.
+    """
+
+    positions: FloatArray
+    covariance: FloatArray
+    coverage_factor: float
+    turn_covariance: FloatArray | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    frame: str = ""
+    measured: PositionUncertainty | None = None
+
+    _other_words = "predicted positions"
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            raise UnknownOptionError(f"{type(self).__name__}: takes no ['{key}']{self._way('[]')}")
+        return super().__getitem__(key)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.positions, dtype=dtype)
+
+    def __str__(self) -> str:
+        n_poses, n_targets = self.positions.shape[:2]
+        told = "how far off is not known"
+        following = "fit.predict(q), of a fit or of calib.load_result, says how far off they are"
+        if self.located.size and np.all(np.isfinite(self.located)):
+            known = self.summary()
+            told = f"known to {known['rms']:.3g} mm RMS, {known['max']:.3g} mm at worst"
+            following = "measure some of these poses and compare: calib.verify(fit, data)"
+        return (
+            f"{counted(n_poses, 'predicted pose')} of {counted(n_targets, 'target')}, {told}\n"
+            f"Inside: positions {self.positions.shape} [m], std and covariance of each, distance95: how far off [m]\n"
+            f"Next: {following}"
+        )
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each coordinate, (n_poses, n_targets, 3) [m]."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=2, axis2=3), 0.0))
+
+    @property
+    def distance(self) -> FloatArray:
+        """Root mean square distance between true and predicted position, (n_poses, n_targets) [m]."""
+        return rms_length(self.covariance)
+
+    @property
+    def distance95(self) -> FloatArray:
+        """Low and high 95 % limits of the distance between true and predicted position, (2, n_poses, n_targets) [m]."""
+        return length95(self.covariance, self.coverage_factor)
+
+    @property
+    def located(self) -> FloatArray:
+        """`distance` without targets that are left out, (n_poses, n) [m]."""
+        return np.delete(self.distance, list(self.left_out.values()), axis=1)
+
+    @property
+    def worst(self) -> int:
+        """The pose at which `located` is largest."""
+        return int(np.argmax(np.max(self.located, axis=1)))
+
+    def remark(self) -> str:
+        """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
+        frame = f"; {self.frame}" if self.frame else ""
+        if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
+            frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
+        mean = np.mean(millimetres(self.distance), axis=0)
+        said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
+        return frame + (f"; not counted: {listed(said)}, read from unknown places only" if said else "")
+
+    def table(self) -> dict[str, object]:
+        """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
+        other = {} if self.measured is None else {"measurement_frame": self.measured.summary()}
+        frame = "measurement" if self.measured is None else "robot base"
+        return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
+
+    def summary(self) -> dict[str, float]:
+        """Return mean, root mean square and largest `located` over the poses [mm]."""
+        distance = millimetres(self.located)
+        return {
+            "mean": float(np.mean(distance)),
+            "rms": float(np.sqrt(np.mean(distance**2))),
+            "max": float(np.max(distance)),
+        }
+
+
+@dataclass(frozen=True)
+class RootMeanSquare:
+    """A root mean square distance over a set of poses.
+
+    Attributes:
+        value: The distance, infinite where not known [m].
+        low95, high95: Its 95 % interval [m].
+    """
+
+    value: float
+    low95: float
+    high95: float
+
+
+def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+    """Return the root mean square distance between true and predicted positions over poses.
+
+    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
+    whose weights are the eigenvalues of C W, as in `length95`.
+
+    Args:
+        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
+        covariance: C, (n_free, n_free).
+        coverage_factor: Of the fit's 95 % intervals.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
+    trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
+    low, high = _root95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
+
+
+def other_combinations(q: FloatArray, most: int) -> FloatArray:
+    """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
+
+    The values of each joint are moved on by another number of poses. So every joint stays where it was measured, and
+    what the poses leave open because joints moved along with each other shows.
+
+    Args:
+        q: The poses.
+        most: Number of combinations at most.
+    """
+    n, n_joints = q.shape
+    mixed = np.stack([np.roll(q[:, j], j * n // n_joints) for j in range(n_joints)], axis=1)
+    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+
+
+def beside_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, in the shape of `rows`.
+
+    Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+
+    Args:
+        positions: Where they are, (n, n_targets, 3) [m].
+        rows: Their derivatives, (..., n_parameters), three rows for each position.
+    """
+    points = positions.reshape(-1, 3)
+    turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
+    common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    basis = scipy.linalg.orth(common)
+    flat = rows.reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(rows.shape)
+
+
+def rms_length(covariance: FloatArray, mean: FloatArray | float = 0.0) -> FloatArray:
+    """Return the root mean square length of vectors with these covariances (..., 3, 3) and means (..., 3), (...)."""
+    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0) + np.sum(np.square(mean), axis=-1))
+
+
+def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | None = None) -> FloatArray:
+    """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
+
+    The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
+    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2); where one direction
+    outweighs the others, 97 of 100 lie between them.
+
+    Args:
+        covariance: C, (..., 3, 3).
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        mean: m, (..., 3); zero if not given.
+    """
+    trace, squares = np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1))
+    if mean is not None:
+        trace = trace + np.sum(mean**2, axis=-1)
+        squares = squares + 2.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
+    return _root95(trace, squares, coverage_factor)
+
+
+def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
+    freedom = np.where(certain, 1.0, trace) / share
+    low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))
+    high = high * coverage_factor / scipy.special.ndtri(0.975)
+    return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
+
+
+def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
+    spread = jacobian.reshape(-1, jacobian.shape[-1]) @ covariance  # at once: C is read once, not for every position
+    return spread.reshape(jacobian.shape) @ jacobian.swapaxes(2, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class UndecidedTerms(ReadOnlyArrays):
+    """Joint terms that a robot does not have, and that its data do not exclude.
+
+    Attributes:
+        terms: Their entries.
+        names: Parameters that are uncertain by them: free ones of the robot, and their own coefficients, (n,).
+        spread: S, one standard deviation in each of k independent directions, (n, k) [SI]; their covariance is S S^T.
+    """
+
+    terms: tuple[TermSection, ...]
+    names: tuple[str, ...]
+    spread: FloatArray
+
+    @staticmethod
+    def of(terms: tuple[TermSection, ...], kinds: Sequence[Mapping[str, FloatArray]]) -> UndecidedTerms:
+        """Return them from the directions of each kind, (k,) of each parameter, by its name [SI]."""
+        names = tuple(dict.fromkeys(name for kind in kinds for name in kind))
+        blocks = []
+        for kind in kinds:
+            nothing = np.zeros_like(next(iter(kind.values())))
+            blocks.append(np.stack([kind.get(name, nothing) for name in names]))
+        return UndecidedTerms(terms, names, np.concatenate(blocks, axis=1))
+
+    def added_to(self, robot: Robot) -> Robot:
+        """Return a robot with these terms beside its own, coefficients zero."""
+        return robot.with_terms((*robot.description.terms, *self.terms))
+
+    def of_parameters(self, names: Sequence[str]) -> FloatArray:
+        """Return S of some parameters, (n, k), 0 of those that do not depend on the terms."""
+        place = {name: k for k, name in enumerate(self.names)}
+        rows = np.vstack([self.spread, np.zeros((1, self.spread.shape[1]))])
+        return rows[[place.get(name, -1) for name in names]]
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainLinear(ReadOnlyArrays):
+    """A robot linearised at poses by all that is uncertain of it.
+
+    Attributes:
+        robot: The robot, with joint terms that are undecided, coefficients zero.
+        configurations: Its poses, loops closed.
+        positions: (n_poses, n_targets, 3) [m].
+        jacobian: Of positions and, if wanted, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by the free
+            parameters, by coefficients of undecided terms, then by the joints that are off.
+    """
+
+    robot: Robot
+    configurations: Configurations
+    positions: FloatArray
+    jacobian: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterUncertainty(ReadOnlyArrays):
+    """How well the parameters of a calibrated robot are known.
+
+    Attributes:
+        free: Which of them were found, (n_parameters,); the others are taken as they are.
+        covariance: Of these, if it has no other joint terms, (n_free, n_free) [m, rad].
+        coverage_factor: How many standard deviations make half a 95 % interval.
+        undecided: Joint terms that it may have, too; None if a choice left none undecided.
+        joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
+            in characteristic lengths].
+    """
+
+    _other_words = "uncertainty of parameters"
+
+    free: BoolArray
+    covariance: FloatArray
+    coverage_factor: float
+    undecided: UndecidedTerms | None = None
+    joint_error: float = 0.0
+
+    @property
+    def counted(self) -> str:
+        """Say of positions whether they count what the model leaves out."""
+        if self.joint_error == 0.0:
+            return "without what the model leaves out"
+        return f"counting {1e3 * self.joint_error:.2g} mrad a joint for what the model leaves out"
+
+    def lasting(self, robot: Robot) -> BoolArray:
+        """Return what of all that is uncertain is the same at every pose, (n_uncertain,)."""
+        n_changing = self._n_off(robot)
+        n_lasting = int(np.sum(self.free)) + len(self._more(robot))
+        return np.arange(n_lasting + n_changing) < n_lasting
+
+    def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
+        """Return which of all that is uncertain counts, (n_uncertain,): beside free parameters all of it.
+
+        Args:
+            robot: The calibrated robot.
+            counts: Which of the free parameters do, (n_free,).
+        """
+        return np.append(counts, np.ones(len(self._more(robot)) + self._n_off(robot), dtype=bool))
+
+    def covariance_of(self, robot: Robot) -> FloatArray:
+        """Return the covariance of all that is uncertain, (n_uncertain, n_uncertain) [SI].
+
+        Args:
+            robot: The calibrated robot.
+        """
+        if self.undecided is None and self.joint_error == 0.0:
+            return self.covariance
+        total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
+        names = [*self._free_names(robot), *self._more(robot)]
+        if self.undecided is not None:
+            spread = self.undecided.of_parameters(names)
+            total[: len(names), : len(names)] += spread @ spread.T
+        n_free = len(self.covariance)
+        total[:n_free, :n_free] += self.covariance
+        return total
+
+    def linearised(
+        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
+    ) -> UncertainLinear:
+        """Linearise positions and turns of all targets by all that is uncertain.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether turns are wanted.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        whole, index = robot, np.flatnonzero(self.free)
+        if self.undecided is not None:
+            whole = self.undecided.added_to(robot)
+            place = {p.name: k for k, p in enumerate(whole.parameters)}
+            index = np.array([place[name] for name in (*self._free_names(robot), *self._more(robot))], dtype=np.intp)
+        configurations = whole.assemble(q, near, context=context)
+        linear = linearise(whole, configurations, turns=turns, joints=self.joint_error > 0.0)
+        jacobian = linear.jacobian[..., index]
+        if linear.by_joint is not None:
+            jacobian = np.concatenate([jacobian, linear.by_joint * whole.mechanism.joint_scale], axis=-1)
+        return UncertainLinear(whole, configurations, linear.positions, jacobian)
+
+    def linearised_in_parts(
+        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
+    ) -> Iterator[tuple[slice, UncertainLinear]]:
+        """Yield which poses, and what `linearised` returns of these.
+
+        Args:
+            robot, context, turns: As there.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+        """
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            with compiled_for(len(q), many(robot.mechanism)):
+                linear = self.linearised(robot, q[some], context.at(some), seed, turns=turns)
+            yield some, linear
+
+    def _free_names(self, robot: Robot) -> list[str]:
+        return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
+
+    def _n_off(self, robot: Robot) -> int:
+        """Number of joints that are off."""
+        return len(robot.joint_names) if self.joint_error > 0.0 else 0
+
+    def _more(self, robot: Robot) -> tuple[str, ...]:
+        """Names of the coefficients of undecided terms."""
+        has = {p.name for p in robot.parameters}
+        return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
+
+    def at(
+        self,
+        robot: Robot,
+        q: FloatArray,
+        context: Context | None = None,
+        near: FloatArray | None = None,
+        *,
+        turns: bool = True,
+    ) -> PositionUncertainty:
+        """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given; joint terms may depend on it.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether the covariance of the orientations is wanted.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        context = Context.neutral(*q.shape) if context is None else context
+        known, shape = self.covariance_of(robot), (len(q), len(robot.mechanism.targets), 3)
+        points, covariances = np.empty(shape), [np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]]
+        for some, linear in self.linearised_in_parts(robot, q, context, near, turns=turns):
+            points[some] = linear.positions
+            for covariance, rows in zip(covariances, ROWS, strict=False):
+                covariance[some] = carried(linear.jacobian[:, :, rows], known)
+        hold(points, *covariances)
+        turned = covariances[1] if turns else None
+        return PositionUncertainty(points, covariances[0], self.coverage_factor, turned, robot.left_out)

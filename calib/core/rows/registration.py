@@ -1,0 +1,288 @@
+"""Placing unknown measurement frames and unknown targets before anything else is fitted.
+
+Where the tracker stands and where the reflector sits on the flange are often not known beforehand. Both follow from the
+points that instruments measured and the robot as its other parameters have it, by one fit over all targets
+(`calib.core.numerics.placement`). The stated sigma of a target counts, with the noise of the residuals. What the
+measurements leave open stays where it is. Where orientations were measured too, the unknown orientation of a target is
+their mean. In later setups, a frame or target that was moved follows from the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.core.data.measurements import Measurements
+from calib.core.data.on_demand import picked
+from calib.core.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
+from calib.core.numerics.placement import MovingPoint, Placement, place
+from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names
+from calib.core.robots.mechanism import RelativeFrame
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import relative_poses
+from calib.core.rows.observed import observe, seen_by
+
+_SQUARED_ROUNDING = 1e-30  # squares below are rounding
+
+
+def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) -> Robot:
+    """Return the robot with the unknown ones of base and targets placed where its measurements show them.
+
+    All its other parameters, and held ones of base and targets, keep their values. Without measured points, or where
+    these are too few, everything stays.
+
+    Args:
+        robot: The robot.
+        data: Its measurements.
+        rough_beyond: As in `calib.core.numerics.placement.place` [m].
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Measurements that are not finite.
+    """
+    for setup in range(max(len(robot.description.setups), 1)):
+        for seen in _seen_together(robot, data, setup):
+            robot = _placed(robot, data, seen, setup, rough_beyond)
+    placed: list[str] = []
+    for instrument in robot.instruments:
+        if len(data.readings.get(instrument.name, ())):
+            placed.append(instrument.name)
+            if isinstance(instrument, FrameInstrument):
+                robot = _guessed(robot, data, instrument, placed)
+            elif isinstance(instrument, JointInstrument):
+                robot = _read_off(robot, data, instrument)
+    return robot
+
+
+def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Placement:
+    """Return where the measurements show the measurement frame and the unknown targets, in the first setup.
+
+    Args:
+        robot: The robot; its current values are what an open place stays near.
+        data: Measurements.
+        frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: No points were measured, or measurements that are not finite.
+    """
+    groups = _seen_together(robot, data, 0)
+    if not groups:
+        raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
+    return _registration(robot, data, groups[0], _Frames(robot, 0), frame_known=frame_known)
+
+
+class _Frames:
+    """Places of one setup, and which of them are new in it."""
+
+    def __init__(self, robot: Robot, setup: int) -> None:
+        self.setup = setup
+        self.pairs: dict[str, RelativeFrame] = {}
+        for instrument in robot.instruments:
+            pairs = robot.pairs(instrument)
+            if isinstance(instrument, FrameInstrument) and pairs[0].a == robot.mechanism.targets[0].a:
+                later = pairs[setup * len(pairs) // max(len(robot.description.setups), 1)]
+                self.pairs.setdefault(instrument.target, later)
+
+    def base(self, robot: Robot) -> str:
+        """Return the origin of the measurement frame."""
+        return robot.mechanism.origin_names[next(iter(self.pairs.values())).a - 1]
+
+    def origin(self, robot: Robot, target: str) -> str:
+        """Return the origin of a target."""
+        return robot.mechanism.origin_names[self.pairs[target].b - 1]
+
+
+def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
+    """Visits of a setup at which points were seen, and which targets; most visits first."""
+    points = data.points(robot)
+    n_setups = max(len(robot.description.setups), 1)
+    in_setup = np.zeros(len(data), dtype=bool)
+    for name, readings in data.readings.items():
+        instrument = robot.instrument(name)
+        if instrument.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(instrument)) == setup]] = True
+    seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
+    if not np.any(seen):
+        return []
+    targets = [t for t in range(seen.shape[1]) if np.any(seen[:, t])]
+    together = np.all(seen[:, targets], axis=1)
+    if np.sum(together) >= 3 or len(targets) == 1:
+        return [(together, tuple(robot.target_names[t] for t in targets))]
+    order = sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))
+    return [(seen[:, t], (robot.target_names[t],)) for t in order]
+
+
+def _placed(
+    robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int, rough_beyond: float
+) -> Robot:
+    frames = _Frames(robot, setup)
+    frame_known = robot.description.base.pose == "known"
+    placement = _registration(robot, data, seen, frames, frame_known=frame_known, rough_beyond=rough_beyond)
+    values: dict[str, float] = {}
+    for target, point in zip(seen[1], placement.points, strict=True):
+        if robot.description.targets[target].position == "unknown":
+            values |= _named(frames.origin(robot, target), LENGTH_COMPONENTS, point)
+    if not frame_known:
+        base = frames.base(robot)
+        T_measurement_link = placement.T_base_measurement.inverse()
+        turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
+        values |= _named(base, LENGTH_COMPONENTS, T_measurement_link.translation)
+        values |= _named(base, ANGLE_COMPONENTS, turned)
+    robot = _with(robot, values)
+    return _with(robot, _orientations(robot, data, seen[0], frames))
+
+
+def _with(robot: Robot, values: dict[str, float]) -> Robot:
+    return robot.with_parameters({name: value for name, value in values.items() if name not in robot.description.held})
+
+
+def _registration(
+    robot: Robot,
+    data: Measurements,
+    seen: tuple[BoolArray, tuple[str, ...]],
+    frames: _Frames,
+    *,
+    frame_known: bool,
+    rough_beyond: float = np.inf,
+) -> Placement:
+    chosen = np.flatnonzero(seen[0])
+    points = data.points(robot)[chosen]
+    carriers = _carriers(robot, data, chosen, [frames.pairs[target] for target in seen[1]])
+    moving = [
+        MovingPoint(
+            poses, points[:, robot.target_names.index(target)], *_expected(robot, target, frames.origin(robot, target))
+        )
+        for target, poses in zip(seen[1], carriers, strict=True)
+    ]
+    T_base_measurement = robot.mechanism.placement(frames.base(robot))
+    ones = np.ones(len(chosen))
+    return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
+
+
+def _guessed(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
+    """Return the robot with what an instrument alone can guess.
+
+    Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
+    look at one body.
+    """
+    if type(instrument).first_values is FrameInstrument.first_values:  # it guesses nothing
+        return robot
+    readings = data.readings[instrument.name]
+    names = pair_names(robot.description, instrument)
+    mechanism, pairs = robot.mechanism, robot.pairs(instrument)
+    places = {name: mechanism.placement(mechanism.origin(name)) for pair in names for name in pair}
+    known = {name: pose.homogeneous for name, pose in places.items()}
+    unknown = {name: _open_components(robot, name) for name in places}
+    links = np.tile(np.eye(4), (len(readings), 1, 1))
+    for number, pair in enumerate(pairs):
+        chosen = np.flatnonzero(readings.pairs == number)
+        if len(chosen):
+            links[chosen] = _carriers(robot, data, readings.visits[chosen], [pair])[0]
+    values = robot.values[robot.unknowns(instrument.name)]
+    guesses = instrument.first_values(Scene(readings, links, names, known, unknown, values))
+    tried = [_with_guess(robot, instrument, guess, unknown) for guess in guesses]
+    if len(tried) < 2:
+        return tried[0] if tried else robot
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+
+    def miss(candidate: Robot) -> float:
+        observed = observe(candidate, configurations, {name: data.readings[name] for name in placed})
+        return sum(
+            len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _SQUARED_ROUNDING)
+            for each in observed.values()
+        )
+
+    return min(tried, key=miss)
+
+
+def _read_off(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
+    """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
+    readings, configurations = (
+        data.readings[instrument.name],
+        robot.assemble(data.joints, labels=data.labels, context=data.conditions),
+    )
+    seen = np.asarray(seen_by(robot, configurations, {instrument.name: readings})[instrument.name])
+    first = instrument.first_unknowns(seen, robot.values[robot.unknowns(instrument.name)], readings)
+    return _with(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
+
+
+def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
+    """Components of a place that a fit may change."""
+    origin = robot.mechanism.origin(place)
+    free = {p.name for p, use in zip(robot.parameters, robot.is_free, strict=True) if use and p.placement}
+    return tuple(component for component in COMPONENTS if f"{origin}.{component}" in free)
+
+
+def _with_guess(
+    robot: Robot, instrument: FrameInstrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]
+) -> Robot:
+    values: dict[str, float] = {}
+    for name, pose in guess.places.items():
+        origin = robot.mechanism.origin(name)
+        placed = pin.SE3(pose).inverse() if name.startswith(MEASUREMENT_FRAME) else pin.SE3(pose)
+        nominal = robot.nominal.placement(origin)
+        nominal = nominal.inverse() if name.startswith(MEASUREMENT_FRAME) else nominal
+        moved = np.concatenate([placed.translation, pin.log3(nominal.rotation.T @ placed.rotation)])
+        for component, number in zip(COMPONENTS, moved, strict=True):
+            if component in unknown.get(name, ()):
+                values[f"{origin}.{component}"] = float(number)
+    if guess.unknowns is not None:
+        values |= {p.name: float(number) for p, number in zip(instrument.unknowns, guess.unknowns, strict=True)}
+    return _with(robot, values)
+
+
+def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
+    """Unknown orientations of targets, from where the measurement frame is now."""
+    values: dict[str, float] = {}
+    for name, readings in data.readings.items():
+        instrument = robot.instrument(name)
+        turned = instrument.orientations(readings.values)
+        if turned is None or not isinstance(instrument, FrameInstrument):
+            continue
+        if robot.description.targets[instrument.target].orientation == "known":
+            continue
+        chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[instrument.target]])[0][:, :3, :3]
+        base = robot.mechanism.placement(frames.base(robot)).rotation
+        mean = (
+            scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
+            .mean()
+            .as_matrix()
+        )
+        origin = frames.origin(robot, instrument.target)
+        nominal = robot.nominal.placement(origin).rotation
+        values |= _named(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
+    return values
+
+
+def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, FloatArray]:
+    """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
+    point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
+    if robot.description.targets[target].position == "known":
+        return point, sigma
+    for k, axis in enumerate("xyz"):
+        parameter = robot.parameters[f"{origin}.{axis}"]
+        if parameter.name not in robot.description.held:
+            sigma[k] = parameter.sigma_si if parameter.prior else np.inf
+            point[k] = parameter.expected_si if parameter.prior else point[k]
+    return point, sigma
+
+
+def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[RelativeFrame]) -> list[FloatArray]:
+    """Poses of the link that carries each target, in the link of the measurement frame, (n, 4, 4) [m] each."""
+    mechanism = robot.mechanism
+    parents = mechanism.model.parents
+    pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
+    configurations = robot.assemble(data.joints[chosen], None, picked(data.labels, chosen), data.conditions.at(chosen))
+    return list(relative_poses(mechanism, configurations, pairs))
+
+
+def _named(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
+    return {f"{origin}.{component}": float(number) for component, number in zip(components, numbers, strict=True)}

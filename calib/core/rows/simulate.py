@@ -1,0 +1,290 @@
+"""Simulated measurements: what the instruments of a robot with known parameters read, plus normal noise.
+
+A touch has no reading that noise could be added to: the robot itself stands where it touches, and what it misses by is
+in its joints. So the joint values of a pose at which something is touched are found: those near the given ones at which
+every gap is the miss that was drawn, by damped Gauss-Newton steps of the actuated joints through the loops,
+
+    minimise  |gap - miss + d(gap)/dq dq|^2 + damping |dq|^2
+
+with less damping after a step that came nearer, more after one that did not, and within the joint limits. Like all
+searches from one start it may end elsewhere than at contact; then the pose is named, and nothing is returned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
+from calib.core.base.errors import DataError, UnreachablePoseError
+from calib.core.base.other_words import worded
+from calib.core.base.units import in_si, millimetres
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, of_visits
+from calib.core.instruments.kind import Instrument, Readings
+from calib.core.robots.configurations import Configurations, configured
+from calib.core.robots.joint_errors import term_columns
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.observed import looks_at, observe, predicted_readings, some_readings, unsaid_touches
+from calib.core.rows.whitening import stated_noise
+
+_LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
+_ROUNDS, _STEPS = 3, 100
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
+MET = 1e-10
+"""Miss that is none [m]."""
+_FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
+
+
+@worded
+def simulate(
+    robot: RobotLike,
+    poses: PosesLike,
+    sigma: float | str | None = None,
+    seed: int | np.random.Generator = 0,
+    *,
+    joint_sigma: float = 0.0,
+) -> Measurements:
+    """Return simulated measurements of a robot at its current parameter values.
+
+    Instruments read what the poses say (`calib.core.data.plan_files.read_plan`), or all that they can. Where something
+    is touched, the joint values are changed until the robot touches it. Noise that is not stated is zero.
+
+    Args:
+        robot: The true robot.
+        poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
+        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise at all; None for what the
+            description states.
+        seed: Seed of the noise, or a generator of random numbers.
+        joint_sigma: Standard deviation of joint errors at each visit that the joint values do not show [rad, or
+            characteristic lengths].
+
+    Raises:
+        InputError: `robot` is not a robot.
+        DataError: Sigma is not a number >= 0, or a pose does not say what is touched.
+        UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
+    """
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
+        raise DataError(f"sigma {sigma:g} m: must be zero or a positive number")
+    rng = random_numbers(seed)
+    poses = as_poses(robot, poses)
+    looks = looks_at(robot, poses)
+    off = np.zeros_like(poses.joints)
+    if joint_sigma:
+        off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(poses.joints.shape)
+    touches = _touches(robot, poses, looks, sigma, rng)
+    commands = poses.joints
+    if touches:
+        _assembled(robot, poses, commands, off)
+        commands, misses = at_contact(robot, poses, touches, off)
+        _require_contact(poses, misses)
+    configurations = _assembled(robot, poses, commands, off)  # says which pose cannot be
+    readings = dict[str, Readings]()
+    for name, predicted in predicted_readings(robot, configurations, looks).items():
+        instrument = robot.instrument(name)
+        if name not in touches:
+            readings[name] = _noisy(instrument, predicted, sigma, rng)
+        elif len(predicted):
+            zeros = np.zeros((len(predicted), instrument.n_rows))
+            readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
+    said = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
+    return replace(measurements(poses, readings), joints=commands, comments=said, planned={})
+
+
+def noisy_readings(
+    robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """Return readings with normal noise, without those of what cannot be seen.
+
+    Args:
+        robot: Knows the noise of its instruments.
+        exact: What they would read without noise; not of touches, whose noise is in the joints.
+        sigma: As in `simulate`.
+        rng: Where the noise comes from.
+    """
+    return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
+
+
+def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
+    """Return the instruments of whose noise neither the description nor `sigma` says anything."""
+    return [
+        instrument.name
+        for instrument in robot.instruments
+        if not all(part.stated for part in stated_noise(instrument, sigma).parts)
+    ]
+
+
+def _noise_in_words(robot: Robot, sigma: float | None) -> str:
+    if sigma is None:
+        return "noise as the description states it"
+    words = f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+    if sigma == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
+        return words
+    return f"{words} of positions, else as the description states it"
+
+
+def _touches(
+    robot: Robot, poses: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """What is touched at which visit, and by how much each touch misses."""
+    unsaid = next(iter(unsaid_touches(robot, poses)), None)
+    if unsaid is not None:
+        raise DataError(
+            f"{poses.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
+            f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
+        )
+    result = {}
+    for instrument in (instrument for instrument in robot.instruments if instrument.touches):
+        look = looks[instrument.name]
+        exact = Readings(look.visits, look.pairs, np.zeros((len(look), instrument.n_rows)), None, look.details)
+        result[instrument.name] = _noisy(instrument, exact, sigma, rng)
+    return result
+
+
+def at_contact(
+    robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Bring the robot to what it touches; see the module docstring.
+
+    Args:
+        robot: The robot.
+        poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
+        touches: What each instrument that touches is to touch, and by how much it shall miss.
+        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+
+    Returns:
+        Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
+    """
+    errors = np.zeros_like(poses.joints) if off is None else off
+    (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
+    scale, commands = robot.mechanism.joint_scale, poses.joints
+    everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
+    for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
+        gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
+        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(poses), _FIRST_DAMPING)
+        active = np.flatnonzero((miss >= MET) & ~given_up)
+        if len(active) == 0:
+            break
+        for _ in range(_STEPS):
+            system = gaps[active], slopes[active] * scale, damping[active]
+            step = _damped_step(*system, np.zeros((len(active), len(scale)), dtype=bool))
+            at = commands[active]
+            held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
+            trial = commands.copy()
+            trial[active] = np.clip(at + _damped_step(*system, held) * scale, lower[active], upper[active])
+            trial_gaps, trial_slopes = _gaps(robot, poses, trial, errors, touches, active)
+            left = np.linalg.norm(trial_gaps, axis=1)
+            better = left < miss[active]
+            gained = active[better]
+            stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
+            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            gaps[gained], slopes[gained], miss[gained] = trial_gaps[better], trial_slopes[better], left[better]
+            damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
+            active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
+            if len(active) == 0:
+                break
+        given_up |= miss >= MET
+        commands = commands[follows]
+    return commands, np.linalg.norm(_gaps(robot, poses, commands, errors, touches, everyone)[0], axis=1)
+
+
+def _require_contact(poses: Poses, misses: FloatArray) -> None:
+    """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
+    worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
+    if misses[worst] >= MET:
+        raise UnreachablePoseError(
+            f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
+            f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+        )
+
+
+def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
+    """The step of the module docstring of joints that no limit holds, no longer than is allowed, (n, n_actuated)."""
+    free = np.where(held[:, None, :], 0.0, slopes)
+    size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
+    # By singular values: in J^T J, rounding over little damping would move the joints along what no gap feels.
+    left, values, right = np.linalg.svd(free, full_matrices=False)
+    felt = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
+    step: FloatArray = -np.matmul((felt * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[:, 0]
+    longest = np.max(np.abs(step), axis=1, keepdims=True)
+    return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
+
+
+def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
+
+
+def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
+    """Whose joint values each visit takes: its own; or, touching nothing, those of a touch that repeats its pose."""
+    touching = np.unique(np.concatenate([readings.visits for readings in touches.values()]))
+    numbers, result = poses.pose_numbers, np.arange(len(poses))
+    first = dict(zip(numbers[touching[::-1]].tolist(), touching[::-1].tolist(), strict=True))
+    for k in np.setdiff1d(result, touching):
+        result[k] = first.get(int(numbers[k]), k)
+    return result
+
+
+def _gaps(
+    robot: Robot,
+    poses: Poses,
+    commands: FloatArray,
+    off: FloatArray,
+    touches: Mapping[str, Readings],
+    index: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Gaps of some visits beyond what is missed by, and their derivative by the actuated joints.
+
+    Returns:
+        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    """
+    context = _context(poses, commands)
+    columns = tuple(part[index] for part in term_columns(robot, commands + off, context))
+    q = (commands + off)[index]
+    closed = robot.close(q, columns=columns)
+    ok = np.flatnonzero(closed.ok)
+    configurations = configured(robot, q[ok], closed.at(ok), tuple(part[ok] for part in columns))
+    looks = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
+    observed = observe(robot, configurations, looks, joints=True)
+    width = sum(robot.instrument(name).n_rows for name in touches)
+    gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
+    gaps[~closed.ok] = np.inf
+    for name, readings in looks.items():
+        rows = slice(start, start + robot.instrument(name).n_rows)
+        gaps[ok[readings.visits], rows] = observed[name].residuals
+        slopes[ok[readings.visits], rows] = observed[name].by_joint
+        start = rows.stop
+    return gaps, slopes
+
+
+def _context(poses: Poses, commands: FloatArray) -> Context:
+    """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
+    approach = directions_of_motion(commands) if poses.approach is None else poses.approach
+    return Context.of(approach, poses.context, poses.setups)
+
+
+def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
+    """The robot at commands (n, n_actuated) that it does not quite follow."""
+    context = _context(poses, commands)
+    return robot.assemble(commands + off, labels=poses.labels, context=context)
+
+
+def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
+    """Readings with noise, without those of what cannot be seen."""
+    seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
+    visible = exact if len(seen) == len(exact) else some_readings(exact, seen)
+    change = np.zeros((len(visible), instrument.n_rows))
+    if sigma != 0:
+        noise = stated_noise(instrument, sigma)
+        widths = [len(part.axes) for part in instrument.parts]
+        covariance = noise.covariance(instrument.points(visible.values), len(visible), widths)
+        normal = rng.standard_normal(change.shape)
+        stated = np.array([float(noise.parts[k].stated) for k in instrument.part_of_row])
+        change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
+    return Readings(visible.visits, visible.pairs, instrument.moved(visible.values, change), None, visible.details)

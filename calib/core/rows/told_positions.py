@@ -1,0 +1,112 @@
+"""How well positions are known in the frame in which they are reported.
+
+Where some instrument looks from a known place, that is the measurement frame. Where none does, the base and all that
+measures stand anywhere, and readings may hardly tell where: distances from unknown points leave the base to its priors,
+millimetres of them, and nothing that the robot does is a millimetre off. Then positions are told in the robot's own
+base frame, laid where positions agree best over the poses measured.
+
+With J the derivative of positions by the free parameters and C their covariance, d the error of the parameters and z(d)
+the motion of all positions as one body that follows it best over those poses (`calib.core.rows.common_motion`), the
+covariance told is that of J d - A z(d). Where the measured point is on its link counts in either frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays, hold
+from calib.core.base.threads import one_blas_thread
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.common_motion import CommonMotion, Loose, target_poses
+from calib.core.rows.frames import poses_of_agreement
+from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.prediction import ROWS, ParameterUncertainty, PositionUncertainty, carried
+
+OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
+"""Which frame it is where that is not the measurement frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldPositions(ReadOnlyArrays):
+    """A calibrated robot, and how well its positions are known.
+
+    Attributes:
+        robot: The robot.
+        uncertainty: How well its parameters are known.
+        motion: Common motion that does not count; None in the measurement frame.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty
+    motion: CommonMotion | None
+
+    @staticmethod
+    @one_blas_thread
+    def of(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ToldPositions:
+        """Return how well the positions of a calibrated robot are known.
+
+        Args:
+            robot: The robot.
+            uncertainty: How well its parameters are known.
+            joints: Of the visits that it was calibrated from, (n, n_actuated) [m or rad].
+        """
+        loose = replace(Loose.of(robot), points=(), frames=())
+        if not loose.base:
+            return ToldPositions(robot, uncertainty, None)
+        known = KnownRobot(robot, uncertainty, joints, nothing_to_correct=False)
+        motion = CommonMotion.of(robot, robot, loose, poses_of_agreement(known, robot))
+        return ToldPositions(robot, uncertainty, motion if motion.basis.size else None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Say in which frame it is told, where that is not the measurement frame."""
+        return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
+
+    def at(
+        self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None, *, turns: bool = True
+    ) -> PositionUncertainty:
+        """Predict positions in the measurement frame, with their covariance in the frame of the report.
+
+        Args:
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given; joint terms may depend on it.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether the covariance of the orientations is wanted.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        if self.motion is None:
+            return self.uncertainty.at(self.robot, q, context, near, turns=turns)
+        context = Context.neutral(*q.shape) if context is None else context
+        known, shape = self.uncertainty.covariance_of(self.robot), (len(q), len(self.robot.mechanism.targets), 3)
+        points, measured, told = (
+            np.empty(shape),
+            *([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2)),
+        )
+        for some, linear in self.uncertainty.linearised_in_parts(self.robot, q, context, near, turns=turns):
+            points[some] = linear.positions
+            common = self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+            common = common[:, :, : linear.jacobian.shape[2]]
+            for to, jacobian in ((measured, linear.jacobian), (told, linear.jacobian - common)):
+                for covariance, rows in zip(to, ROWS, strict=False):
+                    covariance[some] = carried(jacobian[:, :, rows], known)
+        hold(points, *measured, *told)
+        factor, left_out = self.uncertainty.coverage_factor, self.robot.left_out
+        turned, told_turned = (covariances[1] if turns else None for covariances in (measured, told))
+        in_measured = PositionUncertainty(points, measured[0], factor, turned, left_out)
+        return replace(
+            in_measured, covariance=told[0], turn_covariance=told_turned, frame=OWN_FRAME, measured=in_measured
+        )
+
+    @cached_property
+    def _following(self) -> FloatArray:
+        """How common motion follows what is uncertain, (k, n_uncertain)."""
+        assert self.motion is not None
+        joints = self.motion.joints
+        linear = self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
+        return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)

@@ -1,0 +1,345 @@
+"""Whitening: from what instruments and model say to the rows of `calib.core.rows.rows`, by the stated noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.units import Dimension
+from calib.core.data.measurements import Measurements
+from calib.core.instruments.kind import Instrument, Part, Readings
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.numerics.variance_components import SharedError
+from calib.core.robots.robot import Robot
+from calib.core.rows.batches import Batch, batches_of
+from calib.core.rows.observed import Observed
+from calib.core.rows.rows import Group, Layout, Rows, Scales
+from calib.core.rows.unknowns import Unknowns
+
+ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
+"""Noise of one component if it is neither stated nor shown by residuals [SI]; messages must say that it is assumed."""
+
+
+_AGAIN = 10  # readings beyond the first of their pose from which an offset that they share is looked for
+
+
+class Whitening:
+    """Whitens what a robot and its readings give; knows the noise that is stated.
+
+    Args:
+        robot: Its instruments state their noise.
+        data: The readings.
+        sigma: Noise of positions per axis that replaces what is stated [m].
+    """
+
+    def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
+        self._names = tuple(
+            instrument.name for instrument in robot.instruments if len(data.readings.get(instrument.name, ()))
+        )
+        self._n_rows = {instrument.name: instrument.n_rows for instrument in robot.instruments}
+        self._inverse: dict[str, FloatArray] = {}
+        groups: dict[tuple[str, str, bool], Group] = {}
+        numbers: list[IntArray] = []
+        widths: list[IntArray] = []
+        for name in self._names:
+            instrument, readings = robot.instrument(name), data.readings[name]
+            noise = stated_noise(instrument, sigma)
+            covariance = _covariance(instrument, noise, readings)
+            absent = _absent(instrument, readings)
+            number = np.array(
+                [_group(groups, instrument, noise, readings, covariance, part) for part in instrument.parts]
+            )
+            numbers.append(np.where(absent, -1, number[list(instrument.part_of_row)]).ravel())
+            widths.append(np.sum(~absent, axis=1))
+            self._inverse[name] = _inverse_roots(covariance, absent)
+        self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
+        noises = [stated_noise(robot.instrument(name), sigma) for name in self._names]
+        alike = not any(part.beam is not None for noise in noises for part in noise.parts)
+        self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
+
+    def whitens(self, data: Measurements) -> bool:
+        """Whether it is that of other readings, too: all whole, of the same visits, with noise that is alike."""
+        known, readings = self._of_all, data.readings
+        if known is None or not _are_whole(data) or {name for name in readings if len(readings[name])} != known.keys():
+            return False
+        return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """Groups of rows whose noise has one scale."""
+        return self.layout.groups
+
+    @cached_property
+    def batches(self) -> tuple[Batch, ...]:
+        """The rows in batches of whole visits; few rows are one."""
+        return batches_of(self.layout)
+
+    def flatten(
+        self, arrays: Mapping[str, FloatArray], batch: Batch | None = None, *, in_place: bool = False
+    ) -> FloatArray:
+        """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
+
+        Args:
+            arrays: By instrument.
+            batch: Of which readings they are; all if not given.
+            in_place: Whether the arrays may be used up, so that large ones are not copied.
+
+        Returns:
+            (n_all_rows,) or (n_all_rows, k).
+        """
+        parts = []
+        for name in self._names:
+            array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
+            chosen = slice(None) if batch is None else batch.readings[name]
+            parts.append(self.whitened(name, array, chosen, in_place=in_place).reshape(-1, *array.shape[2:]))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def whitened(
+        self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False, across: bool = False
+    ) -> FloatArray:
+        """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
+
+        Args:
+            name: The instrument.
+            array: What they have.
+            chosen: Which readings, (n,).
+            in_place: Whether the array may be used up.
+            across: Whether to multiply by the transposed of what whitens.
+        """
+        inverse = self._inverse[name][chosen]
+        if across and inverse.ndim == 3:
+            inverse = inverse.transpose(0, 2, 1)
+        if inverse.ndim == 2:  # no correlations: divide
+            scale = inverse if array.ndim == 2 else inverse[:, :, None]
+            return np.multiply(array, scale, out=array if in_place else None)
+        return np.matmul(inverse, array) if array.ndim == 3 else np.matmul(inverse, array[:, :, None])[:, :, 0]
+
+    def read(self, whitened: FloatArray, scales: Scales) -> dict[str, FloatArray]:
+        """Return what whitened numbers, one of each row (n_rows,), are of readings, (n, n_rows) [SI] by instrument.
+
+        Args:
+            whitened: The numbers.
+            scales: By which noise they are whitened.
+        """
+        weighing = self.weighing(scales.ratios)
+        numbers = self.row_scale(scales.groups) * (whitened if weighing is None else weighing.unwhiten(whitened))
+        result = {}
+        for name in self._names:
+            inverse = self._inverse[name]
+            own = numbers[self.layout.rows_of(name)].reshape(inverse.shape[:2])
+            if inverse.ndim == 2:
+                result[name] = np.divide(own, inverse, out=np.zeros_like(own), where=inverse != 0)
+            else:  # a row of zeros was not read
+                nothing = ~np.any(inverse, axis=2)[:, :, None] * np.eye(inverse.shape[1])
+                result[name] = np.linalg.solve(inverse + nothing, own[:, :, None])[:, :, 0]
+        return result
+
+    def row_scale(self, groups: FloatArray, batch: Batch | None = None) -> FloatArray:
+        """Return the scale of each row, or of those of a batch, 1 for rows that were not read, (n_rows,).
+
+        Args:
+            groups: Of each group, (n_groups,).
+            batch: Which rows; all if not given.
+        """
+        number = self.layout.group if batch is None else self.layout.group[batch.rows]
+        return np.where(number >= 0, groups[number], 1.0)
+
+    def rows(
+        self,
+        observed: Mapping[str, Observed],
+        groups: FloatArray,
+        unknowns: Unknowns,
+        deviations: FloatArray,
+    ) -> Rows:
+        """Return the whitened rows.
+
+        Args:
+            observed: Of each instrument, by name.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: The parameters that count.
+            deviations: u of these, (n_free,).
+        """
+        residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
+        return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
+
+    def columns(
+        self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, batch: Batch | None = None
+    ) -> FloatArray:
+        """Return the whitened derivative of the rows of a batch, or of all, by the scaled unknowns, (n_rows, n_free).
+
+        Args:
+            observed, groups, unknowns: As of `rows`.
+            batch: Of which readings they are.
+        """
+        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, batch, in_place=True)
+        columns *= unknowns.scales
+        if np.any(groups != 1.0):
+            columns /= self.row_scale(groups, batch)[:, None]
+        return columns
+
+    def weighing(self, ratios: FloatArray) -> SharedError | None:
+        """Return offsets as estimates are weighed for them, whatever the scales are; None without any.
+
+        Args:
+            ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
+        """
+        weighed = ratios > 0
+        if not np.any(weighed):
+            return None
+        return SharedError(self.offset_columns[:, weighed] * ratios[weighed], self.layout.pose_of_row)
+
+    def totals(self, scales: Scales) -> FloatArray:
+        """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
+        weighing = self.weighing(scales.ratios)
+        if weighing is None:
+            return scales.groups
+        read = self.layout.group >= 0
+        number = self.layout.group[read]
+        squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
+        return scales.groups * np.sqrt(squares)
+
+    @property
+    def n_offsets(self) -> int:
+        """Number of components that all instruments of the robot have."""
+        return sum(self._n_rows.values())
+
+    @cached_property
+    def offset_columns(self) -> FloatArray:
+        """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
+        units = np.eye(self.n_offsets)
+        by_instrument = dict(
+            zip(self._n_rows, np.split(units, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True)
+        )
+        readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
+        return self.flatten({name: np.tile(by_instrument[name], (n, 1, 1)) for name, n in readings.items()})
+
+    @cached_property
+    def tells_offsets(self) -> BoolArray:
+        """Of which offsets enough readings share a pose with another one for them to show, (n_offsets,)."""
+        enough: list[bool] = []
+        for name, n_rows in self._n_rows.items():
+            pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
+            enough += [len(pose) - len(np.unique(pose)) >= _AGAIN] * n_rows
+        return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
+
+    def offset_scale(self, groups: FloatArray) -> FloatArray:
+        """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""
+        rows = self.offset_columns != 0
+        return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
+
+    def without_offsets(self, ratios: FloatArray) -> BoolArray:
+        """Return which groups are of instruments without offsets (n_offsets,), (n_groups,); all, if each has one."""
+        ends = np.cumsum(list(self._n_rows.values()))[:-1]
+        has_offsets = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
+        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if has_offsets[name]]
+        free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
+        return free if np.any(free) else ~free
+
+    def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
+        """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""
+        return self.flatten({name: observed[name].by_joint for name in self._names})
+
+    def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
+        """Return scales to start from: 1 where noise is stated; else as the residuals (n, n_rows) are, or assumed."""
+        result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
+        if residuals is not None:
+            flat, number = self.flatten(residuals), self.layout.group
+            for g, group in enumerate(self.groups):
+                if not group.stated:
+                    result[g] = np.sqrt(np.mean(flat[number == g] ** 2)) + 1e-9
+        return result
+
+
+def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
+    """Return the noise of an instrument, with another one for its positions if that is given [m]."""
+    if sigma is None:
+        return instrument.noise
+    parts = [
+        PartNoise.of(sigma, len(part.axes)) if part.is_position else noise
+        for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
+    ]
+    return Noise(tuple(parts))
+
+
+def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> FloatArray:
+    if readings.covariance is not None:
+        return readings.covariance
+    widths = [len(part.axes) for part in instrument.parts]
+    return noise.covariance(instrument.points(readings.values), len(readings), widths)
+
+
+def _are_whole(data: Measurements) -> bool:
+    """Whether every component was read, and no reading has a noise of its own."""
+    return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
+
+
+def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
+    """Which components were not read, (n, n_rows)."""
+    nothing: BoolArray = np.isnan(readings.values)
+    if not nothing.any():
+        return np.zeros((len(readings), instrument.n_rows), dtype=bool)
+    if nothing.shape[1] == instrument.n_rows:
+        return nothing
+    whole: BoolArray = np.any(nothing, axis=1, keepdims=True)
+    return np.broadcast_to(whole, (len(readings), instrument.n_rows))
+
+
+def _group(
+    groups: dict[tuple[str, str, bool], Group],
+    instrument: Instrument,
+    noise: Noise,
+    readings: Readings,
+    covariance: FloatArray,
+    part: Part,
+) -> int:
+    """The number of the group of a part of an instrument's rows, a new one if need be."""
+    index = instrument.parts.index(part)
+    stated = readings.covariance is not None or noise.parts[index].stated
+    key = (instrument.group, part.name, stated)
+    if key not in groups:
+        rows = [k for k, number in enumerate(instrument.part_of_row) if number == index]
+        typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
+        groups[key] = Group(instrument.group, part, stated, typical)
+    return list(groups).index(key)
+
+
+def _inverse_roots(covariance: FloatArray, absent: BoolArray) -> FloatArray:
+    """L^-1 of C = L L^T, (n, m, m), or (n, m) where C is diagonal; 0 for rows that were not read."""
+    covariance = covariance.copy()
+    if absent.any():
+        covariance[absent[:, :, None] | absent[:, None, :]] = 0.0
+        k, row = np.nonzero(absent)
+        covariance[k, row, row] = 1.0
+    diagonal = np.diagonal(covariance, axis1=1, axis2=2)
+    width = covariance.shape[1]
+    if not np.any(covariance[:, ~np.eye(width, dtype=bool)]):
+        return np.where(absent, 0.0, 1.0 / np.sqrt(diagonal))
+    identity = np.broadcast_to(np.eye(width), covariance.shape)
+    return np.where(absent[:, :, None], 0.0, np.linalg.solve(np.linalg.cholesky(covariance), identity))
+
+
+def _layout(
+    robot: Robot,
+    data: Measurements,
+    names: tuple[str, ...],
+    numbers: list[IntArray],
+    widths: list[IntArray],
+    groups: tuple[Group, ...],
+) -> Layout:
+    counts = np.array([len(data.readings[name]) for name in names], dtype=np.intp)
+    per_reading = np.array([robot.instrument(name).n_rows for name in names], dtype=np.intp)
+    visit = np.concatenate([data.readings[name].visits for name in names])
+    return Layout(
+        names,
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.concatenate([[0], np.cumsum(counts * per_reading)]),
+        np.repeat(np.arange(int(counts.sum())), np.repeat(per_reading, counts)),
+        visit,
+        data.pose_numbers[visit],
+        np.concatenate(widths),
+        np.concatenate(numbers),
+        groups,
+    )

@@ -1,0 +1,153 @@
+"""`calib export`: the robot in the formats of other programs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import cast
+
+import click
+
+from calib.core.base.units import millimetres
+from calib.core.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    said_of_failure,
+    shared_options,
+    values_options,
+    with_values,
+)
+from calib.core.results.result_reading import read_result
+from calib.core.robots.urdf.links import read_links
+from calib.core.robots.urdf.text import UrdfText
+from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export, format_of
+from calib.exporting.functions.languages import LANGUAGES
+from calib.exporting.held_formats import HELD
+
+_WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
+
+
+@click.command("export")
+@click.argument("robot")
+@values_options
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(tuple(HELD)),
+    help="By the ending of FILE (.urdf, .xml, .xacro, .c) if not given. urdf: only edited origins change. mjcf:"
+    " MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
+    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
+    " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
+    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The files from dh to xacro"
+    " state their error. joint-tables: a folder with tables of each joint's error, as CSV, Python, C, and the URDF"
+    " that goes with it. klipper, marlin, duet: lines to paste into the settings of a delta printer. Each file gets"
+    " the best robot that it can hold. numpy, c, jax, torch, casadi: the whole model as functions of the commands, in"
+    " one file that needs nothing of this program.",
+)
+@click.option(
+    "--free-slide",
+    is_flag=True,
+    help="mjcf, drake: add a free joint for each direction that a closure"
+    " leaves free, so that a 3D constraint has nothing to absorb.",
+)
+@click.option(
+    "--meshes",
+    metavar="PREFIX",
+    help="urdf, drake, toolbox: put this before relative mesh paths, such as package://my_robot or /home/me/robot, so"
+    " that the file may lie anywhere.",
+)
+@click.option(
+    "--provenance",
+    is_flag=True,
+    help="urdf, toolbox, joint-tables: say in a comment where the numbers come from; numpy, c, jax, torch and casadi"
+    " always do.",
+)
+@click.option("-o", "--out", required=True, metavar="FILE", help="File to write; for joint-tables, the folder.")
+@shared_options(
+    json_output=True,
+    forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values need"
+    " (it says so inside). Also replace files that this program did not write, or that this command reads.",
+)
+def command(
+    robot: str,
+    parameters: str | None,
+    result: str | None,
+    file_format: str | None,
+    free_slide: bool,
+    meshes: str | None,
+    provenance: bool,
+    out: str,
+    output: Output,
+) -> None:
+    """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
+    file_format = file_format or format_of(out)
+    model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
+    lines = _origin_of_values(parameters, result) if provenance or file_format in LANGUAGES else None
+    if failed := said_of_failure(output, result, out):
+        lines = [*(lines or []), *failed]
+    notes: list[str] = []
+    relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
+    output.check(*(() if file_format == JOINT_TABLES else (out,)))
+    gaps = export(
+        model,
+        out,
+        file_format,
+        free_slide=free_slide,
+        meshes=meshes,
+        provenance=lines,
+        note=notes.append,
+        force=output.force,
+    )
+    output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
+    for text in notes:
+        if file_format in CONTROLLERS:
+            output.say(text)
+        else:
+            output.note(f"note: {text}")
+    if file_format != "urdf":
+        for gap in gaps:
+            output.say(gap.text())
+        if file_format != "toolbox" and any(gap.change > _WORTH_A_SLIDE for gap in gaps):
+            output.note(
+                "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
+            )
+    if relative and not meshes and file_format in ("urdf", "drake", "toolbox"):
+        output.note(
+            f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them, or give"
+            " --meshes"
+        )
+    output.json(
+        {
+            "robot": model.path,
+            "format": file_format,
+            "file": out,
+            "gaps": [asdict(gap) | {"unit": "rad" if gap.dimension == "angle" else "m"} for gap in gaps],
+            "notes": notes,
+        }
+    )
+
+
+def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
+    """Lines for the comment in the URDF."""
+    if parameters:
+        return [f"values: {parameters}"]
+    if not result:
+        return []
+    content = read_result(result)
+    sigma = content.get("sigma")
+    noise = "unknown" if sigma is None else f"{millimetres(cast(float, sigma)):.4g} mm"
+    return [
+        f"values: {result}, made by {content.get('program', 'an unknown version')}",
+        f"fitted to {content['n_poses']} poses, {content['n_rows']} coordinates; noise found {noise}",
+    ]
+
+
+def _relative_meshes(urdf: UrdfText) -> str:
+    """The first mesh file that is named relative to the URDF, or ""."""
+
+    shapes = (shape for link in read_links(urdf).values() for shape in (*link.visuals, *link.collisions))
+    return next(
+        (shape.file for shape in shapes if shape.file and "://" not in shape.file and not shape.file.startswith("/")),
+        "",
+    )

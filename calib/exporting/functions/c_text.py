@@ -1,0 +1,200 @@
+"""A robot's functions as one C99 file: tables of facts, and code that computes with them, without allocation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.core.robots.terms.term import REFERENCE_TEMPERATURE
+from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, said, template
+from calib.exporting.functions.trees import FunctionTree
+
+_FUNCTIONS = """\
+int @_forward(const double q[@_N], const @_conditions *given, int tool, double pose[16]);
+    Pose of a tool, four rows of four [m]. Returns 1, or 0 where the pose is not known, which then is NaN.
+size_t @_forward_many(size_t n, const double *q, const @_conditions *given, int tool, double *poses);
+    The same of n commands, one behind the other; conditions are n, too, or NULL. Returns how many poses are known.
+int @_jacobian(const double q[@_N], const @_conditions *given, int tool, double jacobian[6 * @_N]);
+    Its motion by each command, six rows: x, y, z, then the rotation vector, in the measurement frame. Returns 1 or 0.
+int @_inverse(const double pose[16], const double start[@_N], const @_conditions *given, int tool,
+              const int use[6], double q[@_N]);
+    Commands within the joint limits that bring a tool to a pose, met to 1e-10 (m and rad), by damped Newton steps from
+    a start, and where that fails again from home, whose solution may be in another posture. `use` says which of x, y,
+    z, rx, ry, rz shall be met; NULL: all. Returns 1, or 0 where nothing was found; q then is NaN.
+
+Nothing is allocated, and nothing is kept between calls. Include the file where it is needed; link with -lm."""
+
+
+def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
+    """Return the file.
+
+    Args:
+        facts: Of the robot.
+        lines: What it says of where the numbers come from.
+    """
+    parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]
+    parts += [template(name) for name in ("c_code", "c_loops", "c_joints", "c_doors")]
+    prefix = c_name(facts.name)
+    return f"{''.join(parts)}\n#endif\n".replace("@", prefix)
+
+
+def c_name(name: str) -> str:
+    """Return what the names in C begin with, made from a robot's name."""
+    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return plain if plain and not plain[0].isdigit() else f"robot_{plain}".rstrip("_")
+
+
+def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
+    text = said(facts, [line.replace("@", "(at)") for line in lines], "@_base()")
+    text += ["", *_FUNCTIONS.splitlines()]
+    if facts.conditions:
+        text += ["", "Joint errors depend on these members of the conditions; where NULL is given, they are neutral:"]
+        text += [f"    {name}: {MEANING[name]}; neutral: {NEUTRAL[name]:g}" for name in facts.conditions]
+    else:
+        text += ["", "This robot's joint errors depend on no conditions; give NULL."]
+    body = "\n".join(f" * {line}".rstrip() for line in "\n".join(text).replace("*/", "* /").splitlines())
+    return f"/*\n{body}\n */\n"
+
+
+def _sizes(facts: RobotFacts) -> str:
+    trees = [facts.tree, *([facts.gravity.tree] if facts.gravity else [])]
+    sizes = {
+        "N": len(facts.joints),
+        "N_DRIVEN": facts.tree.n_driven,
+        "N_PASSIVE": facts.tree.n_passive,
+        "N_TOOLS": len(facts.tools),
+        "N_SHARES": len(facts.shares),
+        "N_WAVES": len(facts.waves),
+        "MAX_JOINTS": max(len(tree.joints) for tree in trees),
+        "MAX_PASSIVE": max(1, *(tree.n_passive for tree in trees)),
+        "MAX_X": max(tree.n_driven + tree.n_passive for tree in trees),
+        "has_gravity": int(facts.gravity is not None),
+    }
+    lines = ["#ifndef @_INCLUDED", "#define @_INCLUDED", "", "#include <math.h>", "#include <stddef.h>", ""]
+    lines += [f"#define @_{name} {size}" for name, size in sizes.items()]
+    lines += [f"#define @_LENGTH {_number(facts.length)} /* compares metres and radians */"]
+    lines += [f"#define @_TURN {_number(2.0 * np.pi)}", f"#define @_REFERENCE {_number(REFERENCE_TEMPERATURE)}", ""]
+    return "\n".join(lines) + "\n"
+
+
+def _tables(facts: RobotFacts) -> str:
+    scale = facts.tree.scale[: len(facts.joints)]
+    neutral = ", ".join(["{0.0}", *(_number(NEUTRAL[name]) for name in ("time", "temperature", "load"))])
+    text = [
+        _array("double @_lower[]", facts.lower),
+        _array("double @_upper[]", facts.upper),
+        _array("double @_home[]", facts.home),
+        _array("double @_joint_scale[]", scale),
+        f"static const @_conditions @_neutral = {{{neutral}}};\n",
+    ]
+    if facts.base is not None:
+        table = _array("double pose[16]", facts.base.ravel()).strip()
+        text.append(f"static inline const double *@_base(void) {{\n{table}\n    return pose;\n}}\n")
+    text.append(_tree("@_robot", facts.tree))
+    text += _errors(facts)
+    gravity = facts.gravity
+    if gravity is None:
+        text.append("static const @_gravity @_own_gravity = {&@_robot, NULL, 0, {0.0}, {0.0}};\n")
+        return "".join(text)
+    text.append(_tree("@_nominal", gravity.tree))
+    bodies = np.vstack([np.zeros(4), np.column_stack([gravity.masses, gravity.moments])])
+    text.append(_structs("double @_bodies[][4]", map(_list, bodies)))
+    joint, at = gravity.payload
+    text.append(
+        f"static const @_gravity @_own_gravity = {{&@_nominal, @_bodies, {joint}, {_list(at)},"
+        f" {_list(gravity.acceleration)}}};\n"
+    )
+    return "".join(text)
+
+
+def _errors(facts: RobotFacts) -> list[str]:
+    """Tables of the joint errors; what is empty has one entry that nothing looks at."""
+    text = []
+    for k, wave in enumerate(facts.waves):
+        text += [_array(f"double @_sine_{k}[]", wave.sine), _array(f"double @_cosine_{k}[]", wave.cosine)]
+    waves = [
+        f"{{{wave.driven}, {wave.place}, {len(wave.sine)}, {_number(wave.base)}, @_sine_{k}, @_cosine_{k}}}"
+        for k, wave in enumerate(facts.waves)
+    ]
+    shares = [
+        f"{{{share.driven}, @_{SOURCES[share.source].upper()}, {share.place},"
+        f" {_number(share.knee)}, {_number(share.rate)}}}"
+        for share in facts.shares
+    ]
+    text.append(_structs("@_share @_shares[]", shares or ["{0, @_ONE, 0, 0.0, 0.0}"]))
+    text.append(_structs("@_wave @_waves[]", waves or ["{0, 0, 0, 0.0, NULL, NULL}"]))
+    return text
+
+
+def _tree(name: str, tree: FunctionTree) -> str:
+    """Tables of a tree, and the tree."""
+    joints = [
+        f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"
+        f" {_list(_columns(joint.placement))}}}"
+        for joint in tree.joints
+    ]
+    frames = [
+        f"{{{frame.after}, {name}_moved_{k}, {_list(_columns(frame.placement))}}}"
+        for k, frame in enumerate(tree.frames)
+    ]
+    rows = [f"{{{closure.a}, {closure.b}, {row}}}" for closure in tree.closures for row in closure.rows]
+    places = [place for block in tree.blocks for part in block for place in part]
+    ends = np.cumsum([0, *(len(part) for block in tree.blocks for part in block)]).tolist()
+    blocks = [
+        f"{{{len(block[0])}, {ends[2 * k]}, {ends[2 * k + 1]}, {int(sign)}}}"
+        for k, (block, sign) in enumerate(zip(tree.blocks, tree.signs, strict=True))
+    ]
+    limits = [f"{{{place}, {int(turns)}, {_number(low)}, {_number(high)}}}" for place, turns, low, high in tree.limits]
+    starts = tree.starts if tree.closures else np.zeros((1, 1))
+    counts = [tree.n_driven, tree.n_passive, len(tree.joints), len(starts), len(blocks), len(limits)]
+    members = [*map(str, counts), _number(tree.tolerance)]
+    members += [f"{name}_{part}" for part in ("joints", "frames", "rows", "scale", "starts")]
+    members += [f"{name}_{part}" for part in ("blocks", "block_places", "limits")]
+    return "".join(
+        [
+            _structs(f"@_joint {name}_joints[]", joints),
+            *(
+                f"static const unsigned char {name}_moved_{k}[] ="
+                f" {{{', '.join(str(int(m)) for m in frame.moved_by)}}};\n"
+                for k, frame in enumerate(tree.frames)
+            ),
+            _structs(f"@_frame {name}_frames[]", frames),
+            _structs(f"@_row {name}_rows[]", rows or ["{0, 0, 0}"]),
+            _array(f"double {name}_scale[]", tree.scale),
+            _array(f"double {name}_starts[]", starts.ravel()),
+            _structs(f"@_block {name}_blocks[]", blocks or ["{0, 0, 0, 0}"]),
+            f"static const int {name}_block_places[] = {{{', '.join(map(str, places or [0]))}}};\n",
+            _structs(f"@_limit {name}_limits[]", limits or ["{0, 0, 0.0, 0.0}"]),
+            f"static const @_tree {name} = {{{', '.join(members)}}};\n",
+        ]
+    )
+
+
+def _columns(placement: ArrayLike) -> Iterable[float]:
+    """The twelve numbers of a pose, column by column."""
+    return [float(value) for value in np.asarray(placement)[:3].T.ravel()]
+
+
+def _number(value: float) -> str:
+    """A number that reads back exactly."""
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value) + 0.0)
+
+
+def _list(values: Iterable[float]) -> str:
+    return f"{{{', '.join(_number(value) for value in values)}}}"
+
+
+def _array(declared: str, values: Iterable[float]) -> str:
+    """A table of numbers, in lines."""
+    text = [_number(float(value)) for value in values]
+    return _structs(declared, [", ".join(text[k : k + 5]) for k in range(0, len(text), 5)])
+
+
+def _structs(declared: str, entries: Iterable[str]) -> str:
+    body = ",\n    ".join(entries)
+    return f"static const {declared} = {{\n    {body}\n}};\n"

@@ -1,0 +1,288 @@
+"""A robot as the facts that a function needs which computes its tool poses: trees, joint terms, gravity.
+
+Joint errors are sums of two kinds of terms (`calib.core.robots.terms.formula`), with their coefficients multiplied in;
+those that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
+therefore a second one.
+
+Beside them stands what files in every language have alike: what they say of a robot, and the code that is the same for
+every robot (the `.txt` files).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import ComputationError, DataError
+from calib.core.robots import loops
+from calib.core.robots.configurations import configured
+from calib.core.robots.gravity import accelerations, payload_frame, with_masses
+from calib.core.robots.joint_errors import driven_by
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.formula import Proportional, Source
+from calib.core.robots.terms.term import REFERENCE_TEMPERATURE, Context
+from calib.exporting.functions.trees import FunctionTree, tree_of
+
+_STARTS = 64
+CONDITIONS = {
+    Source.APPROACH: "approach",
+    Source.TIME: "time",
+    Source.WARMTH: "temperature",
+    Source.TORQUE: "load",
+}
+"""The condition of a command that each source needs, by the name that functions give it."""
+NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
+"""What each condition is where nothing is said of it."""
+MEANING = {
+    "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
+    "time": "as the measurements counted it [s], (...)",
+    "temperature": "[degC], (...)",
+    "load": "mass at the tool, beside what the URDF has [kg], (...)",
+}
+"""What each condition is."""
+SOURCES = {
+    Source.ONE: "one",
+    Source.COMMAND: "command",
+    Source.APPROACH: "approach",
+    Source.TIME: "time",
+    Source.WARMTH: "temperature",
+    Source.TORQUE: "torque",
+}
+"""What joint errors are proportional to, as the code names it."""
+
+
+@dataclass(frozen=True)
+class JointShare:
+    """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
+
+    Attributes:
+        driven: Which driven joint.
+        source: Which number.
+        place: Of which joint, where there is one for each.
+        knee: As above; 0: x itself.
+        rate: The coefficient, with all constants.
+    """
+
+    driven: int
+    source: Source
+    place: int
+    knee: float
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Wave(ReadOnlyArrays):
+    """A driven joint is off by sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
+
+    Attributes:
+        driven: Which driven joint.
+        place: Which actuated joint q is the command of.
+        base: Phase per unit of q [rad/rad or rad/m].
+        sine, cosine: The coefficients, (n_orders,) each [m or rad].
+    """
+
+    driven: int
+    place: int
+    base: float
+    sine: FloatArray
+    cosine: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity(ReadOnlyArrays):
+    """What the torques of gravity need.
+
+    Attributes:
+        tree: The nominal robot's; its world is the root link.
+        masses: Of what each joint carries next, (n_joints,) [kg].
+        moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
+        payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
+        acceleration: Of gravity, (3,) [m/s^2].
+    """
+
+    tree: FunctionTree
+    masses: FloatArray
+    moments: FloatArray
+    payload: tuple[int, FloatArray]
+    acceleration: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFacts(ReadOnlyArrays):
+    """What a function needs of a robot.
+
+    Attributes:
+        name: The robot's name.
+        joints: Names of the actuated joints, in the order of commands.
+        units: Unit of each, `rad` or `m`.
+        tools: Names of the targets.
+        tree: The robot's; its first frame is the measurement frame, then one for each target.
+        shares, waves: Its joint errors.
+        gravity: For torques; None where nothing depends on them.
+        conditions: Names of the conditions that the joint errors depend on.
+        lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
+        home: Commands of the home configuration, within these, (n_actuated,) [m or rad].
+        length: Characteristic length [m].
+        base: Pose of the measurement frame in the root link, (4, 4) [m]; None where joints move it.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    tools: tuple[str, ...]
+    tree: FunctionTree
+    shares: tuple[JointShare, ...]
+    waves: tuple[Wave, ...]
+    gravity: Gravity | None
+    conditions: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    home: FloatArray
+    length: float
+    base: FloatArray | None
+
+
+def facts_of(robot: Robot) -> RobotFacts:
+    """Return the facts of a robot with its current values, of which functions can be written.
+
+    Raises:
+        ComputationError: No configuration is known at which the loops close.
+    """
+    mechanism = robot.mechanism
+    commands, configurations = _starts(robot)
+    frames = [mechanism.targets[0].a, *(target.b for target in mechanism.targets)]
+    shares, waves = _errors(robot)
+    needs_torque = any(share.source is Source.TORQUE for share in shares)
+    sources = {share.source for share in shares}
+    lower, upper = robot.urdf.limits(mechanism.actuated)
+    return RobotFacts(
+        name=robot.name,
+        joints=robot.joint_names,
+        units=tuple("m" if mechanism.dimensions[name] == "length" else "rad" for name in robot.joint_names),
+        tools=robot.target_names,
+        tree=tree_of(mechanism, robot.mode, frames, configurations),
+        shares=shares,
+        waves=waves,
+        gravity=_gravity(robot, commands) if needs_torque else None,
+        conditions=tuple(name for source, name in CONDITIONS.items() if source in sources),
+        lower=lower,
+        upper=upper,
+        home=np.clip(robot.home, lower, upper),
+        length=mechanism.length,
+        base=_base(robot),
+    )
+
+
+def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Commands (n, n_actuated) spread over the joint limits, home first, and x of the closed configurations there."""
+    commands = robot.home[None]
+    if robot.mechanism.loops:
+        with suppress(DataError):  # then too little is known of where it can go, and home is one place
+            commands = np.vstack([commands, robot.sample(_STARTS - 1)])
+    closed = robot.close(commands)
+    kept = np.flatnonzero(closed.ok)
+    if len(kept) == 0:
+        raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
+    configurations = configured(robot, commands[kept], closed.at(kept))
+    return commands[kept], np.hstack([configurations.actuated, configurations.passive])
+
+
+def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
+    """The joint errors, terms of one kind for one joint added up."""
+    rates: dict[tuple[int, Source, int, float], float] = {}
+    series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
+    start = robot.coefficients.start
+    for term in robot.terms:
+        values = robot.values[start : start + len(term.parameters)]
+        start += len(term.parameters)
+        if not term.adds:
+            continue
+        for driven in driven_by(term, robot.mechanism):
+            formula = term.formula(driven)
+            assert formula is not None  # or no function is written of the robot
+            if isinstance(formula, Proportional):
+                key = (driven, formula.source, formula.place, formula.knee)
+                rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])
+                continue
+            of_orders = series.setdefault((driven, formula.place, formula.base), {})
+            for order, pair in zip(formula.orders, values.reshape(-1, 2), strict=True):
+                of_orders[order] = of_orders.get(order, np.zeros(2)) + pair
+    shares = tuple(JointShare(*key, rate) for key, rate in rates.items() if rate)
+    waves = []
+    for (driven, place, base), of_orders in series.items():
+        used = [order for order, pair in of_orders.items() if np.any(pair)]
+        if used:
+            table = np.array([of_orders.get(order, np.zeros(2)) for order in range(1, max(used) + 1)])
+            waves.append(Wave(driven, place, base, table[:, 0], table[:, 1]))
+    return shares, tuple(waves)
+
+
+def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
+    nominal = robot.nominal
+    driven = nominal.untilted(commands)
+    closed = loops.close(nominal, robot.mode, driven)
+    starts = np.hstack([driven, closed.passive])[closed.ok]
+    masses = with_masses(robot.urdf, nominal)
+    bodies = {} if masses is None else {k: body for k, body in enumerate(masses.inertias) if k and body.mass > 0}
+    payload = payload_frame(nominal, robot.description.payload)
+    tree = tree_of(nominal, robot.mode, [*bodies, payload], starts, from_root=True)
+    n_joints = len(tree.joints)
+    mass, moment = np.zeros(n_joints + 1), np.zeros((n_joints + 1, 3))
+    for frame, body in zip(tree.frames, bodies.values(), strict=False):
+        mass[frame.after] += body.mass
+        moment[frame.after] += body.mass * (frame.placement[:3, :3] @ body.lever + frame.placement[:3, 3])
+    hangs = tree.frames[len(bodies)]
+    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
+    nowhere, neutral = np.zeros((1, nominal.n_joints)), Context.neutral(1, len(robot.joint_names))
+    description = robot.description
+    acceleration, _ = accelerations(description.gravity, tuple(description.setups), nominal, nowhere, neutral, turns)
+    return Gravity(tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), acceleration[0])
+
+
+def _base(robot: Robot) -> FloatArray | None:
+    """The pose of the measurement frame in the root link, unless joints move it."""
+    mechanism, frame = robot.mechanism, robot.mechanism.targets[0].a
+    joints = np.flatnonzero(mechanism.support[frame])
+    if np.any(mechanism.select_moving[joints]):
+        return None
+    pose = pin.SE3.Identity()
+    for k in joints.tolist():
+        motion = pin.Motion(mechanism.axes[k] * mechanism.constant[k])
+        pose = pose * mechanism.model.jointPlacements[k + 1] * pin.exp6(motion)
+    return np.array(pose.homogeneous)
+
+
+def template(name: str) -> str:
+    """Return code that is the same for every robot."""
+    return (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8")
+
+
+def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
+    """Return what a file says of a robot, line by line.
+
+    Args:
+        facts: Of the robot.
+        lines: Where the numbers come from.
+        base: What the file calls the pose of the measurement frame.
+    """
+    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
+    text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
+    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered(facts.tools))}."]
+    text.append("Poses are those of a tool in the measurement frame of the calibration, where that places the robot.")
+    if facts.base is None:
+        text.append("Joints move that frame.")
+    else:
+        text.append(f"{base} is the pose of that frame in the root link: it times a pose is the pose in the root link.")
+    if facts.tree.closures:
+        text.append("Where loops do not close, or not as they are assembled at home, the numbers are NaN.")
+    return [" ".join(line.split()) for line in text]
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    return [f"{k} {name}" for k, name in enumerate(names)]

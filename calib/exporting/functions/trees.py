@@ -1,0 +1,225 @@
+"""A mechanism as the few facts that its kinematics need: joints in order, frames on them, and how loops close.
+
+What does not move is folded. Each joint that is left turns about the z axis, or slides along it, of a frame that stands
+at a constant place in the one before; so code needs one constant transform and one elementary motion for each joint.
+
+Values of the joints are x = [driven joints; passive joints], joint k being at factor_k x_c(k) + offset_k, which holds
+`<mimic>` too. "World" is the nearest frame that all frames of interest stand on, so that a robot that stands far from
+the root link's origin loses no digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.robots.closure import AssemblyMode
+from calib.core.robots.continuation import closing_tolerance
+from calib.core.robots.loops import LIMIT_MARGIN
+from calib.core.robots.mechanism import Mechanism
+
+_LARGEST_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class TreeJoint(ReadOnlyArrays):
+    """A joint that moves.
+
+    Attributes:
+        before: Number of the joint that it stands on, from 1; 0 is the world.
+        slides: Whether it slides along z; else it turns about z.
+        coordinate: Which of x it follows.
+        factor, offset: Its value is factor x + offset [m or rad].
+        placement: Of its frame behind the joint before, (4, 4) [m].
+    """
+
+    before: int
+    slides: bool
+    coordinate: int
+    factor: float
+    offset: float
+    placement: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TreeFrame(ReadOnlyArrays):
+    """A frame that stands on a joint.
+
+    Attributes:
+        after: Number of the joint; 0 is the world.
+        placement: Behind it, (4, 4) [m].
+        moved_by: Which joints move it, (n_joints,).
+    """
+
+    after: int
+    placement: FloatArray
+    moved_by: BoolArray
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Frame b in frame a: the components that must be zero.
+
+    Attributes:
+        a, b: Places among the tree's frames.
+        rows: Which of x, y, z; loops that constrain whole poses are refused (`calib.exporting.functions.languages`).
+    """
+
+    a: int
+    b: int
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTree(ReadOnlyArrays):
+    """What the kinematics of a mechanism need.
+
+    Attributes:
+        joints: The joints, each behind the one that it stands on.
+        frames: Frames of interest.
+        closures: The loops.
+        n_driven, n_passive: Sizes of the two parts of x.
+        scale: What one radian of each of x is compared with, (n_driven + n_passive,).
+        starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
+        blocks: Rows and columns of each block of C_p whose determinant tells the assembly mode.
+        signs: Sign of each of these determinants, (n_blocks,).
+        limits: Place among the passive joints, whether it turns, and limits, of each that has some [m or rad].
+        tolerance: Largest residual of a closed pose [m, rad].
+    """
+
+    joints: tuple[TreeJoint, ...]
+    frames: tuple[TreeFrame, ...]
+    closures: tuple[Closure, ...]
+    n_driven: int
+    n_passive: int
+    scale: FloatArray
+    starts: FloatArray
+    blocks: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
+    signs: FloatArray
+    limits: tuple[tuple[int, bool, float, float], ...]
+    tolerance: float
+
+    @property
+    def follows(self) -> FloatArray:
+        """Derivative of each joint's value by x, (n_joints, n_driven + n_passive)."""
+        result = np.zeros((len(self.joints), self.n_driven + self.n_passive))
+        for row, joint in zip(result, self.joints, strict=True):
+            row[joint.coordinate] = joint.factor
+        return result
+
+    @property
+    def behind(self) -> BoolArray:
+        """Which joints hang behind each joint, itself included, (n_joints, n_joints)."""
+        result = np.eye(len(self.joints), dtype=bool)
+        for k, joint in enumerate(self.joints):
+            if joint.before:
+                result[:, k] |= result[:, joint.before - 1]
+        return result
+
+
+def tree_of(
+    mechanism: Mechanism, mode: AssemblyMode, frames: Sequence[int], starts: FloatArray, *, from_root: bool = False
+) -> FunctionTree:
+    """Return the facts of a mechanism.
+
+    Args:
+        mechanism: The mechanism.
+        mode: Its assembly mode.
+        frames: Joint indices of frames that are needed beside those of the loops; they come first.
+        starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
+        from_root: Whether the world is the root link.
+    """
+    ends = [index for loop in mechanism.loops for index in (loop.a, loop.b)]
+    indices = [*frames, *ends]
+    select = np.hstack([mechanism.select_actuated, mechanism.select_passive])
+    shared = np.logical_and.reduce([mechanism.support[index] > 0 for index in indices])
+    shared &= not from_root
+    needed = np.logical_or.reduce([mechanism.support[index] > 0 for index in indices]) & ~shared
+    joints, at = _folded(mechanism, select, shared, needed)
+    numbers = [index for index in range(1, len(at)) if at[index].own]
+    kept = [_frame(mechanism, at, numbers, index) for index in indices]
+    closures = tuple(
+        Closure(len(frames) + 2 * k, len(frames) + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)
+    )
+    passive_scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    return FunctionTree(
+        joints=joints,
+        frames=tuple(kept),
+        closures=closures,
+        n_driven=len(mechanism.driven),
+        n_passive=len(mechanism.passive),
+        scale=np.concatenate([mechanism.driven_scale, passive_scale]),
+        starts=starts,
+        blocks=tuple(
+            (tuple(rows.tolist()), tuple(columns.tolist()))
+            for rows, columns in zip(mode.block_rows, mode.block_columns, strict=True)
+        ),
+        signs=mode.signs if mechanism.loops else np.zeros(0),
+        limits=tuple(_limits(mechanism)),
+        tolerance=closing_tolerance(mechanism) / 10,
+    )
+
+
+@dataclass(frozen=True)
+class _At:
+    """Where a frame of the mechanism is: behind which joint, at which constant place, and whether that joint's own."""
+
+    after: int
+    place: pin.SE3
+    own: bool = False
+
+
+def _folded(
+    mechanism: Mechanism, select: FloatArray, shared: BoolArray, needed: BoolArray
+) -> tuple[tuple[TreeJoint, ...], list[_At]]:
+    """Return the joints that move, and where each frame of the mechanism is."""
+    identity = pin.SE3.Identity()
+    at, joints = [_At(0, identity)], list[TreeJoint]()
+    for k in range(mechanism.n_joints):
+        if shared[k]:  # all frames of interest stand on it
+            at.append(_At(0, identity))
+            continue
+        before = at[mechanism.model.parents[k + 1]]
+        place = before.place * mechanism.model.jointPlacements[k + 1]
+        follows = np.flatnonzero(select[k])
+        if len(follows) == 0 or not needed[k]:
+            at.append(_At(before.after, place * pin.exp6(pin.Motion(mechanism.axes[k] * mechanism.constant[k]))))
+            continue
+        linear, angular = mechanism.axes[k, :3], mechanism.axes[k, 3:]
+        slides = not np.any(angular)
+        axis = linear if slides else angular
+        length = float(np.linalg.norm(axis))
+        aligned = pin.SE3(_to_z(axis / length), np.zeros(3))
+        factor = float(select[k, follows[0]]) * length
+        offset = float(mechanism.constant[k]) * length
+        placement = (place * aligned).homogeneous
+        joints.append(TreeJoint(before.after, slides, int(follows[0]), factor, offset, placement))
+        at.append(_At(len(joints), aligned.inverse(), True))
+    return tuple(joints), at
+
+
+def _to_z(axis: FloatArray) -> FloatArray:
+    """A rotation whose z axis is the given one (3,); its entries are 0 and 1 where the axis is one of x, y, z."""
+    first = np.cross(np.roll(np.eye(3)[np.argmax(np.abs(axis))], 1), axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first), axis], axis=1)
+
+
+def _frame(mechanism: Mechanism, at: list[_At], numbers: list[int], index: int) -> TreeFrame:
+    place = at[index]
+    moved_by = mechanism.support[index][[number - 1 for number in numbers]] > 0
+    return TreeFrame(place.after, place.place.homogeneous, moved_by)
+
+
+def _limits(mechanism: Mechanism) -> list[tuple[int, bool, float, float]]:
+    """Limits of passive joints, with the margin that counts as inside; a whole turn is no limit."""
+    limits = []
+    for k, (low, high) in enumerate(zip(mechanism.lower.tolist(), mechanism.upper.tolist(), strict=True)):
+        turns = not bool(mechanism.is_metre_column[k])
+        if (turns and high - low < _LARGEST_TURN) or (not turns and np.isfinite([low, high]).any()):
+            limits.append((k, turns, low - LIMIT_MARGIN, high + LIMIT_MARGIN))
+    return limits

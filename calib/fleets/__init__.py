@@ -1,0 +1,1 @@
+"""What several robots of one model say of the next one."""

@@ -1,0 +1,78 @@
+"""Whether a robot is like its fleet: what the fleet says is left out where the readings contradict it.
+
+A robot that was repaired, that fell, or that is of another make would be pulled towards the others, and its noise would
+seem larger than it is, which hides that. So it is fitted first as if there were no fleet, and what its readings tell is
+compared with what the fleet leads to expect, as results of a fleet are compared with each other
+(`calib.fleets.hierarchy`). The parameter that is least likely loses what the fleet says of it, and is expected where
+the description has it, until the rest is likely; beyond a quarter of the parameters the whole fleet is left out.
+
+Where few readings leave that fit no degree of freedom, it has the fleet's prior, but several times as wide; either way
+what a prior says is taken out of the comparison.
+
+When it fails. Where neither fit finds an answer (too few readings for unstated noise), nothing is compared.
+Poses that do not show a parameter cannot contradict it.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.errors import CalibrationError
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fit import fit_data
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.settings import Settings
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.robots.fleet_prior import FleetSection
+from calib.core.robots.robot import Robot
+from calib.fleets.hierarchy import likeness
+from calib.fleets.shared_parameters import expected_by, shared_parameters, told_of, without_fleet
+
+_WIDE = 5.0  # by which a prior is wider that shall decide little
+_MOST = 0.25  # part of the parameters that may be unlike before the whole robot is
+_EXTRA = 3.0  # degrees of freedom of spreads beyond one for each robot: what parameters of a kind share
+
+
+def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Settings, fleet: FleetSection) -> Robot:
+    """Return the robot without what its fleet says that the readings contradict.
+
+    Args:
+        robot: The nominal robot.
+        data: What it is fitted to.
+        settings: How.
+        fleet: What it says, of the robot's description.
+    """
+    alone = _with_little_of_it(robot, fleet, data, replace(settings, starts=1))
+    if alone is None:
+        return robot
+    shared = tuple(p for p in shared_parameters(robot) if fleet.knows(p.name))
+    freedom = alone.statistics.freedom
+    unlike: list[str] = []
+    while shared:
+        told = told_of(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
+        mean, expected = expected_by(fleet, robot, shared)
+        compared = likeness(told, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
+        if not compared.p_value() < FALSE_ALARM:
+            break
+        if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(compared.distances)):
+            unlike = list(fleet.parameters)
+            break
+        worst = shared[int(np.nanargmax(np.abs(compared.distances)))].name
+        unlike.append(worst)
+        shared = tuple(p for p in shared if p.name != worst)
+    if not unlike:
+        return robot
+    changed = fleet.model_copy(update={"unlike": tuple(name for name in fleet.parameters if name in unlike)})
+    return replace(robot, description=robot.description.model_copy(update={"fleet": changed}))
+
+
+def _with_little_of_it(robot: Robot, fleet: FleetSection, data: Measurements, settings: Settings) -> Fit | None:
+    """The fit without the fleet, or with little of what it says; None where neither is possible."""
+    wide = robot.description.model_copy(update={"fleet": fleet.widened(_WIDE, robot.parameters)})
+    for tried in (without_fleet(robot), replace(robot, description=wide)):
+        with suppress(CalibrationError):
+            return fit_data(tried, settings, data)
+    return None

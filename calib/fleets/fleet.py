@@ -1,0 +1,373 @@
+"""A fleet: results of robots of one model, and what they say of the next one (`calib.fleets.hierarchy`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.files import write_files
+from calib.core.base.parameter import Parameter
+from calib.core.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
+from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.results.comparing_results import geometry, readings_of
+from calib.core.results.result_reading import load, load_uncertainty, read_result
+from calib.core.robots.description import description_yaml
+from calib.core.robots.fleet_prior import FleetSection
+from calib.core.robots.robot import Robot
+from calib.fleets.hierarchy import Hierarchy, Likeness, learn_without_odd
+from calib.fleets.shared_parameters import section_of, shared_parameters, told_of, without_fleet
+
+_WIDTH = 118
+_CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
+_MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
+_NAMED = 3  # parameters of a robot that are named as unlike
+_UNPROVEN = {
+    "CHECK": "systematic errors there count as properties of the robot.",
+    "FAIL": "what is wrong there may count as a property of the robot: leave it out, or fit it again.",
+}
+_SCREEN = 12  # robots, and parameters, whose tables leave a screen of 40 lines
+
+
+@dataclass(frozen=True)
+class Member:
+    """One robot of a fleet.
+
+    Attributes:
+        name: What its folder has that the others' have not.
+        folder: Its result, as it was given.
+        verdict, n_poses: Of its result.
+        odd: Whether it is unlike the others, which then learned nothing from it.
+        together: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
+        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN likewise.
+        unlike: Parameters in which an odd robot is further off than chance, the furthest first, with the distance in
+            standard deviations of what is expected.
+    """
+
+    name: str
+    folder: str
+    verdict: str
+    n_poses: int
+    odd: bool
+    together: float
+    p_value: float
+    unlike: tuple[tuple[str, float], ...]
+
+    def said(self) -> str:
+        """Say whether it is like the others."""
+        if np.isnan(self.p_value):
+            return "not tested"
+        if not self.odd:
+            return "like the others"
+        words = listed([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
+        return f"UNLIKE the others: {words or 'in many parameters a little'}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fleet(ReadOnlyArrays):
+    """Robots of one model.
+
+    Attributes:
+        robot: The first one, nominal, with the prior of the next robot in its description.
+        members: The robots.
+        parameters: What they share, with the sigmas of the description.
+        nominal: Nominal values, (n,) [SI].
+        mean, mean_std: Mean over the robots, and its standard deviation, (n,) [SI].
+        spread: Standard deviation from robot to robot, (n,) [SI].
+        shown: How many robots determine each parameter, (n,).
+        values, stds: Of each robot, with the others as its prior, (n_robots, n) [SI]; of a robot left out, by its
+            own fit.
+        notes: What to know before using it.
+    """
+
+    robot: Robot
+    members: tuple[Member, ...]
+    parameters: tuple[Parameter, ...]
+    nominal: FloatArray
+    mean: FloatArray
+    mean_std: FloatArray
+    spread: FloatArray
+    shown: FloatArray
+    values: FloatArray
+    stds: FloatArray
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        odd = [member.name for member in self.members if member.odd]
+        ending = f"; unlike the others: {listed(odd)}" if odd else ""
+        return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{ending}>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def report(self, *, verbose: bool = False) -> str:
+        """Return the fleet as text: the robots, then the parameters.
+
+        Args:
+            verbose: All of them; otherwise, of more than fit on a screen, the robots that are least like the others,
+                and the parameters whose mean is most surely off nominal.
+        """
+        robots = text_table(
+            ("robot", "verdict", "poses", "off", "p", "comparison"), ("robot", "verdict", "comparison"), plain=True
+        )
+        some, odd = [*range(len(self.members))], np.array([member.odd for member in self.members])
+        if not verbose:
+            some = _first(np.nan_to_num([member.p_value for member in self.members], nan=2.0), odd)
+        for member in (self.members[k] for k in some):
+            off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
+            chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
+            robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
+        others = _hidden(len(self.members) - len(some), "robot", "are more like the others")
+        heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "robots showing it")
+        table, away = text_table(heads, ("parameter", "unit"), plain=True), self.mean - self.nominal
+        shown = range(len(away)) if verbose else _first(-np.abs(away) / self.mean_std)
+        for k in shown:
+            parameter, numbers = self.parameters[k], (away[k], self.mean_std[k], self.spread[k])
+            cells = [f"{round(float(number) * parameter.per_si, 4) + 0.0:.4f}" for number in numbers]
+            table.add_row(parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
+        less = _hidden(len(away) - len(shown), "parameter", "differ less clearly from nominal")
+        said = ("\n" + self.conclusion(), *self.notes)
+        return plain_text([robots, *others, "", table, *less, *said], _WIDTH, wrap=True)
+
+    def conclusion(self) -> str:
+        """Return in a sentence what was learned."""
+        odd = [member.name for member in self.members if member.odd]
+        spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
+        left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
+        return (
+            f"{counted(len(self.members) - len(odd), 'robot')} show what to expect of the next one: parameters"
+            f" differ from robot to robot by {spread:.2g} times what the description expects (median).{left}"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the fleet for `--json`, in the units of tables; null where there is no number."""
+        rows = []
+        for k, parameter in enumerate(self.parameters):
+            numbers = {"nominal": self.nominal[k], "mean": self.mean[k], "mean_std": self.mean_std[k]}
+            numbers |= {"spread": self.spread[k]}
+            shown = {key: float(number) * parameter.per_si for key, number in numbers.items()}
+            values = {
+                "values": list(self.values[:, k] * parameter.per_si),
+                "stds": list(self.stds[:, k] * parameter.per_si),
+            }
+            rows.append(
+                {
+                    "name": parameter.name,
+                    "unit": parameter.unit,
+                    "sigma": parameter.sigma,
+                    **shown,
+                    "shown": self.shown[k],
+                    **values,
+                }
+            )
+        members = [
+            {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
+            for member in self.members
+        ]
+        return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
+
+    def save(self, path: Path | str, *, force: bool = False) -> None:
+        """Write the robot description with what the fleet says, and its URDF beside it under the same name.
+
+        Args:
+            path: YAML file to write.
+            force: Whether to replace files that this program did not write, or that were edited.
+
+        Raises:
+            InputError: A file cannot be written, or should not be replaced.
+        """
+        path, urdf = Path(path), urdf_beside(path)
+        text = description_yaml(self.robot.description.model_copy(update={"urdf": urdf.name}))
+        inputs = (self.robot.path, self.robot.urdf.path)
+        write_files({urdf: self.robot.urdf.source, path: text.encode()}, inputs=inputs, force=force)
+
+
+def _first(order: FloatArray, always: BoolArray | Literal[False] = False) -> list[int]:
+    """Which to show on a screen: the smallest of `order` and those that are shown always, in their own order."""
+    rank = np.argsort(np.argsort(order, kind="stable"))
+    return [int(k) for k in np.flatnonzero((rank < _SCREEN) | always)]
+
+
+def _hidden(count: int, noun: str, why: str) -> list[str]:
+    return [f"{counted(count, f'more {noun}')} {why}: --verbose prints them"] if count else []
+
+
+def urdf_beside(path: Path | str) -> Path:
+    """Return where the URDF of a description goes; a name that does not end in .yaml is an `InputError`."""
+    if Path(path).suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{path}: the name of a robot description ends in .yaml")
+    return Path(path).with_suffix(".urdf")
+
+
+def fleet(*results: Path | str) -> Fleet:
+    """Make the prior of the next robot of a model, from results of others.
+
+    Args:
+        results: Two or more result folders, of different robots with the same URDF and parameters.
+
+    Raises:
+        InputError: Fewer than two, or the same one twice.
+        DataError: A folder holds no result, or a damaged one, or one of another model, with other parameters, or of the
+            same readings.
+        ComputationError: A result failed, and was not forced.
+    """
+    if len(results) < 2:
+        raise InputError(f"{counted(len(results), 'result')} given; give those of two or more robots of one model")
+    if len({Path(result).resolve() for result in results}) < len(results):
+        raise InputError("a result folder is given twice; give each robot once")
+    folders = [Path(result) for result in results]
+    contents = [read_result(folder) for folder in folders]
+    robots = [load(folder) for folder in folders]
+    shared = _shared(robots, folders)
+    _require_different(folders)
+    told = []
+    for folder, robot, content in zip(folders, robots, contents, strict=True):
+        known, freedom = load_uncertainty(folder, robot), float(content["degrees_of_freedom"])
+        told.append(told_of(robot, known.free, known.covariance, freedom, shared))
+    learned, odd, compared = learn_without_odd(told, _kinds(robots[0], shared))
+    like = [folder for k, folder in enumerate(folders) if k not in odd]
+    section = section_of(learned, len(like), shared, _confirmed(like))
+    scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
+    values, stds = _of_each(folders, robots, learned, odd, shared)
+    return Fleet(
+        _with_fleet(robots[0], section),
+        tuple(
+            _member(name, folder, k in odd, compared[k], shared)
+            for k, (name, folder) in enumerate(zip(distinct_names(folders), folders, strict=True))
+        ),
+        shared,
+        nominal,
+        nominal + learned.mean * scales,
+        np.sqrt(np.diag(learned.covariance)) * scales,
+        np.sqrt(learned.variance) * scales,
+        learned.shown,
+        values,
+        stds,
+        tuple(_notes(folders, odd)),
+    )
+
+
+def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
+    """What the robots share; an error where they are not of one model, or were not fitted alike."""
+    first = shared_parameters(robots[0])
+    names = [p.name for p in first]
+    if not names:
+        raise DataError(f"{folders[0]}: has no free parameters that robots share (origins, joint terms); free some")
+    for robot, folder in zip(robots[1:], folders[1:], strict=True):
+        if geometry(robot) != geometry(robots[0]):
+            raise DataError(f"{folder}: is the result of another robot than {folders[0]}; their URDFs differ")
+        free_names = [p.name for p in shared_parameters(robot)]
+        for less, more, who, other in (
+            (free_names, names, folder, folders[0]),
+            (names, free_names, folders[0], folder),
+        ):
+            missing = next((name for name in more if name not in less), None)
+            if missing is not None:
+                raise DataError(
+                    f"{who}: has no free parameter '{missing}', which {other} has; fit all with the same"
+                    f" parametrisation and --terms{nearest(missing, less)}"
+                )
+    return first
+
+
+def _require_different(folders: Sequence[Path]) -> None:
+    """Raise `DataError` if two results used the same readings: then they are of one robot."""
+    used = [set(readings_of(folder / "residuals.csv").get("identification", {})) for folder in folders]
+    for k, readings in enumerate(used):
+        for other in range(k):
+            if readings & used[other]:
+                raise DataError(
+                    f"{folders[k]}: used {counted(len(readings & used[other]), 'reading')} of {folders[other]}: both"
+                    " are of one robot; give each robot once"
+                )
+
+
+def _kinds(robot: Robot, shared: Sequence[Parameter]) -> IntArray:
+    """Kind of each parameter: lengths and angles of origins, coefficients of each kind of term."""
+    of_terms = {p.name for term in robot.terms for p in term.parameters}
+    origins = {p.name for p in shared if p.nominal_si or (_is_origin(p) and p.name not in of_terms)}
+    words = [f"{p.dimension} {'' if p.name in origins else _term(p)}" for p in shared]
+    return np.array([list(dict.fromkeys(words)).index(word) for word in words], dtype=np.intp)
+
+
+def _is_origin(parameter: Parameter) -> bool:
+    return parameter.name.rpartition(".")[2] in ("x", "y", "z", "rx", "ry", "rz")
+
+
+def _term(parameter: Parameter) -> str:
+    return parameter.name.partition(".")[2].partition("_")[0]
+
+
+def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
+    bare = without_fleet(robot).at_nominal()
+    return replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section}))
+
+
+def _of_each(
+    folders: Sequence[Path],
+    robots: Sequence[Robot],
+    learned: Hierarchy,
+    odd: Sequence[int],
+    shared: Sequence[Parameter],
+) -> tuple[FloatArray, FloatArray]:
+    """Values and standard deviations of each robot, (n_robots, n) [SI]."""
+    names, scales = [p.name for p in shared], np.array([p.sigma_si for p in shared])
+    nominal = np.array([p.nominal_si for p in shared])
+    estimates = iter(zip(learned.estimates, learned.deviations, strict=True))
+    values, stds = [], []
+    for k, (folder, robot) in enumerate(zip(folders, robots, strict=True)):
+        if k in odd:
+            known = load_uncertainty(folder, robot)
+            free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
+            place = [free.index(name) for name in names]
+            by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
+            values.append(np.array([by_name[name] for name in names]))
+            stds.append(np.sqrt(np.diag(known.covariance)[place]))
+        else:
+            estimate, deviation = next(estimates)
+            values.append(nominal + scales * estimate)
+            stds.append(scales * deviation)
+    return np.array(values), np.array(stds)
+
+
+def _member(name: str, folder: Path, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]) -> Member:
+    content = read_result(folder)
+    grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
+    if compared is None:
+        return Member(name, str(folder), grade, n_poses, odd, np.nan, np.nan, ())
+    n = int(np.sum(np.isfinite(compared.p_values)))
+    order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
+    unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
+    named = tuple(unlike) if odd else ()
+    return Member(name, str(folder), grade, n_poses, odd, compared.together, compared.p_value(), named)
+
+
+def _confirmed(folders: Sequence[Path]) -> float:
+    """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
+    contents = [read_result(folder) for folder in folders]
+    stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
+    freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])
+    squares = np.array([(content["sigma"] / content["sigma_stated"]) ** 2 for content in stated])
+    if not len(stated) or not 1 / _CONFIRMED < np.sqrt(freedom @ squares / np.sum(freedom)) < _CONFIRMED:
+        return 0.0
+    return round(min(float(np.sum(freedom)), _MOST_CONFIRMED), 1)
+
+
+def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
+    notes = []
+    named = zip(distinct_names(folders), folders, strict=True)
+    grades = [(name, str(read_result(folder)["verdict"]["grade"])) for name, folder in named]
+    for grade, why in _UNPROVEN.items():
+        names = [name for name, verdict in grades if verdict == grade]
+        if names:
+            notes.append(f"Verdict {grade}: {listed(names)}; {why}")
+    if len(folders) - len(odd) < 5:
+        notes.append("Spreads of fewer than five robots are uncertain, so the prior of the next robot is wide.")
+    if len(folders) == 2:
+        notes.append("With two robots, neither can be recognised as unlike the fleet.")
+    return notes

@@ -1,0 +1,268 @@
+"""What several results of things of one model say of the model: mean, spread, and who is unlike the others.
+
+Result i tells of its own parameters u_i (scaled, n of them) by a likelihood with precision H_i and pull h_i,
+
+    log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
+
+so that directions that its data did not show, where H_i is zero, say nothing. The things differ around a mean,
+
+    u_i = m + d_i,        d_i ~ N(0, diag(t^2)),        m ~ N(0, I),        t_k^2 ~ scaled inverse chi^2 (nu, r^2),
+
+with one typical size r for parameters of a kind (`kinds`), found from the data, so that few things are enough: r is
+the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu things. Given
+t, all else is normal:
+
+    A_i = (H_i + diag(1/t^2))^-1            covariance of d_i given m
+    V = (I + sum H_i - H_i A_i H_i)^-1,     m = V sum (I - H_i A_i) h_i
+    d_i = A_i (h_i - H_i m),                C_i = A_i + A_i H_i V H_i A_i
+    t_k^2 = (nu r^2 + sum_i d_ik^2) / f_k,  f_k = nu + sum_i (1 - C_i,kk / t_k^2)
+
+The last line is repeated until it stands. It is restricted marginal likelihood, like that of variance components
+(`calib.core.numerics.variance_components`), and f_k counts how much was seen. What is expected of one more thing has
+Student tails; a normal with their variance stands for them, t_k^2 f_k / (f_k - 2), which holds 95 % as it should.
+
+Who is unlike the others is asked of the others: learned without result i, they expect u_i ~ N(m, D + V), D the diagonal
+of these variances. In the K combinations in which that is wider than the noise of result i, scaled to variance 1, the
+mean square is tested. It is a mean of K squares, each Student's t with the typical f_k = f, scaled likewise: its mean
+is 1 and its variance 2 (f - 1) / (f - 4) / K. The scaled F of K and f' = 4 + (K + 2) (f - 4) / 3 degrees of freedom
+has the same two, and stands for it: many spreads, each roughly known, are together known well. That one parameter alone
+has another value is tested by Student's t, scaled too, as an added variable is: with B = (D + V)^-1 and
+S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of B - B S B its variance, so that a parameter of
+which only sums are known is tested by these. Both ways of being unlike have half of the chance. The least likely result
+is left out, and all is learned again, until no robot is unlike at a chance of one in a hundred for all tests together.
+So one wrong result changes nothing, and does not hide behind the spread that it makes.
+
+When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
+together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
+are; spreads of a kind that differ tenfold, told by three results: in one fleet of ten an honest one is called unlike.
+
+Reference: patterson1971; gelman2006 for the weight of spreads that few things tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics.chances import FALSE_ALARM
+
+_WEIGHT = 4.0  # nu of the module docstring
+_SMALLEST = 1e-3  # typical size r of spreads, over what is expected of single things
+_STANDS = 1e-4  # relative change of a variance
+_ROUNDS = 500
+_WIDER = 2.0  # variance of a combination, over that of noise, from which on it tells who is unlike
+_NOTHING = 1e-2  # information, over that of what is expected of single things, below which nothing was shown
+_SHOWN = 0.1  # part of what is expected of a parameter, given the others, that data must show for it to be tested
+
+
+@dataclass(frozen=True, eq=False)
+class Told(ReadOnlyArrays):
+    """What one result tells of its parameters, scaled.
+
+    Attributes:
+        precision: H, (n, n).
+        pull: h, (n,).
+    """
+
+    precision: FloatArray
+    pull: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy(ReadOnlyArrays):
+    """Mean and spread, scaled.
+
+    Attributes:
+        mean: m, (n,).
+        covariance: V of the mean, (n, n).
+        variance: Of one more thing around the mean, (n,).
+        freedom: f, (n,).
+        estimates: d_i + m of the results, (n_results, n).
+        deviations: Standard deviation of these, (n_results, n).
+        shown: How many of the results showed each parameter, in parts, (n,).
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    variance: FloatArray
+    freedom: FloatArray
+    estimates: FloatArray
+    deviations: FloatArray
+    shown: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness(ReadOnlyArrays):
+    """How a result compares with what others lead to expect.
+
+    Attributes:
+        distances: How far off the result is if each parameter alone is unlike, in standard deviations, (n,); NaN where
+            the result does not show it.
+        p_values: Chance of each, (n,); NaN likewise.
+        together: Root mean square over combinations, 1 on average; NaN where there are none.
+        p_together: Its chance.
+    """
+
+    distances: FloatArray
+    p_values: FloatArray
+    together: float
+    p_together: float
+
+    def p_value(self) -> float:
+        """Return the chance of the less likely of the two, corrected for the number of tests; NaN without a test."""
+        single = self.p_values[np.isfinite(self.p_values)]
+        chances = [len(single) * float(np.min(single))] if len(single) else []
+        chances += [self.p_together] if np.isfinite(self.p_together) else []
+        return float(min(1.0, len(chances) * min(chances))) if chances else np.nan
+
+
+def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float) -> Told:
+    """Return what the data alone say of parameters, from an estimate that had a prior: C^-1 less the prior.
+
+    Args:
+        covariance: C of the scaled estimate, (n, n).
+        u: The estimate, (n,).
+        prior: Its precision, (n, n); 0 for what had none.
+        mean: Mean of the prior, (n,).
+        freedom: Degrees of freedom of the noise, which was found: Student's variance stands for it.
+    """
+    inverse = np.linalg.inv(covariance)
+    sizes, axes = np.linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
+    kept = axes[:, sizes > _NOTHING]
+    shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
+    pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
+    return Told(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
+
+
+def learn(results: Sequence[Told], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
+    """Learn mean and spread; see the module docstring.
+
+    Args:
+        results: What each result tells.
+        kinds: Kind of each parameter, from 0, (n,).
+        start: Variances t^2 to start from, (n,).
+    """
+    n, n_kinds = len(kinds), int(np.max(kinds)) + 1
+    variance = np.full(n, 0.1) if start is None else start.copy()
+    members = [kinds == kind for kind in range(n_kinds)]
+    mean, covariance, estimates, spreads = _given(results, variance)
+    seen: FloatArray = np.zeros(n)
+    for _ in range(_ROUNDS):
+        mean, covariance, estimates, spreads = _given(results, variance)
+        seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
+        squares = np.sum(estimates**2, axis=0)
+        typical = np.empty(n)
+        for kind in members:
+            typical[kind] = max(float(np.exp(np.mean(np.log(variance[kind])))), _SMALLEST**2)
+        again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
+        change, variance = float(np.max(np.abs(again / variance - 1.0))), again
+        if change < _STANDS:
+            break
+    freedom = _WEIGHT + seen
+    return Hierarchy(
+        mean,
+        covariance,
+        variance * freedom / (freedom - 2.0),
+        freedom,
+        estimates + mean,
+        np.sqrt(np.array([_with_mean(result, variance, covariance) for result in results])),
+        np.sum([1.0 - np.diag(_inner(result, variance)) / variance for result in results], axis=0),
+    )
+
+
+def _given(results: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
+    n = len(variance)
+    inner = [_inner(result, variance) for result in results]
+    through = [a @ result.precision for a, result in zip(inner, results, strict=True)]
+    precision = np.eye(n) + sum(
+        result.precision - result.precision @ t for result, t in zip(results, through, strict=True)
+    )
+    covariance = np.linalg.inv((precision + precision.T) / 2)
+    mean = covariance @ sum(result.pull - t.T @ result.pull for result, t in zip(results, through, strict=True))
+    estimates = np.array(
+        [a @ (result.pull - result.precision @ mean) for a, result in zip(inner, results, strict=True)]
+    )
+    spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
+    return mean, covariance, estimates, spreads
+
+
+def _inner(result: Told, variance: FloatArray) -> FloatArray:
+    """A of the module docstring, (n, n)."""
+    return np.asarray(np.linalg.inv(result.precision + np.diag(1.0 / variance)))
+
+
+def _with_mean(result: Told, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Variance of m + d_i given the variances t^2, (n,)."""
+    inner = _inner(result, variance)
+    left = inner / variance  # I - A H
+    return np.asarray(np.diag(inner) + np.sum((left @ covariance) * left, axis=1))
+
+
+def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
+    """Compare a result with what others, learned without it, lead to expect.
+
+    Args:
+        result: What it tells.
+        mean: What is expected, (n,).
+        expected: Covariance of that, (n, n).
+        freedom: f of the module docstring, (n,).
+    """
+    pull = result.pull - result.precision @ mean
+    before = np.linalg.inv(expected)
+    score = np.linalg.inv(before + result.precision) @ pull
+    known = np.diag(before - before @ np.linalg.inv(before + result.precision) @ before)
+    shown = known > _SHOWN * np.diag(before)
+    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
+    p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances) * np.sqrt(freedom / (freedom - 2.0)))
+    sizes, axes = np.linalg.eigh(result.precision)
+    kept = sizes > _NOTHING
+    root = axes[:, kept] * np.sqrt(sizes[kept])
+    ratios, turned = np.linalg.eigh(root.T @ expected @ root)
+    wide = 1.0 + ratios > _WIDER
+    if not np.any(wide) or not np.any(shown):
+        return Likeness(distances, p_values, np.nan, np.nan)
+    noise = turned.T @ (axes[:, kept].T @ pull / np.sqrt(sizes[kept]))
+    together = float(np.mean(noise[wide] ** 2 / (1.0 + ratios[wide])))
+    count = int(np.sum(wide))
+    of_mean = 4.0 + (count + 2.0) * (float(np.median(freedom[shown])) - 4.0) / 3.0
+    chance = float(scipy.special.fdtrc(count, of_mean, together * of_mean / (of_mean - 2.0)))
+    return Likeness(distances, p_values, float(np.sqrt(together)), chance)
+
+
+def _compared(result: Told, others: Hierarchy) -> Likeness:
+    return likeness(result, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
+
+
+def learn_without_odd(
+    results: Sequence[Told], kinds: IntArray
+) -> tuple[Hierarchy, tuple[int, ...], tuple[Likeness | None, ...]]:
+    """Learn from all results that are not unlike the others.
+
+    Args:
+        results: What each result tells.
+        kinds: Kind of each parameter, (n,).
+
+    Returns:
+        What the others say; the results that are unlike them; how each compares with the others (of two: None).
+    """
+    odd: list[int] = []
+    indices = range(len(results))
+    while True:
+        kept = [i for i in indices if i not in odd]
+        whole = learn([results[i] for i in kept], kinds)
+        start = whole.variance * (whole.freedom - 2.0) / whole.freedom
+        compared: list[Likeness | None] = []
+        for i in indices:
+            rest = [results[k] for k in kept if k != i]
+            compared.append(_compared(results[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+        p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
+        p[odd] = np.nan
+        worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
+        if worst < 0 or p[worst] * len(results) >= FALSE_ALARM or len(odd) + 1 > (len(results) - 1) // 2:
+            return whole, tuple(sorted(odd)), tuple(compared)
+        odd.append(worst)

@@ -1,0 +1,238 @@
+"""`calib hand-eye`: where a camera is on or beside a robot, from photographs of a board."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import click
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, DataError, InputError, nearest
+from calib.core.base.files import write_folder
+from calib.core.base.words import listed
+from calib.core.commands.common import Output, loaded, shared_options
+from calib.core.data.tables import read_table
+from calib.core.instruments.board import Board
+from calib.core.robots.robot import Robot
+from calib.photographs.camera_files import read_camera
+from calib.photographs.commands.boards import board_option, given_board
+from calib.photographs.commands.detect import detected, nothing_found, summary
+from calib.photographs.detection import DetectedImage
+from calib.photographs.hand_eye import HandEye
+from calib.photographs.hand_eye_calibration import calibrate, require_images
+from calib.photographs.hand_eye_result import Frames, content, files, judge, report
+from calib.photographs.images import joint_columns, shots, with_joints
+from calib.photographs.lens_choice import LENSES
+from calib.photographs.mistakes import Mistake
+from calib.photographs.pages import Picture, exaggeration, page
+from calib.photographs.scene import Mount, scene_of
+from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
+
+_NO_POSES = (
+    "give the pose of the tool at each image with --poses FILE; or photographs in a bag with joint states, and"
+    " --robot ROBOT"
+)
+_SIZE = re.compile(r"image: (\d+) x (\d+) px")
+FILES = (
+    "hand_eye.json",
+    "camera_matrix.txt",
+    "static_transform.sh",
+    "camera_pose.launch.py",
+    "easy_handeye.yaml",
+    "easy_handeye2.calib",
+    "camera_info.yaml",
+    "photographs.html",
+)
+"""What the result folder holds."""
+
+
+@click.command("hand-eye")
+@click.argument("images", nargs=-1, required=True)
+@board_option
+@click.option(
+    "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
+)
+@click.option("--robot", metavar="ROBOT", help="Robot of the joint values (YAML description or URDF), taken as it is.")
+@click.option("--angles", type=click.Choice(ANGLES), help="Meaning of columns rx, ry, rz.")
+@click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
+@click.option(
+    "--lens",
+    type=click.Choice(LENSES),
+    default="auto",
+    show_default=True,
+    help="Intrinsics as given, or found from these images; auto: those that predict left-out images better.",
+)
+@click.option("--camera-on", type=click.Choice(["tool", "base"]), help="Where the camera is; found if not given.")
+@click.option("--topic", metavar="NAME", help="Topic of the images, if a ROS 2 bag has several.")
+@click.option("--frames", metavar="BASE,TOOL,CAMERA", help="Names of frames in the exported files.")
+@click.option("-o", "--out", required=True, metavar="DIR", help="Folder for the result.")
+@shared_options(json_output=True, forced="Write the transform even if the verdict is FAIL, and replace files.")
+def command(
+    images: tuple[str, ...],
+    board: str,
+    poses: str | None,
+    robot: str | None,
+    angles: str | None,
+    camera: str | None,
+    lens: str,
+    camera_on: str | None,
+    topic: str | None,
+    frames: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
+
+    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses has the pose of the
+    tool at each image, as the teach pendant shows it: position and quaternion, or angles. With --robot, the
+    file of --poses has joint values. This command does not change the kinematics of the robot: calib fit calibrates
+    them.
+    """
+    described, named = given_board(board), _frames(frames)
+    model = None if robot is None else loaded(robot, output)
+    lens_file = None if camera is None else read_camera(camera)
+    table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
+    bag_joints: tuple[list[str], FloatArray] | None = None
+    small: dict[str, bytes] = {}
+    mirrored: list[str] = []
+    if table:
+        output.check(folders=(out,), names=FILES)
+        detected_images = _detected_before(images[0], described)
+    else:
+        photographs = shots(images, topic)
+        if poses is None:
+            photographs = with_joints(photographs)
+            if model is None or not any(shot.joints for shot in photographs):
+                raise InputError(_NO_POSES)
+        output.check(folders=(out,), names=FILES)
+        detection, copies = detected(described, photographs, output, pictures=True)
+        small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
+        detected_images, described = list(detection.usable), detection.board
+        mirrored = [image.name for image in detection.images if image.mirrored]
+        for line in summary(detection):
+            output.say(line)
+        if not detected_images:
+            raise nothing_found(detection)
+        if poses is None:
+            by_name = {shot.name: shot for shot in photographs}
+            bag_joints = joint_columns([by_name[image.name] for image in detected_images])
+    rows, tool = _tools(detected_images, poses, model, angles, bag_joints, output)
+    detected_images = [image for image in detected_images if image.name in rows]
+    detected_images.sort(key=lambda image: rows[image.name])
+    require_images(len(detected_images))
+    scene = scene_of(detected_images, described, np.array([tool[rows[image.name]] for image in detected_images]))
+    if lens_file is not None and lens_file.image is not None and lens_file.image != scene.size:
+        raise InputError(
+            f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
+            f" {scene.size[0]} x {scene.size[1]}; give the intrinsics of these images, or leave --camera out"
+        )
+    mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
+    with output.working("calibrating") as progress:
+        result = calibrate(
+            scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
+        )
+    if mirrored:
+        text = f"mirrored images were left out: {listed(mirrored)}; switch that off in the camera, or flip them back"
+        result = replace(result, mistakes=(*result.mistakes, Mistake("mirrored", text)))
+    judgement = judge(result)
+    output.say(report(result, named))
+    pages = {"photographs.html": _page(result, named, detected_images, small).encode()}
+    if judgement.grade != "FAIL" or output.force:
+        write_folder(out, files(result, named) | pages, force=output.force)
+        output.say(f"Written to {out}: {', '.join(FILES)}")
+    else:
+        write_folder(out, pages, force=output.force)
+    output.json(content(result, named))
+    if judgement.grade == "FAIL" and not output.force:
+        raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
+
+
+def _frames(text: str | None) -> Frames:
+    if text is None:
+        return Frames()
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 3 or not all(re.fullmatch(r"[\w/.-]+", name) for name in names):
+        raise InputError(f"--frames {text}: give three names, such as base_link,tool0,camera_optical_frame")
+    return Frames(*names)
+
+
+def _tools(
+    detected_images: Sequence[DetectedImage],
+    poses: str | None,
+    model: Robot | None,
+    angles: str | None,
+    bag: tuple[list[str], FloatArray] | None,
+    output: Output,
+) -> tuple[dict[str, int], FloatArray]:
+    """Row of each image that has a pose of the tool, and these poses, (n, 4, 4)."""
+    if poses is None:
+        if bag is None or model is None:
+            raise InputError(_NO_POSES)
+        names, values = bag
+        missing = next((name for name in model.joint_names if name not in names), None)
+        if missing is not None:
+            raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
+        joints = values[:, np.array([names.index(name) for name in model.joint_names])]
+        return {image.name: k for k, image in enumerate(detected_images)}, model.forward(joints)
+    names, tool = read_tool_poses(poses, robot=model, angles=angles)
+    chosen, remarks = matched([image.name for image in detected_images], names, poses)
+    output.remarks([f"left out: {text}" for text in remarks])
+    return {names[k]: k for k in chosen}, tool
+
+
+def _detected_before(path: str, board: Board) -> list[DetectedImage]:
+    """What `calib detect` has written."""
+    table = read_table(path, {})
+    size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
+    if size is None:
+        raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")
+    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), None)
+    if pixel is None or f"{pixel}_v" not in table.names or "point" not in table.names:
+        raise DataError(f"{path}: needs columns pose, point, camera_u and camera_v, as calib detect writes them")
+    key = "pose" if "pose" in table.names else "image"
+    if key not in table.names:
+        raise DataError(f"{path}: has no column 'pose'")
+    pixels = np.stack([table.column(f"{pixel}_{axis}", None) for axis in "uv"], axis=1)
+    names, points, known = table.text(key), table.text("point"), board.points()
+    strange = next((k for k, name in enumerate(points) if name not in known), None)
+    if strange is not None:
+        raise DataError(
+            f"{path}, line {table.lines[strange]}, column 'point': the board has no point '{points[strange]}'"
+            f"{nearest(points[strange], known)}"
+        )
+    result = []
+    for name in dict.fromkeys(names):
+        rows = [k for k, other in enumerate(names) if other == name]
+        twice = next((points[k] for k in rows if [points[j] for j in rows].count(points[k]) > 1), None)
+        if twice is not None:
+            raise DataError(f"{path}: image {name} has point {twice} twice")
+        result.append(DetectedImage(name, (int(size[1]), int(size[2])), tuple(points[k] for k in rows), pixels[rows]))
+    return result
+
+
+def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> str:
+    """The photographs with arrows from where points were found to where the calibration puts them."""
+    scene, images = result.scene, {image.name: image for image in detected_images}
+    factor = exaggeration(result.pixels, scene.size[0])
+    each, off = result.by_image(result.pixels), {image.name: image for image in result.off}
+    on = 1e3 * result.by_image(result.board)
+    pictures = []
+    for i, name in enumerate(scene.names):
+        points = scene.image == i
+        arrows = scene.pixels[points] + factor * result.pixels[points]
+        shown = replace(images[name], pixels=scene.pixels[points])
+        pictures.append(
+            Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows)
+        )
+    for name, image in off.items():
+        pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
+    lines = [
+        *report(result, frames).splitlines(),
+        f"Arrows: from where points were found to where they should be, {factor:g} times as long",
+    ]
+    return page("Hand-eye calibration", lines, pictures)

@@ -1,0 +1,243 @@
+"""What `calib check` prints, and the same as data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from rich.table import Table
+
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import millimetres
+from calib.core.base.words import as_data, counted, listed, plain_text, sentence, text_table
+from calib.core.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
+from calib.core.numerics.observability import INDICES, TaskIndex
+from calib.core.rows.candidates import WHITENED
+from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+
+_SHOWN = 12  # names in a list
+_FEW = 4  # the same in the short answer
+_LINES = 3  # lines of groups in the short answer
+_MANY_POSITIONS = 6  # of fewer, errors of a robot move most as one body, whatever they are
+_MOSTLY_COMMON = 0.5  # part of the position error below which what is beside a common motion is told too
+
+
+def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
+    """Return what poses determine as text.
+
+    Args:
+        assessment: What was found.
+        source: Where the poses came from.
+        width: Of the text, in characters.
+        verbose: All groups, and a table of all parameters; otherwise the answer on at most 40 lines.
+    """
+    lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
+    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
+    parts += [*_accuracy(assessment), "", _counts(assessment), *assessment.determination.lines(), ""]
+    parts += [*_groups(assessment, lines, width), ""]
+    parts += [_observability(assessment), _parameters(assessment)] if verbose else []
+    return plain_text([*parts, *_doubts(assessment, names)], width, wrap=True).rstrip()
+
+
+def to_dict(assessment: Assessment) -> dict[str, object]:
+    """Return everything as data for JSON, in mm and deg; infinite and unknown numbers are None."""
+    a = assessment
+    names = [parameter.name for parameter in a.parameters]
+    return as_data(
+        {
+            "n_poses": a.n_poses,
+            "n_rows": a.n_rows,
+            "sigma_mm": None if a.sigma == WHITENED else millimetres(a.sigma),
+            "sigma_assumed": a.sigma_assumed,
+            "rank_all": _rank(a, everything=True),
+            "rank_free": _rank(a, everything=False),
+            "rank_with_priors": a.determination.together.rank,
+            "held": [name for name, free in zip(names, a.free, strict=True) if not free],
+            "groups": [_group(a, k) for k in range(len(a.groups))],
+            "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
+            "elimination": [
+                {"name": names[k], "condition": condition}
+                for k, condition in zip(a.elimination.dropped, a.elimination.conditions, strict=True)
+            ],
+            "observability": {"scaled": a.scaled, "raw": a.raw},
+            "parameters": _parameter_rows(a),
+            "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
+            "hardly_known": [{"name": name, "part": part} for name, part in a.hardly_known()],
+            "accuracy_mm": _task(a.accuracy),
+            "beside_common_motion_mm": millimetres(a.beside_common),
+            "by_count": [
+                {
+                    "count": row.count,
+                    "uniform": None if row.uniform is None else _task(row.uniform),
+                    "chosen": None if row.chosen is None else _task(row.chosen),
+                }
+                for row in a.by_count
+            ],
+            "near_singular": list(a.near_singular),
+            "left_out": list(a.left_out),
+        }
+    )
+
+
+def _heading(a: Assessment, source: str) -> str:
+    noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
+    noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
+    return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}"
+
+
+def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
+    held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
+    lines = [f"Held at nominal: {', '.join(held) if most is None else listed(held, shown=_SHOWN)}"] if held else []
+    lines.append(sentence(a.determination.words()))
+    if a.determination.missing:
+        lines.append("Hold one of each of these, or add other poses:")
+        lines += _in_words(a.open_groups, a.free_parameters, most, width)
+    if a.near_singular:
+        lines.append(
+            f"Warning: {counted(len(a.near_singular), 'pose')} near a singularity of the loops:"
+            f" {listed(a.near_singular, shown=_FEW)}"
+        )
+    return lines
+
+
+def _in_words(
+    groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
+) -> list[str]:
+    """Groups in words: as many as fit into so many lines, all if that is None; and how many others there are."""
+    single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
+    alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []
+    texts = [describe_group(group, parameters) for group in groups if len(group.members) > 1]
+    shown, used = list[str](), 0
+    for text in texts:
+        used += -(-(len(text) + 2) // (width - 4))
+        if most is not None and used > most:
+            break
+        shown.append(f"  {text}")
+    more = len(texts) - len(shown)
+    return [*alone, *shown, *([f"  {counted(more, 'more group')} with --verbose"] if more else [])]
+
+
+def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
+    """What moves together unseen: all of it, or so many lines at most."""
+    if not a.groups:
+        return ["Every combination of the parameters shows in the readings."]
+    lines = ["Changes that no reading shows:"]
+    lines += _in_words(a.groups, a.parameters, most, width)
+    dropped = [a.parameters[k].name for k in a.elimination.dropped]
+    names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
+    lines.append(f"To determine the rest, hold {names} (condition number {a.elimination.conditions[-1]:.0f})")
+    if {a.parameters[k].name for k in a.elimination.dropped} == {
+        parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
+    }:
+        lines[-1] += "; these are held"
+    return lines
+
+
+def _observability(a: Assessment) -> Table:
+    table = text_table(("columns", *INDICES), ("columns",), "Observability of the free parameters, poses alone")
+    units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
+    per_sigma, per_unit = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
+    table.add_row(f"scaled by sigma, {per_sigma}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
+    table.add_row(f"not scaled, {per_unit} per {units}", *(f"{a.raw[name]:.4g}" for name in INDICES))
+    return table
+
+
+def _parameters(a: Assessment) -> Table:
+    headers = ("name", "unit", "expected error", "std after fit", "part left")
+    table = text_table(headers, headers[:2], "Predicted uncertainty of the free parameters")
+    for row in _parameter_rows(a):
+        std = f"{row['std']:.4f}" if math.isfinite(row["std"]) else "unbounded"
+        expected = "-" if math.isnan(row["part"]) else f"{row['sigma']:.4f}"
+        part = f"{row['part']:.3f}" if math.isfinite(row["part"]) else "-"
+        table.add_row(str(row["name"]), str(row["unit"]), expected, std, part)
+    return table
+
+
+def _doubts(a: Assessment, most: int) -> list[str]:
+    pairs, weak = a.correlated(), a.hardly_known()
+    correlated = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
+    names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
+    return [
+        f"Correlations above {CORRELATION_LIMIT:g}: {listed(correlated, shown=most) if correlated else 'none'}",
+        f"Hardly better known than before (more than {100 * HARDLY:.0f} % of the expected error is left):"
+        f" {listed(names, shown=most) if names else 'none'}",
+    ]
+
+
+def _counts(a: Assessment) -> Table:
+    headers = ("poses", "uniform: RMS", "max", "best of these: RMS", "max")
+    table = text_table(headers, title="Predicted position error against number of poses, mm")
+    for row in a.by_count:
+        uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
+        times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""
+        table.add_row(f"{row.count}{times}", *uniform, *chosen)
+    return table
+
+
+def _accuracy(a: Assessment) -> list[str]:
+    rms, largest = _pair(a.accuracy)
+    if math.isfinite(a.accuracy.rms):
+        priors = " and the expected errors of the parameters" if any(p.prior for p in a.free_parameters) else ""
+        lines = [
+            f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise{priors}"
+            " alone. It does not include what the model leaves out (backlash, bending), which more poses do not reduce."
+        ]
+    else:
+        lines = [f"With all {a.n_poses}: position error unbounded, because what is not determined moves positions."]
+    many = a.position_errors.size >= _MANY_POSITIONS
+    if many and a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
+        lines.append(
+            "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
+            f" part, positions are known to {millimetres(a.beside_common):.4f} mm RMS."
+        )
+    return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
+
+
+def _pair(task: TaskIndex) -> tuple[str, str]:
+    return tuple(
+        f"{millimetres(value):.4f}" if math.isfinite(value) else "unbounded" for value in (task.rms, task.maximum)
+    )  # type: ignore[return-value]
+
+
+def _task(task: TaskIndex) -> dict[str, object]:
+    return {
+        "rms": millimetres(task.rms),
+        "max": millimetres(task.maximum),
+        "worst_pose": task.worst_pose,
+    }
+
+
+def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
+    rank = a.rank_all if everything else a.rank_free
+    return {
+        "rank": rank.rank,
+        "n_columns": rank.n_columns,
+        "singular_values": [float(value) for value in rank.singular_values],
+        "threshold": rank.threshold,
+        "smallest_kept": rank.smallest_kept,
+        "largest_dropped": rank.largest_dropped,
+        "unclear": rank.unclear,
+    }
+
+
+def _group(a: Assessment, k: int) -> dict[str, object]:
+    moves = natural_coefficients(a.groups[k], a.parameters)
+    return {
+        "text": describe_group(a.groups[k], a.parameters),
+        "members": [{"name": name, "moves": amount, "unit": unit} for name, amount, unit in moves],
+    }
+
+
+def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": parameter.name,
+            "unit": parameter.unit,
+            "sigma": parameter.sigma,
+            "prior": parameter.prior,
+            "std": float(std) * parameter.per_si,
+            "part": float(part),
+        }
+        for parameter, std, part in zip(a.free_parameters, a.std, a.part_left, strict=True)
+    ]

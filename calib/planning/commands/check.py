@@ -1,0 +1,101 @@
+"""`calib check`: what can be identified from a set of poses, and what cannot."""
+
+from __future__ import annotations
+
+import click
+
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_folder
+from calib.core.commands.common import (
+    SIGMA_HELP,
+    Output,
+    folder_of_values,
+    loaded,
+    placed,
+    shared_options,
+    sigma_in_metres,
+    values_options,
+    with_values,
+)
+from calib.core.commands.next_steps import after_check, typed_options
+from calib.core.data.measurement_files import read_poses
+from calib.core.data.measurements import Measurements
+from calib.core.data.plan_files import read_pose_files
+from calib.core.fitting.joint_conventions import wrapped_terms
+from calib.core.judging.blind_spots import unordered
+from calib.core.rows.observed import unsaid_touches
+from calib.pictures import figures
+from calib.planning.assessment import check
+from calib.planning.assessment_text import text_report, to_dict
+from calib.planning.pose_sampling import sample
+
+
+@click.command("check")
+@click.argument("robot")
+@click.argument("data", nargs=-1)
+@click.option("--poses", type=int, default=100, show_default=True, help="Without DATA: how many poses to sample.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Without DATA: seed of the sample."
+)
+@click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
+@values_options
+@click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
+@click.option("-v", "--verbose", is_flag=True, help="Print everything: all groups, and a table of all parameters.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    data: tuple[str, ...],
+    poses: int,
+    seed: int,
+    task: str | None,
+    sigma_mm: float | None,
+    parameters: str | None,
+    result: str | None,
+    plots: str | None,
+    verbose: bool,
+    output: Output,
+) -> None:
+    """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they do not, and why.
+
+    DATA needs joint values only, so it can be checked before anything is measured. Rows with the same pose value
+    count as repeats. Several files are joined as for `calib fit`. Without DATA, poses are spread over the joint limits.
+    """
+    sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
+    model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
+    if not data:
+        if poses < 1:
+            raise InputError(f"--poses {poses}: at least one is needed")
+        pose_set, source = (
+            sample(model, poses, seed),
+            f"sampled over the joint limits, seed {seed}",
+        )
+        if len(model.description.setups) > 1:
+            output.note(
+                "note: all sampled poses are in the first setup; they do not show what was moved before the others"
+            )
+    else:
+        pose_set, source = read_pose_files(data, model), ", ".join(data)
+        if parameters is None and result is None:
+            model = placed(model, pose_set)
+    for instrument in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
+        output.note(
+            f"note: nothing says what '{instrument.name}' touches at these poses, or they are not at contact. They"
+            " count as touching everything, so the result is too good (one socket does not show the robot's size)."
+            f" Give poses at contact, with a column '{instrument.text_columns()[0]}'"
+        )
+    task_poses = None if task is None else read_poses(task, model)
+    output.remarks(wrapped_terms(model, pose_set.joints))
+    if isinstance(pose_set, Measurements):
+        output.remarks(unordered(pose_set))
+    output.check(folders=(plots,))
+    with output.working(f"checking {len(pose_set)} poses"):
+        assessment = check(model, pose_set, task=task_poses, sigma=sigma)
+    if plots is not None:
+        write_folder(plots, figures(assessment), force=output.force)
+    output.say(text_report(assessment, source, verbose=verbose))
+    if plots is not None:
+        output.say(f"Figures written to {plots}")
+    output.say(after_check(assessment, robot, pose_set, data, typed_options()))
+    output.json({"robot": model.path, "poses": source} | to_dict(assessment))

@@ -1,0 +1,86 @@
+"""`calib sample`: poses to choose from, or to try things with."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+import numpy as np
+
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.units import Dimension, quantity
+from calib.core.base.words import counted
+from calib.core.commands.common import Output, loaded, shared_options, values_options, with_values
+from calib.core.data.measurement_files import format_measurements, read_poses
+from calib.core.data.measurements import measurements
+from calib.core.robots.robot import Robot
+from calib.planning.pose_sampling import little_seen, sample
+
+_RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
+
+
+@click.command("sample")
+@click.argument("robot")
+@click.option("-n", "--count", type=int, required=True, help="How many poses.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the joint values.")
+@click.option(
+    "--within",
+    metavar="FILE|RANGE",
+    multiple=True,
+    help="Stay in the joint ranges that the poses of a file (CSV) span; or in a range of a joint or of a coordinate of"
+    " a target, such as joint_2=-90..30deg or tool_z=200..900mm. May be repeated.",
+)
+@values_options
+@click.option("-o", "--out", required=True, metavar="FILE", help="CSV file to write.")
+@shared_options()
+def command(
+    robot: str,
+    count: int,
+    seed: int,
+    within: tuple[str, ...],
+    parameters: str | None,
+    result: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
+
+    If the robot touches something, it does so at these poses. If only cameras measure, they see their targets there.
+    Cables, walls and collisions of the robot with itself are not checked: look at the poses before you send them
+    (calib view ROBOT --data FILE).
+    """
+    model = with_values(loaded(robot, output), parameters, result)
+    ranges: dict[str, tuple[float, float]] = {}
+    for text in within:
+        for name, (low, high) in _ranges(text, model).items():
+            before = ranges.get(name, (-np.inf, np.inf))
+            ranges[name] = max(low, before[0]), min(high, before[1])
+    output.check(out)
+    with output.working(f"looking for {count} poses"):
+        poses = sample(model, count, seed, within=ranges)
+    comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
+    output.write(out, format_measurements(model, measurements(poses, poses.planned), comments))
+    output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
+    if (few := little_seen(model, poses)) is not None:
+        output.note(f"note: {few}")
+
+
+def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:
+    """Ranges by name [SI]: of one --within."""
+    match = None if Path(text).is_file() else _RANGE.match(text)
+    if match is None:
+        if "=" in text and not Path(text).exists():
+            raise InputError(f"--within {text}: is not a range; write it as joint_2=-90..30deg")
+        joints = read_poses(text, robot).joints
+        spans = zip(joints.min(axis=0).tolist(), joints.max(axis=0).tolist(), strict=True)
+        return dict(zip(robot.joint_names, spans, strict=True))
+    name, unit = match["name"].strip(), match["unit"]
+    dimensions: dict[str, Dimension] = {joint: robot.mechanism.dimensions[joint] for joint in robot.joint_names}
+    dimensions |= {f"{target}_{axis}": "length" for target in robot.target_names for axis in "xyz"}
+    if name not in dimensions:
+        raise InputError(f"--within {text}: no joint or coordinate '{name}'{nearest(name, dimensions)}")
+    low, high = (
+        quantity(f"{match[key].strip()} {unit}", dimensions[name], f"--within {text}") for key in ("low", "high")
+    )
+    return {name: (low, high)}

@@ -1,0 +1,196 @@
+"""`calib select`: which poses to measure."""
+
+from __future__ import annotations
+
+import click
+
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.files import write_folder
+from calib.core.base.units import metres
+from calib.core.commands.common import (
+    SIGMA_HELP,
+    Output,
+    different_poses,
+    folder_of_values,
+    jobs_option,
+    loaded,
+    placed,
+    shared_options,
+    sigma_in_metres,
+    values_options,
+    with_values,
+)
+from calib.core.commands.next_steps import after_select, typed_options
+from calib.core.data.measurement_files import read_poses
+from calib.core.data.measurements import Measurements, Poses
+from calib.core.data.plan_files import plan_of_table, read_pose_files
+from calib.core.data.robot_tables import read_robot_table
+from calib.pictures import figures
+from calib.planning.instrument_choice import ALL, EACH
+from calib.planning.pose_sampling import little_seen
+from calib.planning.selection import select
+from calib.planning.selection_scores import CHOICES
+from calib.planning.selection_text import format_poses, text_report, to_dict
+
+
+@click.command("select")
+@click.argument("robot")
+@click.argument("candidates")
+@click.option(
+    "-n",
+    "--count",
+    required=True,
+    help="How many poses to choose; or how many with each instrument, such as tracker=12,sockets=18.",
+)
+@click.option(
+    "--instruments",
+    metavar="all|each|LIST",
+    default=ALL,
+    show_default=True,
+    help="What reads at a chosen pose. all: every instrument; each: those that help most; LIST: one of these, such"
+    " as tracker,sockets+ballbar (those joined by + read together).",
+)
+@click.option(
+    "--index",
+    type=click.Choice(CHOICES, case_sensitive=False),
+    default="O1",
+    show_default=True,
+    help="What to optimise: an observability index, or 'task', the predicted position error.",
+)
+@click.option("--measured", metavar="FILE", help="Poses already measured (CSV): choose poses to add to these.")
+@click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); the candidates if not given.")
+@click.option(
+    "--exclude",
+    metavar="POSES",
+    help="Candidates not to choose: names from the 'pose' column (or row numbers), such as 3,17,20-25.",
+)
+@click.option(
+    "--min-distance-mm", type=float, default=0.0, help="Least distance between the targets of two poses [mm]."
+)
+@click.option(
+    "--start",
+    type=click.Choice(["uniform", "random"]),
+    default="uniform",
+    show_default=True,
+    help="How the exchange starts.",
+)
+@click.option(
+    "--starts", type=int, default=1, show_default=True, help="Number of starts; all but the first are random."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+@click.option(
+    "--off-grid",
+    is_flag=True,
+    help="Afterwards, move the chosen poses continuously, within joint limits and the range of the candidates.",
+)
+@jobs_option("starts and moves off the grid")
+@click.option(
+    "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
+)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
+@values_options
+@click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")
+@click.option(
+    "-o", "--out", required=True, metavar="FILE", help="CSV file to write: the chosen poses in order of measurement."
+)
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    candidates: str,
+    count: str,
+    instruments: str,
+    index: str,
+    measured: str | None,
+    task: str | None,
+    exclude: str | None,
+    min_distance_mm: float,
+    start: str,
+    starts: int,
+    seed: int,
+    off_grid: bool,
+    jobs: int,
+    skip_unreachable: bool,
+    sigma_mm: float | None,
+    parameters: str | None,
+    result: str | None,
+    plots: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Choose the poses from CANDIDATES (CSV) whose measurement determines the parameters of ROBOT best.
+
+    With several instruments and --instruments, it also chooses which of them reads at which pose: the written file has
+    a column `instrument`. A candidate for a touch must name what is touched, in the column of that instrument.
+    """
+    counts = _counts(count)
+    sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
+    model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
+    table = read_robot_table(candidates, model, any_size=True)
+    poses = read_pose_files((candidates,), model, table)
+    done = None if measured is None else read_pose_files((measured,), model)
+    if parameters is None and result is None:
+        model = placed(model, done, poses)
+    poses = different_poses(plan_of_table(table, model) if isinstance(poses, Measurements) else poses)
+    output.check(out, folders=(plots,))
+    if (few := little_seen(model, poses)) is not None:
+        output.note(f"note: {few}")
+    with output.working(f"choosing from {len(poses)} poses") as progress:
+        selection = select(
+            model,
+            poses,
+            counts,
+            index,
+            instruments=instruments if instruments in (ALL, EACH) else instruments.split(","),
+            measured=done,
+            task=None if task is None else read_poses(task, model),
+            exclude=() if exclude is None else _excluded(exclude, poses),
+            minimum_distance=metres(min_distance_mm),
+            random_start=start == "random",
+            starts=starts,
+            seed=seed,
+            off_grid=off_grid,
+            skip_unreachable=skip_unreachable,
+            sigma=sigma,
+            executor=jobs,
+            progress=progress,
+        )
+    output.write(out, format_poses(model, selection, poses, table))
+    if plots is not None:
+        write_folder(plots, figures(selection), force=output.force)
+    output.say(text_report(selection, poses))
+    output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
+    output.say(after_select(robot, out, typed_options()))
+    output.json({"robot": model.path} | to_dict(selection, poses))
+
+
+def _counts(text: str) -> int | dict[str, int]:
+    """The number of poses, or that of each instrument."""
+    parts = [part.strip().rpartition("=") for part in text.split(",")]
+    if not all(number.strip().lstrip("-").isdecimal() and bool(name) == bool(sign) for name, sign, number in parts):
+        raise InputError(f"--count {text}: must be a number, or one for each instrument, such as tracker=12,sockets=18")
+    if not parts[0][0] and len(parts) == 1:
+        return int(parts[0][2])
+    counts = {name.strip(): int(number) for name, _, number in parts}
+    if "" in counts or len(counts) < len(parts):
+        raise InputError(f"--count {text}: name each instrument, or each group of them, once")
+    return counts
+
+
+def _excluded(text: str, poses: Poses) -> list[int]:
+    """Turn names and ranges of numbers into candidate numbers."""
+    number_of = {name: k for k, name in enumerate(poses.names)}
+    excluded: list[int] = []
+    for item in (part.strip() for part in text.split(",")):
+        first, _, last = item.partition("-")
+        if item in number_of:
+            excluded.append(number_of[item])
+        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+            names = [str(k) for k in range(int(first), int(last) + 1)]
+            missing = [name for name in names if name not in number_of]
+            if missing:
+                raise InputError(f"--exclude {item}: {poses.path} has no pose '{missing[0]}'")
+            excluded += [number_of[name] for name in names]
+        else:
+            raise InputError(f"--exclude: {poses.path} has no pose '{item}'{nearest(item, number_of)}")
+    return excluded

@@ -1,0 +1,127 @@
+"""`calib watch`: measuring and calibrating at once."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import click
+
+from calib.core.base.errors import InputError
+from calib.core.base.units import quantity
+from calib.core.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
+from calib.core.data.measurement_files import read_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.data.plan_files import read_plan
+from calib.pictures import Live, live
+from calib.planning.progress import Progress
+from calib.planning.watch import CANDIDATES, GrowingFile, Watch
+
+
+@click.command("watch")
+@click.argument("robot")
+@click.argument("file")
+@click.option(
+    "--goal",
+    required=True,
+    metavar="LENGTH",
+    help="Stop at this RMS position error over the candidates, with its unit, such as 0.1mm.",
+)
+@click.option(
+    "--candidates",
+    metavar="FILE",
+    help="Poses (CSV) that the goal is about, and to choose the next one from; if not given,"
+    f" {CANDIDATES} over the joint limits.",
+)
+@click.option("--once", is_flag=True, help="Say what FILE shows now, and end.")
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.05),
+    default=0.5,
+    show_default=True,
+    metavar="SECONDS",
+    help="How often to look whether FILE has grown.",
+)
+@click.option(
+    "--view",
+    is_flag=True,
+    help="Show it in a browser on this computer, too: prints the address to open, and stays until Ctrl-C.",
+)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of sampled poses.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    file: str,
+    goal: str,
+    candidates: str | None,
+    once: bool,
+    every: float,
+    view: bool,
+    sigma_mm: float | None,
+    seed: int,
+    output: Output,
+) -> None:
+    """Follow FILE (CSV) while ROBOT is measured: how accurate it is, which pose to measure next, and when to stop.
+
+    Each new line is predicted first, then fitted. A line that cannot be read is named, and skipped until it is
+    corrected; with --once it is an error. The command ends when the goal is reached with 95 % confidence, or with
+    Ctrl-C. With --json FILE, the file always holds the present state; with --json -, every state is one line.
+    """
+    if once and view:
+        raise InputError("--once prints one answer and ends, so --view has nothing to follow; leave one of them out")
+    if goal.strip()[-1:].isdigit():
+        raise InputError(f"--goal {goal}: write its unit, such as {goal.strip()}mm")
+    length = quantity(goal, "length", "--goal")
+    model = loaded(robot, output)
+    poses = None if candidates is None else different_poses(read_plan(candidates, model))
+    watch = Watch(
+        model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
+    )
+    if once:
+        progress = watch.update(read_measurements(file, model))
+        _tell(progress, output)
+        if progress.obstacle is not None:
+            raise progress.obstacle
+        return
+    viewer = live(model) if view else None
+    try:
+        _follow(watch, GrowingFile(file, model), every, viewer, output)
+    except KeyboardInterrupt:
+        output.note("ended")
+    finally:
+        if viewer is not None:
+            viewer.close()
+
+
+def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, output: Output) -> None:
+    """Tell about every change of the file until the goal holds; with a viewer, until Ctrl-C."""
+    if viewer is not None:
+        output.note(viewer.url)
+    data = _changed(file, output)
+    while True:
+        progress = watch.update(data)
+        _tell(progress, output)
+        if viewer is not None:
+            viewer.show(progress)
+        if progress.stop and viewer is None:
+            return
+        data = None
+        while data is None:
+            time.sleep(every)
+            data = _changed(file, output)
+
+
+def _changed(file: GrowingFile, output: Output) -> Measurements | None:
+    """What the file holds, if it has changed; says which lines of it are passed over."""
+    data = file.changed()
+    output.remarks(file.remarks())
+    return data
+
+
+def _tell(progress: Progress, output: Output) -> None:
+    output.say(f"{progress.report()}\n")
+    if output.json_target == "-":
+        click.echo(json.dumps(progress.to_dict(), allow_nan=False, ensure_ascii=False))
+    elif output.json_target is not None:
+        output.json(progress.to_dict())

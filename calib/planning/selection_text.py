@@ -1,0 +1,260 @@
+"""What `calib select` prints and writes: a table for people, data for programs, and the poses as CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from rich.table import Table as Printed
+
+from calib.core.base.units import millimetres
+from calib.core.base.words import as_data, counted, plain_text, text_table
+from calib.core.data.instrument_cells import columns_in
+from calib.core.data.measurement_files import format_positions
+from calib.core.data.measurements import Poses
+from calib.core.data.plan_files import INSTRUMENT, TOGETHER
+from calib.core.data.table_writing import format_table
+from calib.core.data.tables import Table
+from calib.core.numerics.observability import INDICES
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import WHITENED
+from calib.planning.selection import Run, Selection
+from calib.planning.selection_bound import CERTIFIED
+from calib.planning.selection_problem import TASK
+
+_SHOWN = 8  # candidates skipped
+
+
+def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
+    """Return the result of a selection as text.
+
+    Args:
+        selection: The result.
+        poses: The candidates.
+        width: Of the text, in characters.
+    """
+    return plain_text(
+        [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
+    ).rstrip()
+
+
+def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
+    """Return the result as data for JSON; the task index in mm, unknown and infinite numbers None."""
+    s = selection
+    certified = s.efficiency is not None
+    return as_data(
+        {
+            "index": s.index,
+            "count": len(s),
+            "candidates": len(poses),
+            "chosen": [poses.names[k] for k in s.chosen],
+            "instruments": list(s.instruments) or None,
+            "before": _values(s.before),
+            "after": _values(s.after),
+            "on_grid": _values(s.on_grid),
+            "after_raw": _values(s.raw),
+            "measured_only": None if s.measured_only is None else _values(s.measured_only),
+            "efficiency": s.efficiency,
+            "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
+            "bound": _shown(s.index, s.bound) if certified else None,
+            "off_grid": _off_grid(s),
+            "runs": [_run(run, s, poses) for run in s.runs],
+            "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
+            "rank": s.rank.rank,
+            "rank_of_poses": s.rank_of_poses.rank,
+            "n_parameters": s.rank.n_columns,
+            "sigma_mm": None if s.sigma == WHITENED else millimetres(s.sigma),
+            "sigma_assumed": s.sigma_assumed,
+            "skipped": list(s.skipped),
+            "already_measured": s.already_measured,
+            "seed": s.seed,
+            "seconds": s.seconds,
+            "selecting_seconds": s.selecting_seconds,
+        }
+    )
+
+
+def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table) -> str:
+    """Return the chosen poses as CSV in the order of measurement.
+
+    Poses from the candidates keep their rows of the file, all columns as they are. Poses that left the grid are new:
+    their joint values, and predicted positions where the file has positions too.
+
+    Args:
+        robot: The robot.
+        selection: The result.
+        poses: The candidates.
+        table: The candidates' file.
+    """
+    comment = f"{_counted(selection, poses)}, chosen by {selection.index}, in order of measurement"
+    if not selection.off_grid:
+        headers = [
+            name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
+        ]
+        lines = _lines_of(table, [(int(k), poses.names[k]) for k in selection.chosen])
+        if selection.groups:
+            columns = _plan(robot, selection, poses, table, headers, lines)
+        else:
+            kept = [line for k in selection.chosen for line in lines[poses.names[k]]]
+            columns = [(header, [table.rows[line][c] for line in kept]) for c, header in enumerate(headers)]
+        if "pose" not in table.names:
+            columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
+        return format_table(columns, (comment,))
+    moved = replace(poses.subset(selection.chosen), joints=selection.joints)
+    comment += ", then moved off the grid"
+    if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
+        return format_positions(robot, moved, selection.positions, (f"{comment}; positions are predicted",))
+    return format_table(list(moved.to_dict(robot).items()), (comment,))
+
+
+def _plan(
+    robot: Robot,
+    selection: Selection,
+    poses: Poses,
+    table: Table,
+    headers: Sequence[str],
+    lines: Mapping[str, Sequence[int]],
+) -> list[tuple[str, list[object]]]:
+    """Columns of a plan: a row for each pose and what reads there, cells of other instruments empty."""
+    rows: list[list[object]] = []
+    for k, together in zip(selection.chosen, selection.instruments, strict=True):
+        instruments = [robot.instrument(name) for name in together.split(TOGETHER)]
+        columns_read = {column for instrument in instruments for column in columns_in(instrument, table)}
+        touched = [
+            table.names.index(name)
+            for instrument in instruments
+            if instrument.touches
+            for name in instrument.text_columns()
+        ]
+        line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
+        others = {column for instrument in robot.instruments for column in columns_in(instrument, table)} - columns_read
+        cells = zip(table.names, table.rows[line], strict=True)
+        rows.append([together, *("" if name in others else cell for name, cell in cells)])
+    columns = [(header, [row[c] for row in rows]) for c, header in enumerate([INSTRUMENT, *headers])]
+    return [columns[0], *(column for column in columns[1:] if column[0] != INSTRUMENT)]
+
+
+def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[int]]:
+    """Rows of the file of some poses, by name; a measured file may repeat a pose."""
+    if "pose" not in table.names:
+        return {name: [k] for k, name in poses}
+    lines: dict[str, list[int]] = {name: [] for _, name in poses}
+    for line, name in enumerate(table.texts("pose")):
+        if name in lines:
+            lines[name].append(line)
+    return lines
+
+
+def _summary(s: Selection, poses: Poses) -> list[str]:
+    lines = [f"{_counted(s, poses)}, chosen by {s.index}"]
+    if s.efficiency is not None and s.bound is not None:
+        limit = f"{_shown(s.index, s.bound):.5g}" + (" mm" if s.index == TASK else "")
+        word = "goes below" if s.index == TASK else "exceeds"
+        lines.append(
+            f"Efficiency {100 * s.efficiency:.3f} %, certified: no choice of {len(s)} candidates {word} {limit}"
+        )
+    if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
+        lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
+    if s.off_grid:
+        off = _off_grid(s)
+        assert off is not None
+        lines.append(f"Moved off the grid: {off['better_percent']:.2f} % better than the choice from the candidates")
+        if off["above_bound_percent"] is not None and off["above_bound_percent"] > 0:
+            lines[-1] += f", {off['above_bound_percent']:.2f} % better than any choice from them can be"
+    return lines
+
+
+def _counted(s: Selection, poses: Poses) -> str:
+    """How many poses were chosen, and with what."""
+    if not s.groups:
+        return f"{len(s)} of {len(poses)} poses ({poses.path})"
+    with_each = ", ".join(f"{s.instruments.count(group)} with {group}" for group in s.groups)
+    different = len(set(s.chosen.tolist()))
+    return f"{with_each}; at {different} of {len(poses)} poses ({poses.path})"
+
+
+def _indices(s: Selection) -> Printed:
+    keys = [key for key in (*INDICES, TASK) if key in s.after]
+    headers = ("", *(f"{key}, mm" if key == TASK else key for key in keys))
+    table = text_table(headers, title="Indices (scaled columns; task: predicted position error)")
+    rows = [("uniform", s.before), ("chosen", s.on_grid)]
+    if s.measured_only is not None:
+        rows.insert(0, ("measured alone", s.measured_only))
+    if s.off_grid:
+        rows.append(("off the grid", s.after))
+    rows.append((f"chosen, not scaled: {'noise' if s.sigma == WHITENED else 'mm'} per unit", s.raw))
+    for label, values in rows:
+        table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
+    return table
+
+
+def _remarks(s: Selection) -> list[str]:
+    lines = [f"Targets of any two poses are at least {millimetres(s.distance):.3g} mm apart"] if s.distance else []
+    lines += [
+        f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
+    ]
+    poses_meant = "candidates" if s.measured_only is None else "candidates and measured poses"
+    if s.rank.rank < s.rank.n_columns:
+        lines.append(
+            f"Warning: all {poses_meant} together determine {s.rank.rank} of {s.rank.n_columns} free parameters;"
+            " the indices are about those. `calib check` says which combinations are not determined."
+        )
+    elif s.rank_of_poses.rank < s.rank.rank:
+        lines.append(
+            f"All {poses_meant} together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
+            " parameters; the indices are about those, and priors hold the rest"
+        )
+    if s.sigma_assumed:
+        lines.append("Unstated noise is assumed; state it with --sigma-mm or in the description")
+    if s.already_measured:
+        lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
+    if s.skipped:
+        lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
+        lines += [f"  {reason}" for reason in s.skipped[:_SHOWN]]
+        lines += [f"  and {len(s.skipped) - _SHOWN} more"] if len(s.skipped) > _SHOWN else []
+    lines.append(f"{s.seconds:.2f} s in all, {s.selecting_seconds:.2f} s for the choice")
+    return lines
+
+
+def _off_grid(s: Selection) -> dict[str, float | None] | None:
+    """How much better the moved poses are, in percent of the index."""
+    if not s.off_grid:
+        return None
+
+    def better(than: float | None) -> float | None:
+        if than is None:
+            return None
+        ratio = than / s.after[s.index] if s.index == TASK else s.after[s.index] / than
+        return 100 * (ratio - 1)
+
+    return {"better_percent": better(s.on_grid[s.index]), "above_bound_percent": better(s.bound)}
+
+
+def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
+    return {
+        "start": run.start,
+        "history": [_shown(s.index, value) for value in run.history],
+        "paper_exchanges": run.n_paper,
+        "exchanges": [
+            {"added": _candidate(s, poses, added), "removed": _candidate(s, poses, removed)}
+            for added, removed in run.exchanges
+        ],
+    }
+
+
+def _candidate(s: Selection, poses: Poses, number: int) -> str:
+    """What to call a candidate: its pose, and what reads there where that is chosen too."""
+    group, pose = divmod(number, len(poses))
+    return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
+
+
+def _values(values: dict[str, float]) -> dict[str, float | None]:
+    return {key: _shown(key, value) for key, value in values.items()}
+
+
+def _shown(index: str, value: float | None) -> float:
+    """An index as it is shown: the task index in mm."""
+    if value is None:
+        return math.nan
+    return millimetres(value) if index == TASK else value

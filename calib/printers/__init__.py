@@ -1,0 +1,1 @@
+"""Delta printers whose carriages slide on towers, in the words of three firmwares."""

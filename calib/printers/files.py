@@ -1,0 +1,291 @@
+"""Settings of delta printers: Klipper's `printer.cfg` with what its probe measured; `M665`, `M666` of Marlin and Duet.
+
+Klipper keeps in `[delta_calibrate]` how far the motors had come down from the switches, in steps ("stable positions"),
+where the nozzle was at a known height (`height3`, `height3_pos`), and at both ends of a printed object that a caliper
+measured (`distance3`, `distance3_pos1`, `distance3_pos2`). What its command SAVE_CONFIG wrote, behind `#*#`, counts
+before the rest.
+
+Endstop k is how high the nozzle is at the centre when the switch of tower k trips; Klipper writes it as
+`position_endstop`. In RepRapFirmware (Duet) it is H + e_k, with e_k of M666. Marlin comes down from its switches by
+e_k < 0, and has a probe's offset, Z of M851, in H: there it is H - Z - e_k.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.core.base.errors import DataError, InputError
+from calib.core.base.files import read_text
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.data.table_writing import format_table
+from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, around, height_name
+from calib.printers.rows import PrinterFile, Row, require_plausible, require_steps
+
+_MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
+_SECTION = re.compile(r"\[([^\]]+)\]\s*$")
+_ENTRY = re.compile(r"([\w ]+?)\s*[:=]\s*(.*)$")
+_HEIGHT = re.compile(r"(manual_)?height(\d+)$")
+_DISTANCE = re.compile(r"distance(\d+)$")
+_NUMBER = r"[-+]?[\d.]+"
+_WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
+_AROUND = 15 * _DEG  # how far a tower may be from where the third of a circle would have it
+_TRIM = 5.0  # of a rod at most [mm]; Marlin 1.1 had in B the radius of its calibration
+
+
+def read_klipper(path: Path | str) -> PrinterFile:
+    """Read a `printer.cfg`.
+
+    Raises:
+        DataError: The message names file and line: no delta, something missing, positions that do not fit the steps, or
+            a number that is far off from what all others say.
+    """
+    cfg = _Klipper(path)
+    if cfg.text("printer", "kinematics") != "delta":
+        raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
+    steppers = [f"stepper_{tower}" for tower in TOWERS]
+    for stepper in steppers:
+        if all(section != stepper for section, _ in cfg.entries):
+            raise DataError(f"{path}: no [{stepper}]{cfg.hint or '; a delta has stepper_a, stepper_b and stepper_c'}")
+
+    def three(key: str, default: tuple[float, ...] | None = None) -> tuple[float, float, float]:
+        first = None if default is not None else cfg.number(steppers[0], key)
+        values = [
+            cfg.number(stepper, key, first if default is None else default[k]) for k, stepper in enumerate(steppers)
+        ]
+        return values[0], values[1], values[2]
+
+    angles = three("angle", tuple(math.degrees(angle) for angle in ANGLES))
+    geometry = DeltaGeometry(
+        cfg.number("printer", "delta_radius") * _MM,
+        (angles[0] * _DEG, angles[1] * _DEG, angles[2] * _DEG),
+        _times(three("arm_length"), _MM),
+        _times(three("position_endstop"), _MM),
+    )
+    _require_printer(path, geometry)
+    turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
+    gears = [cfg.ratio(stepper) for stepper in steppers]
+    if min(*turns, *micro, *full, *gears) <= 0:
+        raise DataError(f"{path}: rotation_distance, microsteps, full_steps_per_rotation must be positive")
+    step = [_MM * t / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
+    rows = cfg.rows((step[0], step[1], step[2]))
+    printer = PrinterFile(str(path), geometry, rows)
+    if rows:
+        require_steps(printer, micro)
+        require_plausible(printer)
+    return printer
+
+
+def _times(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
+    return values[0] * unit, values[1] * unit, values[2] * unit
+
+
+class _Klipper:
+    """Entries of a file by section and key, each with its line."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path, self.entries = str(path), dict[tuple[str, str], tuple[str, int]]()
+        section, included = "", False
+        for number, line in enumerate(read_text(path, "a printer.cfg of Klipper", DataError).split("\n"), 1):
+            plain = re.split(r"[#;]", line.removeprefix("#*#"))[0].strip()
+            start, entry = _SECTION.match(plain), _ENTRY.match(plain)
+            if start:
+                section = " ".join(start[1].split()).lower()
+                included |= section.startswith("include ")
+            elif entry and section:
+                self.entries[section, entry[1].strip().lower()] = entry[2].strip(), number
+        self.hint = "; it may be in a file that is included: give one file with all of it" if included else ""
+
+    def text(self, section: str, key: str) -> str:
+        if (section, key) not in self.entries:
+            raise DataError(f"{self.path}: [{section}] has no '{key}'{self.hint or '; is this the printer.cfg?'}")
+        return self.entries[section, key][0]
+
+    def number(self, section: str, key: str, default: float | None = None) -> float:
+        if (section, key) not in self.entries and default is not None:
+            return default
+        return self._numbers(section, key, self.text(section, key), 1)[0]
+
+    def _numbers(self, section: str, key: str, text: str, count: int) -> list[float]:
+        where = f"{self.path}, line {self.entries[section, key][1]}: {key}"
+        try:
+            values = [float(part) for part in text.split(",")]
+        except ValueError:
+            raise DataError(f"{where} '{text:.40}' is not {'a number' if count == 1 else 'three numbers'}") from None
+        if len(values) != count or not np.all(np.isfinite(values)) or np.max(np.abs(values)) > 1e8:
+            raise DataError(f"{where} '{text:.40}' is not {'a number' if count == 1 else 'three numbers'}; correct it")
+        return values
+
+    def ratio(self, section: str) -> float:
+        """Product of the gear ratios of a stepper."""
+        if (section, "gear_ratio") not in self.entries:
+            return 1.0
+        text, line = self.entries[section, "gear_ratio"]
+        try:
+            pairs = [[float(number) for number in part.split(":")] for part in text.split(",")]
+            return math.prod(driven / motor for driven, motor in pairs)
+        except (ValueError, ZeroDivisionError):
+            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
+
+    def rows(self, step: tuple[float, float, float]) -> tuple[Row, ...]:
+        heights, spans, calibration = list[Row](), list[Row](), "delta_calibrate"
+        for (section, key), (text, line) in self.entries.items():
+            height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
+            if section != calibration or not (height or distance):
+                continue
+            value = self._numbers(section, key, text, 1)[0] * _MM
+            ends = ("_pos",) if height else ("_pos1", "_pos2")
+            places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
+            down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
+            if distance and value <= 0:
+                raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is not a distance; correct it")
+            (heights if height else spans).append(Row(key, line, value, down))
+        if spans and not heights:
+            raise DataError(
+                f"{self.path}: [{calibration}] has distances and no heights; probe the bed (DELTA_CALIBRATE)"
+            )
+        return (*heights, *spans)
+
+
+def read_m665(path: Path | str, firmware: str) -> PrinterFile:
+    """Read the lines M665 and M666 of a file, and of Marlin M851.
+
+    Args:
+        path: The file.
+        firmware: `marlin` or `duet`.
+
+    Raises:
+        DataError: A line is missing, or says what the firmware or the model does not know.
+    """
+    words = _settings(path)
+    settings, ends = words["M665"], words["M666"]
+    for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
+        if key not in settings:
+            raise DataError(f"{path}: no M665 with {key}, {meaning}; save the settings (M503 prints them) into a file")
+
+    def three(source: Mapping[str, tuple[float, ...]], keys: str) -> tuple[float, float, float]:
+        values = [source.get(key, (0.0,))[0] for key in keys]
+        return values[0], values[1], values[2]
+
+    rods, trims, turned, corrections = settings["L"], three(settings, "ABC"), three(settings, "XYZ"), three(ends, "XYZ")
+    height = settings["H"][0]
+    if firmware == "marlin":
+        _require_marlin(path, rods, trims, corrections)
+        arms = (rods[0] + trims[0], rods[0] + trims[1], rods[0] + trims[2])
+        height -= words["M851"].get("Z", (0.0,))[0]
+        up = (-corrections[0], -corrections[1], -corrections[2])
+    else:
+        _require_duet(path, rods, ends)
+        arms, up = (rods[0], rods[-2 % len(rods)], rods[-1]), corrections
+    angles = tuple(angle + turn * _DEG for angle, turn in zip(ANGLES, turned, strict=True))
+    endstops = _times((height + up[0], height + up[1], height + up[2]), _MM)
+    radius = settings["R"][0] * _MM
+    geometry = DeltaGeometry(radius, (angles[0], angles[1], angles[2]), _times(arms, _MM), endstops)
+    _require_printer(path, geometry)
+    return PrinterFile(str(path), geometry)
+
+
+def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
+    """Raise `DataError` where towers are not around the centre, or switches trip below the bed."""
+    for tower, angle, expected in zip(TOWERS, geometry.angles, around(geometry.angles[2]), strict=True):
+        if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
+            raise DataError(
+                f"{path}: tower {tower} is at {angle / _DEG:g} deg, and tower c at {geometry.angles[2] / _DEG:g} deg;"
+                " towers are 120 deg apart: correct it"
+            )
+    for tower, end in zip(TOWERS, geometry.endstops, strict=True):
+        if end <= 0:
+            raise DataError(
+                f"{path}: the switch of tower {tower} would trip with the nozzle at {millimetres(end):g} mm, below the"
+                " bed; correct it"
+            )
+
+
+def _settings(path: Path | str) -> dict[str, dict[str, tuple[float, ...]]]:
+    """The numbers of M665, M666 and M851 by their letters, as they are in the last of several lines."""
+    words: dict[str, dict[str, tuple[float, ...]]] = {"M665": {}, "M666": {}, "M851": {}}
+    for number, line in enumerate(read_text(path, "a file with M665 and M666", DataError).split("\n"), 1):
+        code = line.split(";")[0].upper()
+        if re.search(r"\bG20\b", code):
+            raise DataError(f"{path}, line {number}: G20: lengths in inches; save the settings after G21")
+        match = re.search(r"\b(M66[56]|M851)\b(.*)", code)
+        if match is None:
+            continue
+        try:
+            numbers = {key: tuple(map(float, text.split(":"))) for key, text in _WORD.findall(match[2])}
+        except ValueError:
+            numbers = {}
+        if _WORD.sub("", match[2]).strip() or any(len(v) > 1 and key != "L" for key, v in numbers.items()):
+            numbers = {}
+        if not numbers:
+            raise DataError(
+                f"{path}, line {number}: '{code.strip():.60}' is not {match[1]} with letters and numbers; correct it"
+            )
+        words[match[1]].update(numbers)
+    return words
+
+
+def _require_marlin(path: Path | str, rods: tuple[float, ...], trims: Sequence[float], ends: Sequence[float]) -> None:
+    """Raise `DataError` where Marlin would not take these numbers [mm]."""
+    if len(rods) != 1:
+        raise DataError(f"{path}: M665 L has {len(rods)} rods; Marlin has one length, and A, B, C to add to it")
+    for key, trim in zip("ABC", trims, strict=True):
+        if abs(trim) > _TRIM:
+            raise DataError(
+                f"{path}: M665 {key}{trim:g} would change a rod by {trim:g} mm; correct it (if it is the radius of"
+                " calibration, as B was in Marlin 1.1, remove it)"
+            )
+    for key, end in zip("XYZ", ends, strict=True):
+        if end > 0:
+            raise DataError(f"{path}: M666 {key}{end:g} is positive, which Marlin refuses; correct it")
+
+
+def _require_duet(path: Path | str, rods: tuple[float, ...], ends: Mapping[str, tuple[float, ...]]) -> None:
+    """Raise `DataError` where RepRapFirmware would not take these numbers, or the model has no place for them."""
+    if len(rods) not in (1, 3):
+        raise DataError(f"{path}: M665 L has {len(rods)} rods; give one length, or three with ':'")
+    for key in "AB":
+        if ends.get(key, (0.0,))[0] != 0:
+            raise DataError(
+                f"{path}: M666 {key}{ends[key][0]:g} tilts the bed in the firmware; set A and B to 0, probe again with"
+                " that, and calib finds endstops that level it"
+            )
+
+
+def read_printer(path: Path | str, firmware: str) -> PrinterFile:
+    """Read a printer's settings; see `read_klipper` and `read_m665`.
+
+    Args:
+        path: The file.
+        firmware: `klipper`, `marlin` or `duet`.
+
+    Raises:
+        DataError: As these.
+        InputError: Arms that reach nothing.
+    """
+    try:
+        return read_klipper(path) if firmware == "klipper" else read_m665(path, firmware)
+    except InputError as error:
+        named = str(error).startswith(str(path))
+        raise type(error)(str(error) if named else f"{path}: {error}") from None
+
+
+def printer_table(printer: PrinterFile) -> str:
+    """Return its rows as a file of measurements."""
+    twice = any(len(row.places) == 2 for row in printer.rows)
+    columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
+    for copy, suffix in enumerate(("", "2")[: 2 if twice else 1]):
+        for k, tower in enumerate(TOWERS):
+            down = [round(millimetres(row.places[min(copy, len(row.places) - 1)][k]), 7) for row in printer.rows]
+            columns.append((f"{tower}{suffix} [mm]", [*down]))
+    columns.append(("probe", [height_name(r.value) if len(r.places) == 1 else "" for r in printer.rows]))
+    if twice:
+        read = [round(millimetres(r.value), 7) if len(r.places) == 2 else "" for r in printer.rows]
+        columns.append(("caliper_distance [mm]", [*read]))
+    return format_table(
+        columns, [f"from {printer.path}: carriages down from their switches, and what was measured there"]
+    )

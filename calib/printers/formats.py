@@ -1,0 +1,105 @@
+"""What firmwares of delta printers hold, as lines to paste: Klipper's sections, `M665` and `M666` of Marlin and Duet.
+
+What each means is in `calib.printers.files` and `calib.printers.linear_delta`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.core.base.errors import InputError
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.robots.robot import Robot
+from calib.exporting.controllers import ControllerFile
+from calib.exporting.held_formats import FIRMWARES
+from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, is_linear_delta
+
+PRINTER_COMMENTS = {"klipper": "#", "marlin": ";", "duet": ";"}
+"""How comments begin."""
+
+
+def geometry_of(robot: Robot) -> DeltaGeometry:
+    """Return a printer's numbers as they are now.
+
+    Raises:
+        InputError: The robot is no linear delta.
+    """
+    if not is_linear_delta(robot.description):
+        raise InputError(
+            f"{robot.path}: is not a delta printer; formats {', '.join(FIRMWARES)} hold robots of the parametrisation"
+            " linear_delta, such as calib init --klipper writes"
+        )
+    value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
+    angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")
+    return DeltaGeometry(
+        value["delta_radius"],
+        (value["angle_a"], value["angle_b"], float(angle_c)),
+        (value["arm_a"], value["arm_b"], value["arm_c"]),
+        (value["endstop_a"], value["endstop_b"], value["endstop_c"]),
+    )
+
+
+def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> ControllerFile:
+    """Return the lines to paste into a firmware's settings.
+
+    Args:
+        robot: The robot.
+        firmware: Of `FIRMWARES`.
+        provenance: Lines for the comment.
+
+    Raises:
+        InputError: The robot is no linear delta.
+    """
+    geometry = geometry_of(robot)
+    body, statement = {"klipper": _klipper, "marlin": _marlin, "duet": _duet}[firmware](geometry)
+    mark = PRINTER_COMMENTS[firmware]
+    head = [f"{mark} calib: {statement}", *(f"{mark} {line}" for line in provenance)]
+    return ControllerFile(("\n".join([*head, *body]) + "\n").encode(), statement, None)
+
+
+def _mm(value: float) -> str:
+    return f"{millimetres(value):.4f}"
+
+
+def _degrees(value: float) -> str:
+    return f"{value * PER_SI['angle']['deg'] + 0.0:.4f}"
+
+
+def _klipper(geometry: DeltaGeometry) -> tuple[list[str], str]:
+    lines = ["[printer]", f"delta_radius: {_mm(geometry.radius)}"]
+    for k, tower in enumerate(TOWERS):
+        lines += [
+            "",
+            f"[stepper_{tower}]",
+            f"position_endstop: {_mm(geometry.endstops[k])}",
+            f"arm_length: {_mm(geometry.arms[k])}",
+            f"angle: {_degrees(geometry.angles[k])}",
+        ]
+    return lines, "put these numbers into printer.cfg, in place of those that it has, also behind #*#; then RESTART"
+
+
+def _trims(geometry: DeltaGeometry) -> str:
+    trims = np.array(geometry.angles) - ANGLES
+    return " ".join(f"{axis}{_degrees(float(trim))}" for axis, trim in zip("XYZ", trims, strict=True))
+
+
+def _marlin(geometry: DeltaGeometry) -> tuple[list[str], str]:
+    """Endstops are adjusted downwards, from the lowest; arms are trims of their mean."""
+    rod, height = round(float(np.mean(geometry.arms)), 7), min(geometry.endstops)
+    arms = " ".join(f"{axis}{_mm(arm - rod)}" for axis, arm in zip("ABC", geometry.arms, strict=True))
+    ends = " ".join(f"{axis}{_mm(height - end + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
+    first = f"M665 L{_mm(rod)} R{_mm(geometry.radius)} H{_mm(height)} {_trims(geometry)} {arms}"
+    said = "send these lines to the printer (Marlin 2); M500 stores them. With a probe, first add Z of its M851 to H"
+    return [first, f"M666 {ends}", "M500"], said
+
+
+def _duet(geometry: DeltaGeometry) -> tuple[list[str], str]:
+    """Endstops are adjusted about their mean; the bed is not tilted."""
+    height = round(float(np.mean(geometry.endstops)), 7)
+    ends = " ".join(f"{axis}{_mm(end - height + 0.0)}" for axis, end in zip("XYZ", geometry.endstops, strict=True))
+    arms = ":".join(_mm(arm) for arm in geometry.arms)
+    first = f"M665 L{arms} R{_mm(geometry.radius)} H{_mm(height)} {_trims(geometry)}"
+    said = "put these lines into config.g, in place of its M665 and M666; B, the radius of the bed, stays"
+    return [first, f"M666 {ends} A0 B0"], said

@@ -1,0 +1,279 @@
+"""Linear deltas: printers whose nozzle hangs on three arms from carriages on vertical towers, as firmwares know them.
+
+Tower k stands at radius R and angle alpha_k about the centre, and its carriage is E_k - q_k above the bed when it has
+come down by q_k from its switch. Its arm, of length L_k, ends in the nozzle (what the platform and the carriages hold
+apart is in R). A firmware says not E_k but how high the nozzle is at the centre when the switch trips:
+
+    E_k = endstop_k + sqrt(L_k^2 - R^2)
+
+The parametrisation `linear_delta` has what firmwares have: R, the angles of a and b (c is where it is: turning all
+towers moves nothing that a probe sees), three arms, three endstops. Origins follow:
+
+    tower_k:  (R cos alpha_k, R sin alpha_k, E_k), turned by alpha_k about z        arm_k_end:  (0, 0, -L_k)
+
+Expected errors: probing hardly tells arms and angles, drawings do (`ARM`, `ANGLE`); R and endstops it tells.
+
+A distance between two places is measured after both were printed. Then the robot is there twice, `tower_a_2` and so on,
+with the same parameters, and the distance is that of the two nozzles.
+
+Reference: Klipper's documentation of delta calibration.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DescriptionError, InputError
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import millimetres
+from calib.core.robots.description import Description
+from calib.core.robots.parameters import Origin, twist_of_edit
+from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
+from calib.core.robots.urdf.text import robot_text
+
+TOWERS = ("a", "b", "c")
+ANGLES = (math.radians(210), math.radians(330), math.radians(90))
+"""Where the towers of a printer are as designed [rad]."""
+NAME = "linear_delta"
+ARM, ANGLE = 0.3e-3, math.radians(0.3)
+"""How far an arm [m] and a tower's angle [rad] may be off."""
+RADIUS, ENDSTOP = 2e-3, 10e-3
+"""The same of the radius and of endstops [m]."""
+HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
+"""Noise of a probed height and of a distance [m]."""
+
+
+@dataclass(frozen=True)
+class DeltaGeometry:
+    """What a firmware knows of a linear delta.
+
+    Attributes:
+        radius: R [m].
+        angles: Of towers a, b, c [rad].
+        arms: Their arms [m].
+        endstops: Height of the nozzle at the centre when their switches trip [m].
+    """
+
+    radius: float
+    angles: tuple[float, float, float]
+    arms: tuple[float, float, float]
+    endstops: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if not 0 < self.radius < min(self.arms):
+            raise InputError(
+                f"arms of {millimetres(min(self.arms)):g} mm on towers at a radius of {millimetres(self.radius):g} mm"
+                " reach nothing; correct delta_radius or arm_length"
+            )
+
+    @property
+    def carriages(self) -> tuple[float, ...]:
+        """E, where carriages are at their switches [m]."""
+        return tuple(
+            end + math.sqrt(arm**2 - self.radius**2) for end, arm in zip(self.endstops, self.arms, strict=True)
+        )
+
+    def nozzle(self, down: FloatArray) -> FloatArray:
+        """Return where the nozzle is, (n, 3) [m]: where the three arms meet, the lower of two points.
+
+        Args:
+            down: How far the carriages have come down, (n, 3) [m].
+
+        Returns:
+            NaN where they do not meet.
+        """
+        towers = np.array([(self.radius * math.cos(a), self.radius * math.sin(a)) for a in self.angles])
+        points = np.dstack([np.broadcast_to(towers, (len(down), 3, 2)), np.array(self.carriages) - down])
+        first, second, third = points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+        width = np.linalg.norm(second, axis=1)
+        ex = second / width[:, None]
+        along = np.sum(ex * third, axis=1)
+        ey = third - along[:, None] * ex
+        across = np.linalg.norm(ey, axis=1)
+        ey = ey / across[:, None]
+        first_square, second_square, third_square = (arm**2 for arm in self.arms)
+        x = (first_square - second_square + width**2) / (2 * width)
+        y = (first_square - third_square + along**2 + across**2 - 2 * along * x) / (2 * across)
+        with np.errstate(invalid="ignore"):
+            z = np.sqrt(first_square - x**2 - y**2)
+        normal = np.cross(ex, ey)
+        normal *= -np.sign(normal[:, 2:])
+        return np.asarray(first + x[:, None] * ex + y[:, None] * ey + z[:, None] * normal)
+
+
+def around(angle_c: float) -> tuple[float, float, float]:
+    """Return where towers are [rad] that are a third of a circle apart, if the third is at this angle [rad]."""
+    a, b, _ = ((angle + (angle_c - ANGLES[2])) % math.tau for angle in ANGLES)
+    return a, b, angle_c
+
+
+class LinearDelta:
+    """The parametrisation; see the module docstring."""
+
+    def __init__(self, origins: Mapping[str, Origin]) -> None:
+        needed = [f"{part}_{tower}{end}" for tower in TOWERS for part, end in (("tower", ""), ("arm", "_end"))]
+        missing = next((name for name in needed if name not in origins), None)
+        if missing is not None:
+            raise DescriptionError(f"parametrisation 'linear_delta': the URDF has no joint '{missing}'; see calib init")
+        self._suffixes = ("", "_2") if "tower_a_2" in origins else ("",)
+        places = [origins[f"tower_{tower}"] for tower in TOWERS]
+        self._angle_c = float(places[2].rpy[2])
+        radius = float(np.mean([math.hypot(*place.xyz[:2]) for place in places]))
+        arms = [-float(origins[f"arm_{tower}_end"].xyz[2]) for tower in TOWERS]
+        ends = [float(p.xyz[2]) - math.sqrt(arm**2 - radius**2) for p, arm in zip(places, arms, strict=True)]
+        self.parameters = (
+            Parameter("delta_radius", "length", radius, RADIUS, "mm"),
+            *(Parameter(f"angle_{t}", "angle", float(places[k].rpy[2]), ANGLE, "deg") for k, t in enumerate("ab")),
+            *(Parameter(f"arm_{t}", "length", arm, ARM, "mm") for t, arm in zip(TOWERS, arms, strict=True)),
+            *(Parameter(f"endstop_{t}", "length", end, ENDSTOP, "mm") for t, end in zip(TOWERS, ends, strict=True)),
+        )
+
+    def geometry(self, values: FloatArray) -> DeltaGeometry:
+        """Return the firmware's numbers of parameter values (9,) [m, rad]."""
+        v = [float(value) for value in values]
+        return DeltaGeometry(v[0], (v[1], v[2], self._angle_c), (v[3], v[4], v[5]), (v[6], v[7], v[8]))
+
+    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
+        """Return the origins; see `calib.core.robots.parameters.Parametrisation`."""
+        geometry, edited = self.geometry(values), {}
+        for k, tower in enumerate(TOWERS):
+            angle = geometry.angles[k]
+            place = np.array(
+                [geometry.radius * math.cos(angle), geometry.radius * math.sin(angle), geometry.carriages[k]]
+            )
+            for suffix in self._suffixes:
+                edited[f"tower_{tower}{suffix}"] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, angle), place)
+                edited[f"arm_{tower}{suffix}_end"] = pin.SE3(np.eye(3), np.array([0.0, 0.0, -geometry.arms[k]]))
+        return edited
+
+    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return their derivatives, (6, 9) each; see `calib.core.robots.parameters.Parametrisation`."""
+        geometry, result = self.geometry(values), {}
+        for k, tower in enumerate(TOWERS):
+            angle, arm, n = geometry.angles[k], geometry.arms[k], len(self.parameters)
+            rise = math.sqrt(arm**2 - geometry.radius**2)
+            d_xyz, d_rpy, d_end = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
+            d_xyz[:, 0] = math.cos(angle), math.sin(angle), -geometry.radius / rise
+            d_xyz[2, 3 + k], d_xyz[2, 6 + k] = arm / rise, 1.0
+            if k < 2:
+                d_xyz[:2, 1 + k] = -geometry.radius * math.sin(angle), geometry.radius * math.cos(angle)
+                d_rpy[2, 1 + k] = 1.0
+            d_end[2, 3 + k] = -1.0
+            for suffix in self._suffixes:
+                result[f"tower_{tower}{suffix}"] = twist_of_edit(np.array([0.0, 0.0, angle]), d_xyz, d_rpy)
+                result[f"arm_{tower}{suffix}_end"] = twist_of_edit(np.zeros(3), d_end, np.zeros((3, n)))
+        return result
+
+
+def is_linear_delta(description: Description) -> bool:
+    """Return whether a description is of a robot with this parametrisation."""
+    return description.parametrisation == NAME
+
+
+def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
+    """Return the printer, cut open where the arms meet the platform; home is the centre, 20 mm high.
+
+    Args:
+        geometry: Its numbers.
+        copies: 2: the robot twice, for distances.
+    """
+    plan, height = Plan("x, y, z"), 0.02
+    for suffix in ("", "_2")[:copies]:
+        parent, reach = BASE, 2 * max(geometry.arms)
+        for axis, name, home in (("1 0 0", "x", 0.0), ("0 1 0", "y", 0.0), ("0 0 1", "z", height)):
+            child = "platform" + suffix if name == "z" else f"platform_at_{name}{suffix}"
+            limits = (-reach, max(reach, 2 * max(geometry.endstops)))
+            plan.slider(f"platform_{name}{suffix}", parent, child, home, axis, limits, motor=False)
+            parent = child
+        for k, tower in enumerate(TOWERS):
+            angle, arm, carriage = geometry.angles[k], geometry.arms[k], f"carriage_{tower}{suffix}"
+            name = f"arm_{tower}{suffix}"
+            place = (geometry.radius * math.cos(angle), geometry.radius * math.sin(angle), geometry.carriages[k])
+            plan.place(f"tower_{tower}{suffix}", BASE, f"top_{tower}{suffix}", place, angle)
+            down = geometry.endstops[k] - height
+            room = (-0.01, geometry.carriages[k])
+            plan.slider(f"{tower}{suffix[1:]}", f"top_{tower}{suffix}", carriage, down, "0 0 -1", room, motor=True)
+            lean = math.asin(geometry.radius / arm)
+            plan.hinge(f"{name}_y", carriage, f"{name}_cross", lean, axis="0 1 0")
+            plan.hinge(f"{name}_x", f"{name}_cross", f"{name}_link", 0.0, axis="1 0 0")
+            plan.place(f"{name}_end", f"{name}_link", f"{name}_tip", (0.0, 0.0, -arm))
+            plan.loops.append((f"platform{suffix}", f"{name}_tip"))
+    plan.targets["nozzle"] = ("platform", (0.0, 0.0, 0.0))
+    return plan
+
+
+def linear_delta_urdf(plan: Plan, title: str) -> str:
+    """Return the text of its URDF."""
+    return robot_text("linear_delta", title, plan.links, plan.joints)
+
+
+def linear_delta_description(plan: Plan, title: str, urdf: str, heights: Sequence[float], n_rows: int = 0) -> str:
+    """Return the text of its description; with no more rows than it has parameters, arms are held.
+
+    Args:
+        plan: Of `linear_delta_plan`.
+        title: What it is, for a comment.
+        urdf: How it names the URDF.
+        heights: At which the nozzle is probed [m].
+        n_rows: How many rows were measured; 0: not known yet.
+    """
+    twice = "platform_2" in plan.links
+    planes = "".join(
+        f"      {height_name(height)}: {{frame: {BASE}, xyz: [0, 0, {millimetres(height):.9g} mm]}}\n"
+        for height in heights or (0.0,)
+    )
+    sigma = f"{millimetres(DISTANCE):g} mm"
+    caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"
+    pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
+    return f"""\
+# Robot description of a linear delta: {title}.
+urdf: {json.dumps(urdf, ensure_ascii=False)}
+
+# How far each carriage has come down from its switch{", at both ends of a measured distance" if twice else ""}.
+name_mot: [{", ".join(plan.motors)}]
+
+# The arms, cut open in the URDF where they meet the platform.
+closed_loop: [{pairs}]
+type: [{", ".join(["3d"] * len(plan.loops))}]
+
+# The nozzle over the centre, 20 mm high [m, rad].
+home:
+{"".join(f"  {name}: {value!r}" + chr(10) for name, value in plan.home.items())}
+# The bed is the plane z = 0.
+base: {{frame: {BASE}, pose: known}}
+targets:
+  nozzle: {{frame: platform}}
+
+# What is measured: heights over the bed, by a probe whose offset is one number; distances of a printed object.
+instruments:
+  probe:
+    kind: touch
+    target: nozzle
+    surface: plane
+    sigma: {millimetres(HEIGHT):g} mm
+    places:
+{planes}{caliper if twice else ""}
+# delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
+# are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
+parametrisation: {NAME}
+{_HELD if 0 < n_rows <= _N_PARAMETERS else ""}"""
+
+
+_N_PARAMETERS = 9
+_HELD = """\
+
+# With so few rows, free arms would leave no degrees of freedom to judge a fit. So the arms are held.
+held: [arm_a, arm_b, arm_c]
+"""
+
+
+def height_name(height: float) -> str:
+    """Return what a description calls a height [m] of the nozzle."""
+    return f"at_{millimetres(height):.9g}_mm".replace("-", "minus_")

@@ -1,0 +1,227 @@
+"""What owners measured on a delta printer, whether it can be true, and which geometry is expected before it is used.
+
+A probe has one offset, so one height that differs is mistyped. Positions that fit no rod or radius are steps of other
+motors. Any other row is judged by all the others (`left_out`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.core.base.errors import DataError
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.words import listed
+from calib.core.numerics.chances import FALSE_ALARM, FEWEST
+from calib.printers.linear_delta import (
+    ANGLE,
+    ARM,
+    DISTANCE,
+    ENDSTOP,
+    HEIGHT,
+    RADIUS,
+    TOWERS,
+    DeltaGeometry,
+    around,
+)
+
+_MM = 1 / PER_SI["length"]["mm"]
+_FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
+_FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
+_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
+_ALIKE = 0.02  # how much longer the longest arm may be
+_STEP = 1e-6  # of central differences [m or rad]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured number: the height of a place, or the distance of two.
+
+    Attributes:
+        name: As the file calls it.
+        line: Where it stands.
+        value: What was measured [m].
+        places: How far the carriages had come down there, (3,) [m] each: one place, or two.
+    """
+
+    name: str
+    line: int
+    value: float
+    places: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class PrinterFile:
+    """A printer as its firmware has it.
+
+    Attributes:
+        path: The file.
+        geometry: Its numbers.
+        rows: What was measured, heights first.
+    """
+
+    path: str
+    geometry: DeltaGeometry
+    rows: tuple[Row, ...] = ()
+
+
+def _alike(arms: tuple[float, ...]) -> bool:
+    return max(arms) - min(arms) <= _ALIKE * min(arms)
+
+
+def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
+    """Return what is expected of a printer before its rows are looked at.
+
+    A firmware's numbers come from these rows. Expected are angles as designed, a radius to the millimetre, endstops
+    that are alike; and where distances were measured, arms of the mean of the three to the millimetre. Without rows,
+    and of arms that no distance has changed, the file's numbers count.
+
+    Args:
+        printer: The printer.
+        arm: Length of the arms as designed or measured [m], if stated.
+
+    Raises:
+        DataError: The file's arms are not alike, and none is stated.
+    """
+    file = printer.geometry
+    if arm is None and not _alike(file.arms):
+        shown = listed([f"{millimetres(value):.4g}" for value in file.arms])
+        raise DataError(
+            f"{printer.path}: arms of {shown} mm are no printer's, which are alike; probing cannot tell them:"
+            " measure one and state it, such as --length arm=288mm"
+        )
+
+    def rounded(values: tuple[float, ...]) -> float:
+        return round(millimetres(sum(values) / len(values))) * _MM
+
+    if arm is None and any(len(row.places) == 2 for row in printer.rows):
+        arm = rounded(file.arms)
+    arms = file.arms if arm is None else (arm, arm, arm)
+    if not printer.rows:
+        return replace(file, arms=arms)
+    end = rounded(file.endstops)
+    return DeltaGeometry(rounded((file.radius,)), around(file.angles[2]), arms, (end, end, end))
+
+
+def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
+    """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
+    first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
+    said = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
+    return np.asarray(said - [row.value for row in rows])
+
+
+def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
+    """Raise `DataError` where other microsteps than those of the file make its positions fit."""
+
+    def off(factors: tuple[float, ...]) -> float:
+        a, b, c = factors
+        scaled = tuple(
+            replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
+        )
+        values = np.abs(misses(printer.geometry, scaled))
+        return float(np.median(np.where(np.isnan(values), np.inf, values)))
+
+    as_said = off((1.0, 1.0, 1.0))
+    if as_said <= _FITS:
+        return
+    best = min(itertools.product(_FACTORS, repeat=3), key=off)
+    if off(best) <= _FITS:
+        wrong = ", ".join(
+            f"[stepper_{tower}] microsteps: {m / f:g} in place of {m:g}"
+            for tower, m, f in zip(TOWERS, micro, best, strict=True)
+            if f != 1
+        )
+        raise DataError(
+            f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
+            " write these into a copy of the file, or probe again"
+        )
+    shown = "reach nothing" if not np.isfinite(as_said) else f"are {millimetres(as_said):.1f} mm from what was measured"
+    raise DataError(
+        f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
+        " rotation_distance, microsteps or arms were changed: probe again"
+    )
+
+
+def require_plausible(printer: PrinterFile) -> None:
+    """Raise `DataError` for a row that is far off from what all others say."""
+    probed = [row for row in printer.rows if row.name.startswith("height")]
+    values = [row.value for row in probed]
+    for row in probed:
+        others = {value for value in values if value != row.value}
+        if len(probed) > 3 and values.count(row.value) == 1 and len(others) == 1:
+            raise DataError(
+                f"{printer.path}, line {row.line}: {row.name} is {millimetres(row.value):g} mm, and all others are"
+                f" {millimetres(others.pop()):g} mm, the offset of the probe; correct it"
+            )
+    saved = np.abs(misses(printer.geometry, printer.rows))
+    saved = np.where(np.isnan(saved), np.inf, saved)
+    k, off, chance = int(np.argmax(saved)), float(np.max(saved)), 1.0
+    foretold = left_out(printer) if np.all(np.isfinite(saved)) else None
+    if foretold is not None:
+        k = int(np.argmin(foretold[1]))
+        off, chance = abs(float(foretold[0][k])), len(saved) * float(foretold[1][k])
+    far = len(saved) > 3 and saved[k] > max(_FAR, _TIMES * float(np.median(np.delete(saved, k))))
+    if far or (chance < FALSE_ALARM and off > _FAR):
+        row, judges = (
+            printer.rows[k],
+            "the other rows" if foretold is not None else "the other rows and the saved settings",
+        )
+        raise DataError(
+            f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
+            f" {millimetres(off):.2f} mm off what {judges} say; correct it or its position, or remove both"
+        )
+
+
+def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return how far each row is off what the others say, and the chance of that; None where that cannot be said.
+
+    Saved settings cannot judge: a firmware made them from all rows, a mistyped one among them. So each row is left out,
+    and nine numbers are found from the others and the priors of `calib.printers.linear_delta`, by one step from the
+    saved settings (rows are almost linear within a millimetre). The error over its standard deviation is Student's t,
+    with the degrees of freedom that the other rows have left.
+
+    Args:
+        printer: All of its rows are reachable.
+
+    Returns:
+        (n_rows,) [m], and (n_rows,) chances. None if rows are too few, or arms are not alike.
+
+    Reference: cook1982.
+    """
+    geometry, rows, n = printer.geometry, printer.rows, 9
+    if not _alike(geometry.arms):
+        return None
+    start, sigma = _vector(geometry), np.array([RADIUS, ANGLE, ANGLE, *[ARM] * 3, *[ENDSTOP] * 3])
+    noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])
+    ends = [
+        [misses(_geometry(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
+        for step in _STEP * np.eye(n)
+    ]
+    slope = np.array([(more - less) / (2 * _STEP) for more, less in ends]).T / noise[:, None]
+    error = misses(geometry, rows) / noise
+    prior = np.diag(1 / sigma), (start - _vector(expected_geometry(printer))) / sigma
+    off, chance = np.empty(len(rows)), np.empty(len(rows))
+    for k in range(len(rows)):
+        kept = np.arange(len(rows)) != k
+        inverse = np.linalg.pinv(np.vstack([slope[kept], prior[0]]))
+        change = -inverse @ np.concatenate([error[kept], prior[1]])
+        freedom = np.sum(kept) - np.trace(slope[kept] @ inverse[:, : np.sum(kept)])
+        if freedom < FEWEST:
+            return None
+        rest = error[kept] + slope[kept] @ change
+        off[k] = error[k] + slope[k] @ change
+        spread = math.sqrt(rest @ rest / freedom * (1 + np.sum((slope[k] @ inverse) ** 2)))
+        chance[k] = 2 * scipy.special.stdtr(freedom, -abs(off[k]) / spread)
+    return off * noise, chance
+
+
+def _vector(geometry: DeltaGeometry) -> np.ndarray:
+    return np.array([geometry.radius, *geometry.angles[:2], *geometry.arms, *geometry.endstops])
+
+
+def _geometry(v: np.ndarray, angle: float) -> DeltaGeometry:
+    return DeltaGeometry(v[0], (v[1], v[2], angle), (v[3], v[4], v[5]), (v[6], v[7], v[8]))

@@ -1,0 +1,1 @@
+"""The commands that correct programs and reach goals."""

@@ -1,0 +1,221 @@
+"""Programs of controllers, compensated: what to tell a controller that knows the nominal robot.
+
+Poses become joints of the nominal robot (`calib.programs.languages.postures`), in the order in which the program goes
+to them; joints are compensated as every program of joints (`calib.programs.reaching.compensation`); and of a pose the
+nominal kinematics of what was found is written: what the controller makes joints of. So it is a pose that the
+controller can reach, in the tool and frame that it had.
+
+What is written is read back: `rounding` is what the decimals of the file move the target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.words import counted
+from calib.core.data.measurements import Poses
+from calib.core.robots.robot import Robot
+from calib.core.rows.frames import as_described
+from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.programs.languages import fanuc
+from calib.programs.languages.postures import NominalCell, Sides
+from calib.programs.languages.robot_program import ProgramTarget, RobotProgram
+from calib.programs.reaching.compensation import Compensation, compensate
+
+COUPLED = ("j3", "j2+j3")
+"""How the third joint of a description counts, of FANUC: as J3, or as the sum of J2 and J3."""
+_JUST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class CompensatedProgram:
+    """A program of a controller with other numbers.
+
+    Attributes:
+        program: The program.
+        compensation: Of the targets that could be solved, in the program's order.
+        rows: Which targets these are, (n,).
+        values: Numbers of each target [SI]; None where it stays as it is.
+        reasons: Why a target stays; empty where it does not.
+        configurations: A remark on every target whose joints are no longer as its configuration says.
+        rounding: How far the decimals of the file move the target, (n,) [m].
+        lever: How far the program's tools are from the description's target at most [m].
+        base, flange: Links that the controller counts from.
+    """
+
+    program: RobotProgram
+    compensation: Compensation
+    rows: IntArray
+    values: tuple[tuple[float, ...] | None, ...]
+    reasons: tuple[str, ...]
+    configurations: tuple[str, ...]
+    rounding: FloatArray
+    lever: float
+    base: str
+    flange: str
+
+    def files(self) -> tuple[bytes, ...]:
+        """Return the files of the program as they shall be."""
+        return self.program.rewritten(self.values)
+
+
+def compensate_program(
+    calibrated: Robot | Calibrated | KnownRobot,
+    program: RobotProgram,
+    *,
+    base: str | None = None,
+    flange: str | None = None,
+    third_joint: str | None = None,
+) -> CompensatedProgram:
+    """Change a controller's program so that the calibrated robot does what was meant.
+
+    Args:
+        calibrated: A fit, a loaded result or a robot, as of `compensate`.
+        program: The program.
+        base: Link of the controller's base; `base` if there is one, else that of the description.
+        flange: Link of its flange; `tool0` if there is one, else that of the target.
+        third_joint: Of `COUPLED`, for joint values of FANUC; those are left where it is not given.
+
+    Raises:
+        DataError: No target can be solved, or joint values of another robot.
+        InputError: A link that cannot be what it is said to be.
+    """
+    known = known_robot(calibrated)
+    nominal = as_described(known.robot)
+    cell = NominalCell(nominal, base, flange)
+    joints = _Joints(program, nominal, third_joint)
+    q, reasons = _solved(program, cell, joints)
+    rows = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if len(rows) == 0:
+        first = next(k for k, why in enumerate(reasons) if why)
+        raise DataError(
+            f"{program.targets[first].label}: {reasons[first]}; no target of the program can be compensated"
+        )
+    targets = [program.targets[k] for k in map(int, rows)]
+    poses = Poses(
+        q[rows],
+        tuple(target.label for target in targets),
+        tuple(target.name or str(target.line) for target in targets),
+        program.sources[0].path,
+        (),
+    )
+    compensation = compensate(known, poses)
+    values: list[tuple[float, ...] | None] = [None] * len(program.targets)
+    rounding, remarks = np.zeros(len(rows)), []
+    if not compensation.nothing_to_correct:
+        for n, k in enumerate(map(int, rows)):
+            if compensation.reasons[n]:
+                continue
+            target, command = program.targets[k], compensation.q[n]
+            flange_pose = cell.flange_poses(command[None])[0]
+            values[k] = joints.written(command) if target.rotation is None else target.written(flange_pose)
+            held = program.as_written(values[k] or (), k)
+            rounding[n] = _moved(cell, joints, target, command, held)
+            remarks += _another(cell, joints, target, q[k], command)
+    for n, k in enumerate(map(int, rows)):
+        reasons[k] = compensation.reasons[n]
+    lever = max(
+        (cell.lever(program_target.tool) for program_target in targets if program_target.rotation is not None),
+        default=0.0,
+    )
+    return CompensatedProgram(
+        program,
+        compensation,
+        rows,
+        tuple(values),
+        tuple(reasons),
+        tuple(remarks),
+        rounding,
+        lever,
+        cell.base,
+        cell.flange,
+    )
+
+
+class _Joints:
+    """Joint values as a program writes them, and as the description counts them."""
+
+    def __init__(self, program: RobotProgram, robot: Robot, third_joint: str | None) -> None:
+        self.language, self.third_joint = program.language, third_joint
+        n = len(robot.joint_names)
+        lengths = [name for name in robot.joint_names if robot.mechanism.dimensions[name] != "angle"]
+        joints = [target for target in program.targets if target.rotation is None]
+        self.why = ""
+        if joints and (n != len(joints[0].cells) or lengths):
+            mismatch = f"joint '{lengths[0]}' is a length" if lengths else f"the robot has {counted(n, 'motor')}"
+            self.why = f"has {counted(len(joints[0].cells), 'angle')}, and {mismatch}"
+        elif program.language == fanuc.LANGUAGE and third_joint is None:
+            self.why = (
+                "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
+                " (descriptions of ROS-Industrial: j2+j3)"
+            )
+        self.zero = Sides(robot, np.zeros(n) if program.language != fanuc.LANGUAGE else robot.home)
+
+    @property
+    def _coupled(self) -> bool:
+        return self.language == fanuc.LANGUAGE and self.third_joint == COUPLED[1]
+
+    def read(self, values: Sequence[float]) -> FloatArray:
+        q = np.array(values)
+        if self._coupled:
+            q[2] += q[1]
+        return q
+
+    def written(self, q: FloatArray) -> tuple[float, ...]:
+        values = q.copy()
+        if self._coupled:
+            values[2] -= values[1]
+        return tuple(map(float, values))
+
+
+def _solved(program: RobotProgram, cell: NominalCell, joints: _Joints) -> tuple[FloatArray, list[str]]:
+    """Joints of the nominal robot at each target, (n, n_actuated) [m or rad], NaN where there are none, and why."""
+    n = len(cell.robot.home)
+    q, reasons = np.full((len(program.targets), n), np.nan), [""] * len(program.targets)
+    before = cell.robot.home
+    for k, target in enumerate(program.targets):
+        if target.rotation is None:
+            reasons[k] = joints.why
+            solution = None if joints.why else joints.read(target.values)
+        else:
+            near = np.array(target.near) if len(target.near) == n else before
+            solution, reasons[k] = cell.solve(target.flange, near, target.configuration, joints.zero)
+        if solution is not None:
+            q[k] = before = solution
+    return q, reasons
+
+
+def _moved(
+    cell: NominalCell, joints: _Joints, target: ProgramTarget, command: FloatArray, held: tuple[float, ...]
+) -> float:
+    """How far the file's decimals move the description's target [m]."""
+    exact = cell.flange_poses(command[None])[0]
+    if target.rotation is None:
+        rounded = cell.flange_poses(joints.read(held)[None])[0]
+    else:
+        cells = tuple(replace(old, value=value) for old, value in zip(target.cells, held, strict=True))
+        rounded = replace(target, cells=cells).flange
+    return float(np.linalg.norm(cell.target_position(exact) - cell.target_position(rounded)))
+
+
+def _another(
+    cell: NominalCell, joints: _Joints, target: ProgramTarget, q: FloatArray, command: FloatArray
+) -> list[str]:
+    """A remark where the command is not as the target's configuration says, and the program's joints were."""
+    says = target.configuration
+    if says is None:
+        return []
+    was, now = (cell.past(values, says, joints.zero) for values in (q, command))
+    if now <= max(was, 0.0) + _JUST:
+        return []
+    over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]
+    names = ", ".join(f"{cell.robot.joint_names[j]} at {np.degrees(command[j]):.4f} deg" for j in over)
+    return [
+        f"{target.label}: its configuration ({says.text}) stays, and no longer fits: {names or 'another side'};"
+        " correct it there"
+    ]

@@ -1,0 +1,54 @@
+"""The languages of controllers: which files are theirs, and who reads them. A new one is a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import pinocchio as pin
+
+from calib.core.base.errors import InputError
+from calib.programs.languages import fanuc, krl, rapid, urscript
+from calib.programs.languages.orientations import read_frames
+from calib.programs.languages.robot_program import RobotProgram
+
+Frames = Mapping[str, "pin.SE3 | str"]
+_READERS: dict[str, Callable[[Path | str, Frames], RobotProgram]] = {
+    **dict.fromkeys(urscript.SUFFIXES, urscript.read_urscript),
+    **dict.fromkeys(rapid.SUFFIXES, rapid.read_rapid),
+    **dict.fromkeys(krl.SUFFIXES, krl.read_krl),
+    **dict.fromkeys(fanuc.SUFFIXES, fanuc.read_fanuc),
+}
+_DECLARING: dict[str, Callable[[Path | str], dict[str, pin.SE3 | str]]] = {
+    **dict.fromkeys(rapid.SUFFIXES, rapid.rapid_frames),
+    ".dat": krl.krl_frames,
+    ".csv": read_frames,
+}
+SUFFIXES = tuple(_READERS)
+
+
+def read_program(path: Path | str, frames: Sequence[Path | str] = ()) -> RobotProgram:
+    """Read a controller's program.
+
+    Args:
+        path: The file; its suffix says the language.
+        frames: Files with tools and frames that it does not declare: tables (`calib.programs.languages.
+            orientations.read_frames`), RAPID modules, KUKA's `$config.dat`.
+
+    Raises:
+        DataError: The message names file and line.
+        InputError: A file of another kind.
+    """
+    known: dict[str, pin.SE3 | str] = {}
+    for file in frames:
+        suffix = Path(file).suffix.lower()
+        if suffix not in _DECLARING:
+            raise InputError(
+                f"--frames {file}: give a table (.csv), a RAPID module ({', '.join(rapid.SUFFIXES)}) or"
+                " KUKA's $config.dat"
+            )
+        known |= _DECLARING[suffix](file)
+    suffix = Path(path).suffix.lower()
+    if suffix not in _READERS:
+        raise InputError(f"{path}: is not a program of a controller; these end in {', '.join(SUFFIXES)}")
+    return _READERS[suffix](path, known)

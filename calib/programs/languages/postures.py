@@ -1,0 +1,204 @@
+"""Joint values behind the poses of a program, on the branch of the inverse kinematics that the program means.
+
+An arm reaches a pose in several ways. A program says which: by quarter turns, signs or turns of its joints, by the side
+of axis 1 and of the arm on which the wrist is, or, where it says nothing, by what it went to before. So each pose is
+solved from the one before it; and where that is far, or not what the program says, from many starts, of whose
+solutions the one counts that is as the program says and nearest to the pose before.
+
+Sides are compared with those in a reference pose: all joints at zero, as ABB and KUKA count; FANUC's N, U and T are
+those of home. The wrist is where axis 5 is; of an arm whose wrist axes do not meet, a side can be misjudged where the
+arm is about to change it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError, nearest
+from calib.core.numerics.halton import halton
+from calib.core.robots.robot import Robot
+from calib.programs.languages.robot_program import Configuration
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import problem
+from calib.programs.reaching.reaching import Configured, descend
+
+_STARTS = (12, 64)
+_FAR = 0.7  # of one joint, from the pose before [rad]
+_BORDER = 0.1  # so far outside of what a program says a joint may be, where borders are rounded [rad]
+_REACHED = 1e-8  # [m]
+_ROUNDED = 2e-4  # how far a robot of less than six motors may miss a pose that was rounded [m]
+_ALIKE = 1e-9
+
+
+class NominalCell:
+    """A nominal robot with the frames that its controller counts from.
+
+    Args:
+        robot: The robot as its description has it.
+        base: Link of the controller's base frame; `base` if there is one, else that of the description.
+        flange: Link of the controller's flange; `tool0` if there is one, else that of the target.
+
+    Raises:
+        InputError: A link that there is not, or that moves against the description's.
+    """
+
+    def __init__(self, robot: Robot, base: str | None = None, flange: str | None = None) -> None:
+        self.robot, description = robot, robot.description
+        links = [*robot.urdf.links]
+        target = description.targets[robot.mechanism.moved_targets[0].name].frame
+        self.base = self._link(base, "base", description.base.frame, links)
+        self.flange = self._link(flange, "tool0", target, links)
+        probes = np.array([robot.home, *self._probes(3)])
+        probes = probes[robot.close(probes).ok]
+        bases, flanges = (np.asarray(robot.forward(probes, link)) for link in (self.base, self.flange))
+        between = np.linalg.inv(flanges) @ robot.forward(probes)
+        for link, seen, what, option in (
+            (self.base, bases, "the description's base", "--base-link"),
+            (self.flange, between, f"target '{robot.mechanism.moved_targets[0].name}'", "--flange-link"),
+        ):
+            if np.max(np.abs(seen - seen[0])) > _ALIKE:
+                raise InputError(f"{robot.path}: link '{link}' moves against {what}; name another with {option}")
+        self._base_pose, self._target = pin.SE3(bases[0]), pin.SE3(between[0])
+
+    def _link(self, given: str | None, usual: str, otherwise: str, links: Sequence[str]) -> str:
+        if given is not None and given not in links:
+            raise InputError(f"{self.robot.path}: no link '{given}'{nearest(given, links)}")
+        return given or (usual if usual in links else otherwise)
+
+    def _probes(self, count: int) -> FloatArray:
+        lower, upper = self._limits()
+        return lower + (upper - lower) * halton(count + 1, len(lower))[1:]
+
+    def _limits(self) -> tuple[FloatArray, FloatArray]:
+        n = len(self.robot.home)
+        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
+        return np.maximum(lower, self.robot.home - np.pi), np.minimum(upper, self.robot.home + np.pi)
+
+    def flange_poses(self, q: FloatArray) -> list[pin.SE3]:
+        """Return T_base_flange at joints (n, n_actuated) [m or rad]."""
+        return [self._base_pose.inverse() * pin.SE3(pose) for pose in np.asarray(self.robot.forward(q, self.flange))]
+
+    def lever(self, tool: pin.SE3) -> float:
+        """Return how far the tip of a tool is from the description's target [m]."""
+        return float(np.linalg.norm(tool.translation - self._target.translation))
+
+    def target_position(self, flange: pin.SE3) -> FloatArray:
+        """Return where the target is in the base when the flange is there, (3,) [m]."""
+        return np.asarray((flange * self._target).translation)
+
+    def solve(
+        self, flange: pin.SE3, before: FloatArray, says: Configuration | None, sides: Sides
+    ) -> tuple[FloatArray | None, str]:
+        """Return joints (n_actuated,) [m or rad] that bring the flange to T_base_flange, or None and why.
+
+        Args:
+            flange: T_base_flange.
+            before: Joints of the pose before.
+            says: What the program says of the joints.
+            sides: The sides of the reference pose.
+        """
+        goal = self._base_pose * flange * self._target
+        goals = Goals(goal.translation[None], goal.rotation[None])
+        q = self._nearest(goals, before[None], before, says, sides)
+        if q is None or np.max(np.abs(q - before)) > _FAR:
+            for count in _STARTS:
+                more = self._nearest(goals, np.vstack([before, self._probes(count)]), before, says, sides)
+                q = q if more is None else more
+                if q is not None and says is not None and says.ranges:
+                    break  # there is one such solution
+        if q is not None:
+            return q, ""
+        reached = self._nearest(goals, np.vstack([before, self._probes(_STARTS[-1])]), before, None, sides)
+        if reached is None:
+            return None, "is out of the nominal robot's reach"
+        return None, f"is reached by the nominal robot, but not as its configuration says ({says.text if says else ''})"
+
+    def _nearest(
+        self, goals: Goals, starts: FloatArray, before: FloatArray, says: Configuration | None, sides: Sides
+    ) -> FloatArray | None:
+        """The solution nearest to the pose before, of those that are as the program says."""
+        closed = self.robot.close(starts)
+        reach = problem(self.robot, goals)
+        index = np.flatnonzero(closed.ok)
+        start = Configured(starts[index], closed.passive[index], np.full(len(index), np.inf))
+        reached = descend(reach, np.zeros(len(index), dtype=np.intp), start)
+        tolerance = _REACHED if len(before) >= 6 else _ROUNDED
+        solutions = [self._turned(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]
+        solutions = [q for q in solutions if says is None or self.past(q, says, sides) <= _BORDER]
+        return min(solutions, key=lambda q: float(np.linalg.norm(q - before)), default=None)
+
+    def _turned(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
+        """The same pose with whole turns of joints, as the program says, and near to the pose before."""
+        n = len(before)
+        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
+        turned = q[:n].copy()
+        for j, name in enumerate(self.robot.joint_names):
+            if self.robot.mechanism.dimensions[name] != "angle":
+                continue
+            low, high = says.ranges.get(j, (-np.inf, np.inf)) if says else (-np.inf, np.inf)
+            turns = [turned[j] + 2 * np.pi * k for k in (-1, 0, 1)]
+            turns = [value for value in turns if lower[j] - _ALIKE <= value <= upper[j] + _ALIKE] or [turned[j]]
+            turned[j] = min(turns, key=lambda v: (max(low - v, v - high, 0.0) > _BORDER, abs(v - before[j])))
+        return turned
+
+    def past(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
+        """Return how far joints (n_actuated,) are from what a program says [rad]; infinite where a side is another."""
+        expected = (says.behind, says.elbow, says.flipped, says.bent)
+        if any(side is not None for side in expected) and any(
+            said is not None and side not in (None, said) for side, said in zip(sides.of(q), expected, strict=True)
+        ):
+            return np.inf
+        return max(
+            (max(low - q[j], q[j] - high, 0.0) for j, (low, high) in says.ranges.items() if j < len(q)), default=0.0
+        )
+
+
+class Sides:
+    """On which sides the wrist of an arm of six axes is, against a reference pose.
+
+    Args:
+        robot: The nominal robot.
+        reference: Joints of the reference pose, (n_actuated,) [m or rad].
+    """
+
+    def __init__(self, robot: Robot, reference: FloatArray) -> None:
+        self.robot = robot
+        joints = {joint.name: joint for joint in robot.urdf.joints}
+        self._joints = [joints[name] for name in robot.joint_names]
+        self._known = len(self._joints) == 6 and not robot.mechanism.loops
+        self._reference = self._measures(reference) if self._known else (None, 0.0, 0.0)
+
+    def of(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
+        """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is beyond.
+
+        None where that cannot be said: of an arm that is no chain of six axes, or on the border.
+
+        Args:
+            q: Joints, (n_actuated,) [m or rad].
+        """
+        if not self._known:
+            return None, None, None, None
+        out, line, wrist = self._measures(q)
+        reference, reference_line, reference_wrist = self._reference
+        assert out is not None
+        assert reference is not None
+        behind = float(out @ reference)
+        return (
+            behind < 0 if abs(behind) > _ALIKE else None,
+            line * reference_line < 0 if abs(line * reference_line) > _ALIKE else None,
+            wrist * reference_wrist < 0 if abs(wrist * reference_wrist) > _ALIKE else None,
+            line > 0 if abs(line) > _ALIKE else None,
+        )
+
+    def _measures(self, q: FloatArray) -> tuple[FloatArray | None, float, float]:
+        """The wrist from axis 1 in link 1 [m], how far it is beyond the line of axes 2 and 3 [m^2], and joint 5."""
+        links = [np.asarray(self.robot.forward(q, joint.child)) for joint in self._joints]
+        first, second, third, wrist = links[0], links[1][:3, 3], links[2][:3, 3], links[4][:3, 3]
+        axis = np.array(self._joints[0].axis)
+        out = first[:3, :3].T @ (wrist - first[:3, 3])
+        turning = links[2][:3, :3] @ np.array(self._joints[2].axis)
+        return out - axis * (axis @ out), float(np.cross(third - second, wrist - third) @ turning), float(q[4])

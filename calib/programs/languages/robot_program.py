@@ -1,0 +1,358 @@
+"""Programs of robot controllers: their targets and where the numbers of these stand in the text.
+
+A program is bytes. A language's reader finds the numbers of the targets, and everything else stays as it is: what is
+written differs from what was read in these numbers alone. A target is joint values, or a pose of a tool:
+
+    T_base_flange = T_base_frame P T_flange_tool^-1
+
+with P the pose as the program has it, in the frame (user frame, work object, base) and with the tool that hold where
+the program goes there. What a program works out while it runs is no target; it is listed with its line and the reason.
+So is a target that the program reaches with two different tools or frames.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pinocchio as pin
+
+from calib.core.base.errors import DataError
+from calib.core.base.files import read_bytes
+from calib.core.base.units import PER_SI
+from calib.programs.languages.orientations import Rotation, numbers_of, pose_of
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
+_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # at least so many, by unit
+_QUATERNION_DECIMALS = 9
+_LARGEST = 1e6
+
+
+class LeftOutError(Exception):
+    """What a program goes to cannot be compensated; the message says why."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a program.
+
+    Attributes:
+        file: Which of the program's files it is in.
+        start, end: Where it stands in the text.
+        value: In SI.
+        unit: What one is in SI.
+        width: How many characters it has to take with its `decimals` as written; 0: as many as it needs.
+        decimals: How many decimals it is written with.
+    """
+
+    file: int
+    start: int
+    end: int
+    value: float
+    unit: float
+    decimals: int
+    width: int = 0
+
+    def shown(self, value: float) -> str:
+        """Return a value [SI] as it shall stand there."""
+        text = f"{value / self.unit:.{self.decimals}f}"
+        text = text.replace("-", "") if float(text) == 0 else text
+        return text.rjust(self.width)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What a program says of the joints of a pose beside it.
+
+    Attributes:
+        text: As written.
+        ranges: Joints by number, from 0, and between which values they are [rad].
+        behind: Whether the wrist is on the other side of axis 1 than in the reference pose; None: not said.
+        elbow: The same of the wrist and the line through axes 2 and 3; None: not said.
+        flipped: The same of the sign of joint 5; None: not said.
+        bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in a line; None: not said.
+    """
+
+    text: str
+    ranges: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    behind: bool | None = None
+    elbow: bool | None = None
+    flipped: bool | None = None
+    bent: bool | None = None
+
+
+@dataclass(frozen=True)
+class ProgramTarget:
+    """A target of a program.
+
+    Attributes:
+        line: Where it stands, from 1.
+        path: In which file.
+        name: What the program calls it; empty where it has no name.
+        cells: Its numbers: joint values; or a position and an orientation as the language writes it.
+        rotation: Of a pose, how it writes that; None: joint values.
+        frame: T_base_frame, in which a pose is given.
+        tool: T_flange_tool, of what a pose is.
+        configuration: What it says of the joints.
+        near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
+        constants: Places (file, start) of the program's own poses that are its frame or tool.
+    """
+
+    line: int
+    path: str
+    name: str
+    cells: tuple[Number, ...]
+    rotation: Rotation | None
+    frame: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    tool: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    configuration: Configuration | None = None
+    near: tuple[float, ...] = ()
+    constants: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What to call it in messages."""
+        return f"{self.path}, line {self.line}" + (f" ({self.name})" if self.name else "")
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Its numbers [SI]."""
+        return tuple(cell.value for cell in self.cells)
+
+    @property
+    def flange(self) -> pin.SE3:
+        """T_base_flange of a pose."""
+        assert self.rotation is not None
+        return self.frame * pose_of(self.values, self.rotation) * self.tool.inverse()
+
+    def written(self, flange: pin.SE3) -> tuple[float, ...]:
+        """Return the numbers [SI] with which a pose brings the flange to T_base_flange."""
+        assert self.rotation is not None
+        pose = self.frame.inverse() * flange * self.tool
+        return numbers_of(pose, self.rotation, self.values)
+
+
+@dataclass(frozen=True)
+class NotCompensated:
+    """What a program goes to and is not compensated.
+
+    Attributes:
+        path, line: Where.
+        text: What stands there.
+        why: The reason.
+    """
+
+    path: str
+    line: int
+    text: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.path}, line {self.line}: {self.text}: {self.why}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of a program: its bytes as text, each byte a character.
+
+    Attributes:
+        path: Where it came from.
+        text: What is in it.
+        code: The same, with blanks for comments and texts.
+    """
+
+    path: str
+    text: str
+    code: str
+
+    @classmethod
+    def read(cls, path: Path | str, what: str, blank: str) -> Source:
+        """Read a file.
+
+        Args:
+            path: The file.
+            what: What it should be.
+            blank: Pattern of what is no code.
+
+        Raises:
+            DataError: It cannot be read, or is not text.
+        """
+        text = read_bytes(path, what, DataError).decode("latin-1")
+        odd = re.search(r"[\x00-\x08\x0e-\x1f]", text)
+        if odd is not None:
+            line = text.count("\n", 0, odd.start()) + 1
+            raise DataError(f"{path}, line {line}: is not text; is this {what}?")
+        return cls(str(path), text, re.sub(blank, _blanked, text))
+
+    def line(self, at: int) -> int:
+        """Return the line of a place in the text, from 1."""
+        return self.text.count("\n", 0, at) + 1
+
+    def where(self, at: int) -> str:
+        """Return file and line of a place in the text."""
+        return f"{self.path}, line {self.line(at)}"
+
+    def shown(self, start: int, end: int) -> str:
+        """Return a piece of the program for a message: one line, not too long."""
+        return " ".join(self.text[start:end].split())[:60]
+
+
+def _blanked(match: re.Match[str]) -> str:
+    """Blanks for a comment, or for what is between quotes."""
+    quoted = match[0].startswith('"')
+    return '"' + " " * (len(match[0]) - 2) + '"' if quoted else re.sub(r"[^\n]", " ", match[0])
+
+
+@dataclass(frozen=True)
+class RobotProgram:
+    """A program.
+
+    Attributes:
+        language: What it is written in.
+        sources: Its files, the given one first.
+        targets: In the order in which the text first goes to them.
+        left_out: What else it goes to.
+    """
+
+    language: str
+    sources: tuple[Source, ...]
+    targets: tuple[ProgramTarget, ...]
+    left_out: tuple[NotCompensated, ...]
+
+    def rewritten(self, values: Sequence[Sequence[float] | None]) -> tuple[bytes, ...]:
+        """Return its files with other numbers.
+
+        Args:
+            values: Of each target its numbers [SI]; None where it stays.
+        """
+        texts = []
+        for k, source in enumerate(self.sources):
+            edits = [
+                (cell, number)
+                for target, numbers in zip(self.targets, values, strict=True)
+                for cell, number in zip(target.cells, numbers or (), strict=numbers is not None)
+                if cell.file == k
+            ]
+            text, end = [], 0
+            for cell, number in sorted(edits, key=lambda edit: edit[0].start):
+                text += [source.text[end : cell.start], cell.shown(number)]
+                end = cell.end
+            texts.append("".join([*text, source.text[end:]]).encode("latin-1"))
+        return tuple(texts)
+
+    def as_written(self, values: Sequence[float], k: int) -> tuple[float, ...]:
+        """Return the numbers [SI] of target k as a file holds them."""
+        return tuple(
+            float(cell.shown(value)) * cell.unit for cell, value in zip(self.targets[k].cells, values, strict=True)
+        )
+
+
+class Collector:
+    """Targets that a reader finds, each once, and what it leaves out."""
+
+    def __init__(self) -> None:
+        self._targets: dict[tuple[int, int], ProgramTarget | None] = {}
+        self._left: dict[tuple[str, int, str], NotCompensated] = {}
+        self._places: dict[tuple[int, int], tuple[Source, int]] = {}
+
+    def take(self, target: ProgramTarget, source: Source, at: int) -> None:
+        """Take a target that the program goes to at a place of the text."""
+        key = (target.cells[0].file, target.cells[0].start)
+        known = self._targets.setdefault(key, target)
+        self._places.setdefault(key, (source, at))
+        if known is None:
+            return
+        same = known.rotation is None or (known.frame.isApprox(target.frame) and known.tool.isApprox(target.tool))
+        if not same:
+            self._targets[key] = None
+            self.leave(source, at, target.name, "is reached with different tools or frames; give each a target")
+        else:
+            near, constants = known.near or target.near, known.constants + target.constants
+            self._targets[key] = replace(known, near=near, constants=tuple(dict.fromkeys(constants)))
+
+    def leave(self, source: Source, at: int, text: str, why: str) -> None:
+        """Note what is not compensated."""
+        line = source.line(at)
+        self._left.setdefault((source.path, line, text), NotCompensated(source.path, line, text, why))
+
+    def _leave_what_moves_along(self) -> None:
+        """Leave out targets whose frame or tool is a target too: its new numbers move them already."""
+        taken = {key: target for key, target in self._targets.items() if target is not None}
+        for key, target in taken.items():
+            first = next((taken[place] for place in target.constants if place in taken), None)
+            if first is not None:
+                source, at = self._places[key]
+                text = target.name or source.shown(at, source.code.find("\n", at))
+                self._targets[key] = None
+                self.leave(source, at, text, f"moves along with {first.name}, a target that is its frame or tool")
+
+    def program(self, language: str, sources: Sequence[Source]) -> RobotProgram:
+        """Return the program.
+
+        Raises:
+            DataError: It goes nowhere.
+        """
+        self._leave_what_moves_along()
+        targets = tuple(target for target in self._targets.values() if target is not None)
+        left = tuple(
+            sorted(self._left.values(), key=lambda left_out: (left_out.path != sources[0].path, left_out.line))
+        )
+        if not targets:
+            why = f"; {left[0]}" if left else ""
+            raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")
+        return RobotProgram(language, tuple(sources), targets, left)
+
+
+def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units: Sequence[float]) -> tuple[Number, ...]:
+    """Return numbers of a text.
+
+    Args:
+        source: The text.
+        file: Its number in the program.
+        spans: Where they stand.
+        units: What one of each is in SI; 0 of a quaternion's.
+
+    Raises:
+        DataError: A number that no machine reads.
+    """
+    cells = []
+    for (start, end), unit in zip(spans, units, strict=True):
+        text = source.text[start:end]
+        if abs(float(text)) > _LARGEST:
+            raise DataError(f"{source.where(start)}: '{text:.20}' is beyond what any machine reads; correct it")
+        least = _DECIMALS[unit] if unit else _QUATERNION_DECIMALS
+        written = len(re.split("[eE]", text)[0].partition(".")[2])
+        cells.append(Number(file, start, end, float(text) * (unit or 1.0), unit or 1.0, max(least, written)))
+    return tuple(cells)
+
+
+def closing(code: str, at: int) -> int | None:
+    """Return where the bracket that opens at a place is closed; None where it is not."""
+    depth, pairs = 0, {"(": ")", "[": "]", "{": "}"}
+    for k in range(at, min(len(code), at + 100_000)):
+        if code[k] in pairs:
+            depth += 1
+        elif code[k] in pairs.values():
+            depth -= 1
+            if depth == 0:
+                return k
+    return None
+
+
+def arguments(code: str, start: int, end: int) -> Iterator[tuple[int, int]]:
+    """Yield where the arguments between two places stand, without the blanks around them."""
+    depth, first = 0, start
+    for k in range(start, end + 1):
+        if k == end or (code[k] == "," and depth == 0):
+            piece = code[first:k]
+            if piece.strip():
+                left = first + len(piece) - len(piece.lstrip())
+                yield left, left + len(piece.strip())
+            first = k + 1
+        elif code[k] in "([{":
+            depth += 1
+        elif code[k] in ")]}":
+            depth -= 1

@@ -1,0 +1,258 @@
+"""Straight moves for a controller that knows the nominal robot, cut so that the real one goes straight.
+
+A controller is told positions, makes of every point on the straight line between two of them joints by its nominal
+inverse kinematics, and thinks that the tool is there. With T the position that joints bring the tool to, the real tool
+is then at
+
+    g(p) = T_calibrated( T_nominal^-1 (p) )
+
+So it is told p' with g(p') = p, which is exact at the points told. Between them the controller goes straight in p', and
+the tool along g of that line, which bends by half the curvature of g^-1 times the square of the length. How far it is
+off is measured and not estimated: in the middle of every piece, and at three or more other points, one in every 2 mm, g
+is evaluated and compared with where the tool is meant to be at that moment. The points are not evenly spaced, so that
+no error that repeats along the way (a screw, a belt) hides between them. A move that is off by more than the tolerance
+is cut into more pieces, and all of them are measured again.
+
+In which frame. That of the program (`calib.core.rows.frames`), with the tool where the description has it: that is
+the controller's. Where a calibration found its reflector and its tracker moves no point. Both sides are compared where
+the reflector is, on the real and on the nominal robot's link. Backlash counts as the mean
+of both directions, since a path may turn anywhere. Where nothing is to be corrected, all moves stay as they are.
+
+When it fails. Near a singular pose g bends so much that no pieces are short enough: an error that names the move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted, listed
+from calib.core.robots.joint_errors import commands_for
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Condition
+from calib.core.rows.frames import Frame, program_frame
+from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.printers.linear_delta import is_linear_delta
+from calib.programs.reaching.compensation import compensated_in
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import problem
+from calib.programs.reaching.reaching import Configured, descend
+from calib.programs.reaching.search import TOLERANCE
+
+_MEASURED_EVERY = 2e-3  # along a piece [m]
+_AT_LEAST = 3  # points of a piece beside its middle
+_GOLDEN = 0.6180339887498949  # its multiples fall into all parts of an interval alike
+_SHORTEST = 5e-5  # a piece [m]
+_RESERVE = 1.1  # more pieces than a parabola asks for
+_CHUNK = 4096  # points at once
+
+
+@dataclass(frozen=True, eq=False)
+class StraightMoves(ReadOnlyArrays):
+    """What a program asks for.
+
+    Attributes:
+        starts: Where moves begin, seen from the description's measurement frame, (n, 3) [m]; NaN where that is not
+            known.
+        ends: Where they end, (n, 3) [m].
+        labels: What to call each in messages.
+    """
+
+    starts: FloatArray
+    ends: FloatArray
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class CompensatedMoves:
+    """What to tell the controller.
+
+    Attributes:
+        waypoints: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
+        before: How far the tool is off there without compensation, (n,) [m].
+        expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
+            where the uncertainty of the robot is not known.
+        deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
+            the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
+        n_measured: At how many points it was measured.
+        frame: The frame of the goals and errors, in words.
+        nothing_to_correct: Whether the moves were left as they are, because the verdict is that nothing is to be
+            corrected.
+    """
+
+    waypoints: tuple[FloatArray, ...]
+    before: FloatArray
+    expected: FloatArray
+    deviations: FloatArray
+    n_measured: int
+    frame: str
+    nothing_to_correct: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A move in pieces: waypoints and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
+
+    waypoints: FloatArray
+    q: FloatArray
+    before: float
+    expected: float
+
+
+def require_nominal_controller(robot: Robot) -> None:
+    """Raise `InputError` for a delta printer: its firmware has numbers of its own, not those of the description."""
+    if is_linear_delta(robot.description):
+        raise InputError(
+            f"{robot.name}: the firmware of a delta printer holds the result itself: calib export --format klipper,"
+            " marlin or duet; after that its programs need no change"
+        )
+
+
+def compensate_moves(
+    calibrated: Robot | Calibrated | KnownRobot, moves: StraightMoves, tolerance: float
+) -> CompensatedMoves:
+    """Change straight moves so that the calibrated robot goes straight where the nominal one would.
+
+    Args:
+        calibrated: A robot of three motors, as of `calib.programs.reaching.compensation.compensate`.
+        moves: What is asked for.
+        tolerance: How far the tool may be off between points [m].
+
+    Raises:
+        DataError: The robot has not three motors.
+        InputError: The tolerance is not positive, or the robot is a delta printer.
+        UnreachablePoseError: Points out of reach.
+        ComputationError: No pieces are short enough for the tolerance.
+    """
+    known = known_robot(calibrated)
+    robot = known.robot
+    require_nominal_controller(robot)
+    if len(robot.joint_names) != 3:
+        raise DataError(
+            f"{robot.name}: has {counted(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a machine of"
+            " three, Cartesian or delta; give joints or poses (CSV)"
+        )
+    if not tolerance > 0:
+        raise InputError("the tolerance between points must be positive")
+    frame = program_frame(replace(known, robot=_without_backlash(robot)))
+    lengths = np.linalg.norm(moves.ends - moves.starts, axis=1)
+    pieces = np.ones(len(lengths), dtype=np.intp)
+    ways: dict[int, _Way] = {}
+    deviations, n_measured = np.full(len(lengths), np.nan), 0
+    active = np.arange(len(lengths))
+    if frame.nothing_to_correct:
+        ways, active = _ways(frame, moves, active, pieces), active[:0]
+    while len(active):
+        ways |= _ways(frame, moves, active, pieces[active])
+        active = active[lengths[active] > 0]  # not so where the beginning is not known either
+        off, n = _deviations(frame, moves, {k: ways[k] for k in map(int, active)})
+        deviations[active], n_measured = off, n_measured + n
+        active, off = active[off > tolerance], off[off > tolerance]
+        needed = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
+        pieces[active] = np.maximum(needed, 2 * pieces[active])
+        _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
+    return CompensatedMoves(
+        tuple(ways[k].waypoints[1:] for k in range(len(lengths))),
+        np.array([ways[k].before for k in range(len(lengths))]),
+        np.array([ways[k].expected for k in range(len(lengths))]),
+        deviations,
+        n_measured,
+        frame.words,
+        frame.nothing_to_correct,
+    )
+
+
+def _without_backlash(robot: Robot) -> Robot:
+    """The calibrated robot without what depends on the direction of approach."""
+    directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
+    return robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
+
+
+def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:
+    """The active moves in pieces, by the number of the move."""
+    points = []
+    for k, n in zip(active, pieces, strict=True):
+        start, end, share = moves.starts[k], moves.ends[k], np.arange(n + 1)[:, None] / n
+        start = np.where(np.isnan(start), end, start)
+        points.append(np.where(share == 1, end, (1 - share) * start + share * end))
+    goals = np.concatenate(points)
+    fresh = np.append(True, np.any(np.diff(goals, axis=0) != 0, axis=1))  # a move begins where another ended
+    labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
+    compensated = compensated_in(frame, Goals(goals[fresh], labels=labels))
+    misses = list(dict.fromkeys(compensated.misses()))
+    if misses:
+        raise UnreachablePoseError(
+            f"{counted(len(misses), 'point')} cannot be compensated: {listed(misses, '; ')}; change the program there"
+        )
+    at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
+    sent = goals[fresh] if frame.nothing_to_correct else compensated.controller_poses(frame.nominal)[0]
+    parts = (sent, compensated.q, compensated.before, compensated.expected)
+    waypoints, q, before, expected = (np.split(part[at], cuts) for part in parts)
+    return {
+        int(k): _Way(waypoints[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)
+    }
+
+
+def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tuple[FloatArray, int]:
+    """The largest measured deviation of each move, (n_ways,) [m], and at how many points it was measured."""
+    sent, near, meant, owner = [], [], [], []
+    for row, (k, way) in enumerate(ways.items()):
+        start, end, n = moves.starts[k], moves.ends[k], len(way.q) - 1
+        inside = max(_AT_LEAST, int(np.ceil(float(np.linalg.norm(end - start)) / n / _MEASURED_EVERY)))
+        for j in range(n):
+            spread = (_GOLDEN * (1 + np.arange(inside) + j * inside)) % 1
+            share = np.append(0.5, (np.arange(inside) + spread) / inside)[:, None]
+            sent.append((1 - share) * way.waypoints[j] + share * way.waypoints[j + 1])
+            near.append((1 - share) * way.q[j] + share * way.q[j + 1])
+            meant.append(start + (end - start) * (j + share) / n)
+        owner.append(np.full(n * (inside + 1), row))
+    largest = np.zeros(len(ways))
+    if not sent:
+        return largest, 0
+    places, rows, numbers = np.concatenate(sent), np.concatenate(owner), list(ways)
+    labels = tuple(moves.labels[numbers[row]] for row in rows)
+    goals, straight = (Goals(points, labels=labels) for points in (places, np.concatenate(meant)))
+    at = np.concatenate(near)
+    for first in range(0, len(places), _CHUNK):
+        chunk = np.arange(first, min(first + _CHUNK, len(places)))
+        real = _driven(frame.robot, frame.nominal, goals.subset(chunk), at[chunk])
+        ideal = straight.positions[chunk]
+        if frame.meant is not frame.nominal:
+            ideal = _driven(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
+        np.maximum.at(largest, rows[chunk], np.linalg.norm(real - ideal, axis=1))
+    return largest, len(places)
+
+
+def _driven(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> FloatArray:
+    """Where a robot goes when a nominal controller is told positions: g, (n, 3) [m], if it is the calibrated one.
+
+    Args:
+        robot: The robot.
+        nominal: What the controller knows.
+        sent: The positions.
+        near: Joints from which the controller comes, (n, 3) [m or rad].
+    """
+    reach = problem(nominal, sent)
+    start = nominal.assemble(near, labels=sent.labels)
+    nothing = np.full(len(near), np.inf)
+    reached = descend(reach, np.arange(len(near)), Configured(start.actuated, start.passive, nothing))
+    if np.any(reached.distance > TOLERANCE):
+        label = sent.labels[int(np.argmax(reached.distance))]
+        raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")
+    return robot.positions(commands_for(nominal, reached.actuated))[:, robot.target_names.index(reach.target.name)]
+
+
+def _require_length(
+    moves: StraightMoves, active: IntArray, lengths: FloatArray, off: FloatArray, tolerance: float
+) -> None:
+    """Raise `ComputationError` for a move that would have to be cut into too short pieces, (n_active,) [m]."""
+    for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
+        raise ComputationError(
+            f"{moves.labels[active[k]]}: off by {millimetres(float(off[k])):.4f} mm between points, and pieces of"
+            f" {millimetres(_SHORTEST):g} mm do not bring that below {millimetres(tolerance):g} mm; the robot is near a"
+            " singular pose there: keep away from it, or allow more"
+        )

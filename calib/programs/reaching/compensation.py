@@ -1,0 +1,299 @@
+"""Programs that were written for the nominal robot, changed so that the calibrated one does what was meant.
+
+What is meant. Told q, the nominal robot would bring its tool to T(q). The compensated command q' is where the
+calibrated robot stands there:
+
+    T_calibrated(q') = T_nominal(q),      q' near q
+
+In which frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured one, or the
+robot's own base frame, laid where both agree best, and so is a tool whose place on its link is unknown. So a tracker
+that stands elsewhere, or a reflector that sits elsewhere, moves no command; a base or tool that is called known, and
+whose origins are parameters, belongs to the robot and is corrected. What is promised is the uncertainty of just this
+difference. Goals are those of the description's tool: a controller knows no other.
+
+What is not corrected. Where the verdict of the calibration is that nothing is to be corrected, q' = q, and what the
+calibrated robot would be off by is counted into what is promised.
+
+How much is kept. The full pose, where the joints can reach it; of a robot with less freedom the position, and the
+orientation as near as the joints then allow. Where joints have freedom to spare, they stay near the program's.
+
+How. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), so that the branch
+of the inverse kinematics and the assembly mode are the program's. Goals given as poses are solved for the nominal robot
+first; a row that landed on another branch than the one before it is tried again from there. Nothing is clipped: a row
+that needs a joint past its limit, or lies out of reach, is not answered, and says why.
+
+When it fails. Next to a singular pose of the robot a small correction of the tool can need a large one of the joints;
+`jumps` names rows at which the compensated program goes further than the program itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.other_words import worded
+from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.data.in_memory import as_poses
+from calib.core.data.measurements import Poses, directions_of_motion
+from calib.core.robots.acceleration import compiled_for
+from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.frames import Frame, as_described, program_frame
+from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.programs.reaching.expected_errors import ExpectedError
+from calib.programs.reaching.goals import Goals, goals_of_poses
+from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, settled
+from calib.programs.reaching.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
+from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.redundancy import nearer
+from calib.programs.reaching.search import TOLERANCE
+
+_JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
+_CLOSINGS = 4  # of the loops at each row
+_BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation(ReadOnlyArrays):
+    """A compensated program.
+
+    Attributes:
+        names: Pose name of each row.
+        labels: What to call each in messages.
+        target: The target that it is about.
+        keep: What was kept, of `KEEP`.
+        program: Joints with which the nominal robot reaches the goals, (n, n_actuated) [m or rad]; NaN where none.
+        q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
+        reasons: Why a row has no command; empty if it has one.
+        meant: The goal of the target in the measurement frame, (n, 3) [m]; NaN where that is not known.
+        before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
+        expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
+            there is no command, or the uncertainty of the robot is not known.
+        low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
+        before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
+            for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
+        scale: What one radian of each joint is compared with, (n_actuated,).
+        frame: The frame of the goals and errors, in words.
+        nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
+            corrected; `expected` is then the error of the calibrated robot.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    target: str
+    keep: str
+    program: FloatArray
+    q: FloatArray
+    reasons: tuple[str, ...]
+    meant: FloatArray
+    before: FloatArray
+    expected: FloatArray
+    low95: FloatArray
+    high95: FloatArray
+    before_angle: FloatArray
+    expected_angle: FloatArray
+    low95_angle: FloatArray
+    high95_angle: FloatArray
+    scale: FloatArray
+    frame: str
+    nothing_to_correct: bool
+
+    @cached_property
+    def ok(self) -> BoolArray:
+        """Which rows have a command, (n,)."""
+        return np.asarray(np.isfinite(self.q).all(axis=1))
+
+    def misses(self) -> list[str]:
+        """Return a phrase for every row that has no command."""
+        return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
+
+    def controller_poses(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
+        """Return the poses to send to a controller that uses the nominal model.
+
+        Args:
+            robot: The robot; its nominal values are used.
+
+        Returns:
+            Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
+            no command.
+        """
+        nominal = as_described(robot)
+        positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
+        rows = np.flatnonzero(self.ok)
+        closed = nominal.close(self.q[rows])
+        rows, target = rows[closed.ok], nominal.mechanism.targets[nominal.target_names.index(self.target)]
+        pose_and_jacobian = actuated_jacobian(nominal.mechanism, target, self.q[rows], closed.passive[closed.ok])
+        positions[rows], rotations[rows] = pose_and_jacobian[:2]
+        return positions, rotations
+
+    def jumps(self) -> list[str]:
+        """Return a remark on every row to which some joint goes much further than in the program."""
+        steps = [np.max(np.abs(np.diff(q / self.scale, axis=0)), axis=1, initial=0.0) for q in (self.program, self.q)]
+        with np.errstate(invalid="ignore"):
+            rows = np.flatnonzero(steps[1] > steps[0] + _JUMP) + 1
+        return [
+            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, in the program"
+            f" {steps[0][k - 1]:.2f}; the robot is near a singular pose there"
+            for k in map(int, rows)
+        ]
+
+
+@worded
+def compensate(
+    calibrated: Robot | Calibrated | KnownRobot, program: Poses | Goals | ArrayLike, *, keep: str | None = None
+) -> Compensation:
+    """Correct a program of the nominal robot for the calibrated one.
+
+    Args:
+        calibrated: A fit or a loaded result. Or a robot alone: then errors to expect are not known, and its frame is
+            placed over poses around home.
+        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or the `Goals` to which it
+            brings a target, in the measurement frame as the nominal description has it; or poses as `robot.forward`
+            gives them of the nominal robot for that target, (n, 4, 4) or (4, 4), but (4, 4) of a robot with four joints
+            are joint values.
+        keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
+
+    Raises:
+        InputError: `keep` is not one of `KEEP`, or is given with goals, which state it themselves.
+        DataError: Goals of an unknown target, or joint values of the wrong shape.
+    """
+    known = known_robot(calibrated)
+    if keep is not None and keep not in KEEP:
+        raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
+    if keep is not None and isinstance(program, Goals):
+        raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
+    shape = () if isinstance(program, (Goals, Poses)) else np.shape(program)
+    if shape[-2:] == (4, 4) and (len(shape) == 3 or len(known.robot.joint_names) != 4):
+        program = goals_of_poses(cast(ArrayLike, program))
+    if not isinstance(program, Goals):
+        program = as_poses(known.robot, program)
+    return compensated_in(program_frame(known), program, keep)
+
+
+def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None) -> Compensation:
+    """Compensate a program in a frame; see `compensate`.
+
+    Args:
+        frame: In which it is meant.
+        program: Joints of the nominal robot, or goals.
+        keep: What of a program of joints is kept.
+    """
+    with compiled_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
+        if isinstance(program, Goals):
+            return _compensated(frame, task_of_goals(frame.nominal, frame.meant, program))
+        return _compensated(frame, task_of_joints(frame.meant, program, keep))
+
+
+def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
+    """Solve all rows that can be."""
+    robot, n = frame.robot, len(task.goals)
+    reach = problem(robot, task.goals)
+    meant = np.where(np.array(task.reasons)[:, None] == "", task.goals.positions, np.nan)
+    program = np.where(np.isfinite(meant[:, :1]), task.joints, np.nan)
+    approach = task.goals.approach
+    directions = directions_of_motion(task.joints) if approach is None else approach
+    context = Context.of(directions, task.goals.context, task.goals.setups)
+    columns = term_columns(robot, task.joints, context)
+    closed = robot.close(task.joints, columns=columns)
+    reasons = np.array(task.reasons, dtype=object)
+    reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
+    rows = np.flatnonzero(reasons == "")
+    start = Configured(actual_joints(robot, task.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
+    q, before = np.full(task.joints.shape, np.nan), np.full((2, n), np.nan)
+    before[:, rows] = replace(reach, goals=task.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
+    if task.goals.asks_for == "position":
+        before[1] = np.nan
+    if frame.nothing_to_correct:
+        commands = task.joints[rows]
+        reasons[rows] = [_beyond(reach, command, "in the program") for command in commands]
+    else:
+        commands, reasons[rows] = _solved(robot, reach, task, rows, start, context.at(rows))
+    good = np.flatnonzero(reasons[rows] == "")
+    q[rows[good]] = commands[good]
+    errors = ExpectedError.of(frame, task.goals, commands[good], rows[good], context.at(rows[good]))
+    return Compensation(
+        names=task.goals.names,
+        labels=task.goals.labels,
+        target=reach.target.name,
+        keep=task.keep,
+        program=program,
+        q=q,
+        reasons=tuple(reasons),
+        meant=meant,
+        before=before[0],
+        expected=errors.distance,
+        low95=errors.distance95[0],
+        high95=errors.distance95[1],
+        before_angle=before[1],
+        expected_angle=errors.angle,
+        low95_angle=errors.angle95[0],
+        high95_angle=errors.angle95[1],
+        scale=robot.mechanism.joint_scale,
+        frame=frame.words,
+        nothing_to_correct=frame.nothing_to_correct,
+    )
+
+
+def _solved(
+    robot: Robot, reach: Reach, task: ProgramTask, rows: IntArray, start: Configured, context: Context
+) -> tuple[FloatArray, list[str]]:
+    """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
+    near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
+    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
+    solutions = settled(robot, reach, rows, solutions, context)
+    commands = reach.with_uncommanded(rows, commands_for(robot, solutions.actuated, context))
+    reach_of_rows = replace(reach, goals=task.goals.subset(rows))
+    return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])
+
+
+def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:
+    """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
+    nothing = np.full(len(reach.lower), np.inf)
+    missed = np.flatnonzero(~reached_goals(reach, solutions))
+    free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
+    won = reached_goals(reach, free)
+    actuated, passive, distance = solutions.actuated.copy(), solutions.passive.copy(), solutions.distance.copy()
+    actuated[missed[won]], passive[missed[won]] = free.actuated[won], free.passive[won]
+    distance[missed[won]] = free.distance[won]
+    return Configured(actuated, passive, distance)
+
+
+def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
+    """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
+    _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
+    known = np.asarray(np.isfinite(commands).all(axis=1))
+    closed = robot.close(np.where(known[:, None], commands, program)).ok  # the loops were followed from elsewhere
+    result = []
+    for k, reached in enumerate(reached_goals(reach, solutions)):
+        if not known[k]:
+            result.append(BETWEEN_SIDES)
+            continue
+        why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
+        if not (why or reached):
+            degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
+            why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
+        result.append(why or ("" if closed[k] else "is reached on no way from home in its assembly mode"))
+    return result
+
+
+def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
+    """Say which joint of q (n_actuated,) is past its limit by most; empty where none is."""
+    n = len(q)
+    past = np.maximum(q - reach.upper[:n], reach.lower[:n] - q) / reach.scale[:n]
+    j = int(np.argmax(past))
+    if past[j] <= _BEYOND:
+        return ""
+    name = reach.mechanism.actuated[j]
+    dimension = reach.mechanism.dimensions[name]
+    unit, scale = DISPLAY_UNIT[dimension], display_scale(dimension)
+    limit = reach.upper[j] if q[j] > reach.upper[j] else reach.lower[j]
+    value, bound = (x * scale for x in (q[j], limit))
+    return f"is past the limit of joint '{name}': {value:.3f} {unit} {what}, {bound:.3f} {unit} allowed"

@@ -1,0 +1,164 @@
+"""How far a target will be from its goals, at commands that were found for them: what is promised of a program.
+
+In the frame in which the goals are meant (`calib.core.rows.frames`). An error is normal, its covariance that of the
+predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
+The functions below say in words how large they are, in which frame, and what is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.robots.terms.term import Context
+from calib.core.rows.common_motion import target_poses
+from calib.core.rows.frames import Frame
+from calib.core.rows.prediction import length95, rms_length
+from calib.programs.reaching.goals import Goals
+
+COUNTED = (
+    "expected errors include measurement noise and the priors; if the noise is known, they also include what the model"
+    " leaves out"
+)
+"""What an expected error counts."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExpectedError(ReadOnlyArrays):
+    """Expected errors of goals; NaN where there is no command, or the uncertainty of the robot is not known.
+
+    Attributes:
+        distance: Root mean square distance from the goal, along the coordinates that it asks for, (n,) [m].
+        distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
+        angle: Root mean square angle from the orientation or z axis that is asked for, (n,) [rad]; NaN where none is.
+        angle95: The same limits, (2, n) [rad].
+        frame: In which frame the goals are meant, in words.
+        nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
+            be corrected.
+    """
+
+    distance: FloatArray
+    distance95: FloatArray
+    angle: FloatArray
+    angle95: FloatArray
+    frame: str
+    nothing_to_correct: bool
+
+    def __repr__(self) -> str:
+        return f"<expected errors of {len(self.distance)} goals>"
+
+    def figures(self) -> dict[tuple[str, str], FloatArray]:
+        """Return errors and their limits by name and unit of files, (n,) each; of what is asked for."""
+        parts: tuple[tuple[str, Dimension, FloatArray, FloatArray], ...] = (
+            ("", "length", self.distance, self.distance95),
+            ("_angle", "angle", self.angle, self.angle95),
+        )
+        return {
+            (f"{figure}{ending}", ERROR_UNIT[dimension]): error_scale(dimension) * values
+            for ending, dimension, rms, limits in parts
+            if np.any(np.isfinite(rms))
+            for figure, values in zip(("expected", "low95", "high95"), (rms, *limits), strict=True)
+        }
+
+    @staticmethod
+    def of(frame: Frame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context) -> ExpectedError:
+        """Return them.
+
+        Args:
+            frame: In which the goals are meant.
+            goals: The goals, n of them.
+            commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
+            rows: Which ones, (n_rows,).
+            context: Under which conditions these are given.
+        """
+        errors = np.full((6, len(goals)), np.nan)
+        if frame.known.uncertainty is not None and len(rows):
+            errors[:, rows] = _errors(frame, goals.subset(rows), commands, context)
+        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], frame.words, frame.nothing_to_correct)
+
+
+def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:
+    """Root mean square, low and high error of the position [m] and of what is asked of the orientation, (6, n)."""
+    predicted = frame.predict(commands, context)
+    t = frame.robot.target_names.index(goals.target or frame.robot.target_names[0])
+    errors = np.full((6, len(goals)), np.nan)
+    given = ~np.isnan(goals.positions)
+    spread = predicted.covariance[:, t] * (given[:, :, None] & given[:, None, :])
+    left = frame.not_corrected(commands, context)[:, t]
+    off = goals.off(predicted.positions[:, t] + left[:, :3])
+    errors[:3] = rms_length(spread, off), *length95(spread, predicted.coverage_factor, off)
+    if predicted.turn_covariance is None or goals.asks_for == "position":
+        return errors
+    turned = _turned(frame, goals, t, commands, context) + left[:, 3:]
+    spread = predicted.turn_covariance[:, t]
+    if goals.directions is not None:  # turns about the axis itself do not count
+        across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
+        spread, turned = across @ spread @ across, np.einsum("nij,nj->ni", across, turned)
+    errors[3:] = rms_length(spread, turned), *length95(spread, predicted.coverage_factor, turned)
+    return errors
+
+
+def _turned(frame: Frame, goals: Goals, t: int, commands: FloatArray, context: Context) -> FloatArray:
+    """Rotation vectors by which the calibrated robot is off at the commands, (n, 3) [rad]; none where it is driven."""
+    if not frame.nothing_to_correct:
+        return np.zeros((len(goals), 3))
+    rotations = target_poses(frame.robot, frame.robot.assemble(commands, context=context))[1][:, t]
+    if goals.rotations is not None:
+        return np.array([pin.log3(turn) for turn in rotations @ goals.rotations.swapaxes(1, 2)])
+    assert goals.directions is not None
+    return np.cross(goals.directions, rotations[:, :, 2])
+
+
+def of_frame(frame: str) -> str:
+    """Say where and how errors count, in two sentences.
+
+    Args:
+        frame: In which frame, in words.
+    """
+    return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
+
+
+def left_as_it_is(result: str) -> str:
+    """Say why nothing was corrected.
+
+    Args:
+        result: Folder of the calibration.
+    """
+    return f"the verdict of {result} is that nothing is to be corrected"
+
+
+def summary(values: FloatArray) -> dict[str, float]:
+    """Return root mean square and largest of errors (n,)."""
+    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
+
+
+def expected_now(subject: str, expected: dict[str, float], unit: str) -> str:
+    """Say how large an error is expected to be.
+
+    Args:
+        subject: Of what it is, such as `The tool`.
+        expected: Its `summary`.
+        unit: Of this.
+    """
+    return (
+        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
+    )
+
+
+def before_and_now(subject: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
+    """Say how large an error was, and is expected to be.
+
+    Args:
+        subject: Of what it is.
+        before: Its `summary` without compensation.
+        expected: Its `summary` now.
+        unit: Of both.
+    """
+    return (
+        f"{subject} was off by {before['rms']:.4f} {unit} (RMS); expected now: {expected['rms']:.4f} {unit},"
+        f" {expected['max']:.4f} {unit} at worst"
+    )

@@ -1,0 +1,230 @@
+"""Joint values that reach goals, through closed loops, with the robot's current (calibrated) parameters.
+
+The iteration from one start is in `calib.programs.reaching.reaching`, the choice of starts in
+`calib.programs.reaching.search`. Assembly mode and joint limits are kept; where the goal leaves a choice, the solution
+stays near home, or near given joint values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, numbers_in
+from calib.core.base.errors import DataError, InputError, UnreachablePoseError, nearest
+from calib.core.base.other_words import worded
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted, listed
+from calib.core.data.measurements import Poses
+from calib.core.robots import loops
+from calib.core.robots.configurations import joint_vector
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.loading import RobotLike
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
+from calib.core.rows.frames import measurement_frame
+from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.programs.reaching.expected_errors import ExpectedError
+from calib.programs.reaching.goals import Goals, goals_of_poses
+from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.redundancy import nearer, unwound
+from calib.programs.reaching.search import TOLERANCE, Search, closed_start, inside
+
+BETWEEN_SIDES = "needs a joint between the two sides of its play, where no command brings it"
+_ROUNDS = 20
+_SETTLED = 1e-14  # change of a tilt [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(ReadOnlyArrays):
+    """Joint values found, and how well they reach.
+
+    Attributes:
+        q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
+        ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
+        miss_position: Distance from the goal, (n,) [m].
+        miss_angle: Angle from the orientation or direction of the goal, (n,) [rad]; 0 where none is asked for.
+        positions: Where the target is at `q`, (n, 3) [m].
+        labels: What to call each goal in messages.
+        expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
+            is the nominal robot that reaches the goals, and this is the error of the calibrated one.
+    """
+
+    _other_words = "joint values of goals"
+
+    q: FloatArray
+    ok: BoolArray
+    miss_position: FloatArray
+    miss_angle: FloatArray
+    positions: FloatArray
+    labels: tuple[str, ...]
+    expected: ExpectedError
+
+    def __str__(self) -> str:
+        n, reached = len(self.q), int(np.sum(self.ok))
+        worst = f"{millimetres(float(np.max(self.miss_position))):.2g} mm" if n else "nothing"
+        following = (
+            "send q to the robot, or write it as a file: calib solve ROBOT GOALS --out FILE"
+            if reached == n
+            else "take goals that are in reach: misses() says what is wrong with each of the others"
+        )
+        return (
+            f"{reached} of {counted(n, 'goal')} reached; the largest miss is {worst}\n"
+            f"Inside: q {self.q.shape} [m or rad]; ok, which goals are reached; miss_position [m] and miss_angle [rad];"
+            " positions, where the target is at q [m]; expected, how far off the real robot will be\n"
+            f"Next: {following}"
+        )
+
+    def misses(self) -> list[str]:
+        """Return a phrase for every goal that is not reached."""
+        return [f"{self.labels[k]} {self.miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
+
+    def miss(self, k: int) -> str:
+        """Return by how much goal k is missed, in words."""
+        length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
+        if not np.isfinite(self.q[k]).all():
+            return BETWEEN_SIDES
+        if length <= TOLERANCE and angle <= TOLERANCE:
+            return "can be reached, but no way there was found from home in its assembly mode"
+        return f"misses by {millimetres(length):.3f} mm" + (
+            f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
+        )
+
+    def require_all(self) -> None:
+        """Raise `UnreachablePoseError` that names the goals that are not reached."""
+        misses = self.misses()
+        if misses:
+            more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
+            raise UnreachablePoseError(
+                f"out of reach within the joint limits, in home's assembly mode:"
+                f" {'; '.join(misses[:5])}{more}; goals are {self.expected.frame}; move these"
+                " goals, leave them out, or leave the cells of coordinates empty that need not be met"
+            )
+
+
+@worded
+def solve(
+    calibrated: RobotLike | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
+) -> Solution:
+    """Find joint values that bring a target to its goals in the measurement frame.
+
+    Args:
+        calibrated: The robot, with nominal or calibrated parameters; or its description or URDF. With a fit or a
+            loaded result, errors to expect are known too; if its verdict finds nothing to correct, the nominal robot is
+            used, with base and targets where they agree best.
+        goals: `Goals`, in which each row may ask for something else; or positions of the first target, (n, 3) [m], with
+            NaN in every row for a coordinate that is free; or poses of that target as `robot.forward` gives them,
+            (n, 4, 4) or (4, 4).
+        near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
+            if not given.
+
+    Raises:
+        InputError: `calibrated` is not a robot, or the goals are joint values.
+        DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
+    """
+    frame = measurement_frame(known_robot(calibrated))
+    robot, goals = frame.meant if frame.nothing_to_correct else frame.robot, _goals(goals)
+    reach = problem(robot, goals)
+    conditions = goals.conditions(len(robot.home))
+    best = _searched(robot, reach, _near(robot, reach, near), conditions)
+    positions, miss, angle = reach.misses(best.actuated, best.passive)
+    index = np.arange(len(goals))
+    commands = reach.with_uncommanded(index, commands_for(robot, best.actuated, conditions))
+    ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)
+    reached = np.flatnonzero(ok)
+    columns = term_columns(robot, commands[reached], conditions.at(reached))
+    ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
+    reached = np.flatnonzero(ok)
+    expected = ExpectedError.of(frame, goals, commands[reached], reached, conditions.at(reached))
+    return Solution(commands, ok, miss, angle, positions, goals.labels, expected)
+
+
+def _goals(goals: Goals | ArrayLike) -> Goals:
+    """Goals as such, of which positions alone all ask for the same coordinates."""
+    if isinstance(goals, Poses):
+        raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
+    if isinstance(goals, Goals):
+        return goals
+    values = numbers_in(goals, "goals")
+    if values.shape[-2:] == (4, 4) and values.ndim in (2, 3):
+        return goals_of_poses(values)
+    goals = Goals(np.atleast_2d(values))
+    odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
+    if np.any(odd):
+        raise DataError(
+            f"{goals.labels[int(np.argmax(odd))]}: other coordinates are NaN than in the first goal; a coordinate that"
+            " is left free is NaN in all goals. Or give calib.Goals"
+        )
+    return goals
+
+
+def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
+    """Commands to stay near for each goal, inside the joint limits, (n, n_actuated) [m or rad]."""
+    n = len(reach.goals)
+    commands = robot.home if near is None else joint_vector(robot, near)
+    if np.ndim(commands) == 2 and len(commands) not in (1, n):
+        raise DataError(f"near: {len(commands)} rows for {n} goals; give one row, or one for each")
+    return inside(reach, np.broadcast_to(commands, (n, len(robot.home))))
+
+
+def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> Configured:
+    """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
+    joints = actual_joints(robot, near, term_columns(robot, near, conditions))
+    search = Search(reach, closed_start(robot, reach))
+    search.run(robot)
+    solved = np.flatnonzero(search.solved)
+    turned = unwound(reach, search.best.subset(solved), joints[solved])
+    search.keep(solved, nearer(reach, solved, turned, joints[solved]))
+    return settled(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
+
+
+def problem(robot: Robot, goals: Goals) -> Reach:
+    """Return goals of a robot with the limits of its joints.
+
+    Raises:
+        DataError: A target that it does not have.
+        InputError: It has joints that are not commanded, and the goals do not say what these are.
+    """
+    lacking = [name for name in robot.sensed_names if name not in goals.stands]
+    if lacking:
+        raise InputError(
+            f"{robot.path}: inclinometers read {listed(lacking)}, so these are not commanded; give their values at"
+            " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
+            " program that has no such columns, make these joints fixed in the URDF, as they stand"
+        )
+    target = robot.mechanism.targets[0]
+    if goals.target:
+        named = {pair.name: pair for pair in robot.mechanism.targets}
+        if goals.target not in named:
+            raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
+        target = named[goals.target]
+    lower, upper = robot.urdf.limits(robot.mechanism.driven)
+    stands = np.isin(robot.mechanism.driven, robot.sensed_names)  # whatever their limits
+    lower, upper = np.where(stands, -np.inf, lower), np.where(stands, np.inf, upper)
+    return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
+
+
+def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
+    """Descend again until links are tilted, and joints that are not commanded are, as they are at the commands found.
+
+    They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
+
+    Args:
+        robot: The robot.
+        reach: The problem.
+        index: Which goals, (n,).
+        solution: What was found for them.
+        context: The conditions of each.
+    """
+    for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
+        commands = reach.with_uncommanded(index, commands_for(robot, solution.actuated, context))
+        commands = np.where(np.isfinite(commands), commands, solution.actuated[:, : commands.shape[1]])
+        driven = actual_joints(robot, commands, term_columns(robot, commands, context))
+        if np.max(np.abs(driven - solution.actuated)[:, reach.held], initial=0.0) < _SETTLED:
+            break
+        closed = loops.close(reach.mechanism, reach.mode, driven, solution.passive)
+        passive = np.where(closed.ok[:, None], closed.passive, solution.passive)
+        solution = descend(reach, index, Configured(driven, passive, solution.distance))
+    return solution

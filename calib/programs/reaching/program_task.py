@@ -1,0 +1,150 @@
+"""The task that a program sets the calibrated robot: where its target is to be, and the nominal robot's joints there.
+
+Whose frames, how much is kept and on which branch: see `calib.programs.reaching.compensation`, which answers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DataError, InputError
+from calib.core.data.measurements import Poses
+from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.configurations import joint_vector
+from calib.core.robots.robot import Robot
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import problem, solve
+from calib.programs.reaching.reaching import Configured, Reach, descend
+from calib.programs.reaching.search import TOLERANCE
+
+KEEP = ("pose", "axis", "position")
+"""What of the program is kept: the full pose, position and z axis of the target, or its position."""
+_FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
+_ROUNDS = 200
+_SINGULAR = 1e-6  # of the largest singular value
+_STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramTask:
+    """What a program asks of the calibrated robot.
+
+    Attributes:
+        goals: Where its target is to be, and under which conditions.
+        joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
+        reasons: Why there are none; empty where there are.
+        keep: Of `KEEP`.
+        nearly: What to be near, where less than the pose is kept.
+    """
+
+    goals: Goals
+    joints: FloatArray
+    reasons: tuple[str, ...]
+    keep: str
+    nearly: Goals | None
+
+
+def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTask:
+    """Return the task that joints of the nominal robot set.
+
+    Args:
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The joints.
+        keep: What of them is kept; if None, the pose where the joints can reach any.
+
+    Raises:
+        InputError: Motors move no target.
+    """
+    if not meant.mechanism.moved_targets:
+        raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
+    joints, mechanism = joint_vector(meant, program.joints), meant.mechanism
+    pose = Goals(
+        np.zeros((len(joints), 3)),
+        names=tuple(program.names),
+        labels=tuple(program.labels),
+        target=mechanism.moved_targets[0].name,
+        context=program.context,
+        approach=program.approach,
+        setups=program.setups,
+        stands={name: joints[:, meant.joint_names.index(name)] for name in meant.sensed_names},
+    )
+    pose, jacobian, closed = _reached_by(meant, joints, pose)
+    if keep is None:
+        keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
+    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed)
+    return _task(pose, joints, reasons, keep)
+
+
+def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
+    """Goals where a robot brings their target, and its Jacobian (n_closed, 6, n_actuated); which joints close, (n,)."""
+    closed = robot.close(joints)
+    target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
+    positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
+    pose_and_jacobian = actuated_jacobian(robot.mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
+    return replace(goals, positions=positions, rotations=rotations, directions=None), jacobian, closed.ok
+
+
+def _task(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> ProgramTask:
+    """What of full poses is kept."""
+    goals = pose if keep == "pose" else replace(pose, rotations=None)
+    if keep == "axis":
+        assert pose.rotations is not None
+        goals = replace(goals, directions=pose.rotations[:, :, 2])
+    return ProgramTask(goals, joints, reasons, keep, None if keep == "pose" else pose)
+
+
+def _moves_freely(jacobian: FloatArray, length: float) -> bool:
+    """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
+    if len(jacobian) == 0 or jacobian.shape[2] < 6:
+        return False
+    values = np.linalg.svd(jacobian / np.repeat([length, 1.0], 3)[:, None], compute_uv=False)
+    return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
+
+
+def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
+    """Return the task that goals set: where the nominal robot brings the tool.
+
+    Args:
+        nominal: The robot as its description has it, which is what a controller knows.
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The goals, as the description sees them.
+
+    Raises:
+        DataError: A coordinate is not asked for.
+    """
+    filled = np.isfinite(program.positions).all(axis=1)
+    if not np.all(filled):
+        raise DataError(f"{program.labels[int(np.argmin(filled))]}: a coordinate is empty; a program needs all three")
+    solution = solve(nominal, program)
+    reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
+    joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)
+    return _task(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
+
+
+def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
+    """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
+    q, tried = q.copy(), np.zeros(len(q), dtype=bool)
+    for _ in range(_ROUNDS):
+        step = np.max(np.abs(np.diff(q / reach.scale, axis=0)), axis=1, initial=0.0)
+        rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
+        if len(rows) == 0:
+            break
+        rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
+        tried[rows] = True
+        start = robot.assemble(q[rows - 1])
+        before = Configured(start.actuated, start.passive, np.full(len(rows), np.inf))
+        continued = descend(reach, rows, reach.stood(rows, before))
+        shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
+        better = shorter & reached_goals(reach, continued)
+        q[rows[better]] = continued.actuated[better]
+        tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
+    return q
+
+
+def reached_goals(reach: Reach, solutions: Configured) -> BoolArray:
+    """Return which goals are reached, (n,)."""
+    return solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)

@@ -1,0 +1,211 @@
+"""Where joints have more freedom than a goal takes: stay near given joint values.
+
+Problem. Minimise f = |w|^2 / 2 with w = s* - s, the way left to the wanted joints s* (lengths divided by the robot's
+characteristic length), over actuated joints s within limits that keep the target at its goal, e(s) = 0.
+
+Method. Sequential quadratic programming. With c = [e; how far held passive joints are from where they are held], A its
+derivative by the joints that no limit holds, and P the projector on the null space of A, the step
+
+    d = -A^+ c + n,      P B P n = P (w + B A^+ c)
+
+goes back to the goal and along it at once. B is the Hessian of the Lagrangian f + c^T l, with the multipliers
+l = (A^+)^T w. It starts at the identity (f's own) and learns the curvature of the goal from the steps by the damped
+BFGS formula (powell1978), so that convergence is faster than linear. A step counts if it lowers
+
+    |w + A^+ c|^2 / 2 + sigma |A^+ c|^2 / 2
+
+whose first term is, to second order, f where the goal is reached again: curvature of the goal alone makes no step
+shorter (fletcher1970). Else a third of it is tried, with B the identity again. A step ends at the first limit that it
+meets; an actuated joint at a limit is held where the step would leave it, and a passive one as in
+`calib.programs.reaching.reaching`. At the end `descend` removes the last picometres of e.
+
+When it fails. The answer is a local minimum. Where steps shrink to nothing or their number ends, as far as they came
+counts; it is never farther from s* than the start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, descend
+
+_STEPS = 60
+_TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]
+_SHORTEST = 1e-3  # part of a step, below which no shorter one is tried
+_WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a seventh of them
+_ROUNDING = 1e-12  # of a step: what is smaller leaves no limit
+
+
+def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
+    """Take whole turns out of joints where that brings them nearer to `near`, (n, n_actuated), and leaves no limit."""
+    mechanism, actuated = reach.mechanism, at.actuated.copy()
+    for j, name in enumerate(mechanism.actuated):
+        column = mechanism.select_actuated[:, j]
+        if mechanism.dimensions[name] == "length" or np.count_nonzero(column) != 1:
+            continue  # a whole turn of a joint that others mimic is another pose
+        turns = 2 * np.pi * np.round((actuated[:, j] - near[:, j]) / (2 * np.pi))
+        inside = (actuated[:, j] - turns >= reach.lower[j]) & (actuated[:, j] - turns <= reach.upper[j])
+        actuated[inside, j] -= turns[inside]
+    return Configured(actuated, at.passive, at.distance)
+
+
+def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
+    """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
+    n, n_joints = start.actuated.shape
+    at = Configured(start.actuated.copy(), start.passive.copy(), start.distance.copy())
+    linear = reach.linearise(index, at.actuated, at.passive)
+    hessian, part = np.tile(np.eye(n_joints), (n, 1, 1)), np.ones(n)
+    active = np.arange(n)
+    for _ in range(_STEPS):
+        current, now = linear.subset(active), at.subset(active)
+        way = (near[active] - now.actuated) / reach.scale
+        held, step, left = _step(reach, now, current, way, hessian[active])
+        moving = np.flatnonzero((left > _TOLERANCE) | (np.linalg.norm(current.error, axis=1) > NEARLY))
+        active = active[moving]
+        if len(active) == 0:
+            break
+        now, current, held, step = now.subset(moving), current.subset(moving), held.subset(moving), step[moving]
+        trial = _trial(reach, now, current, held, part[active], step)
+        good, reached, trial_linear, change = _tried(reach, index[active], now, current, held, trial, near[active])
+        part[active] /= 3
+        accepted = active[good]
+        part[accepted] = np.minimum(1.0, 6 * part[accepted])
+        bad = np.setdiff1d(active, accepted)
+        hessian[bad] = np.eye(n_joints)
+        hessian[accepted] = _learned(
+            hessian[accepted], (reached.actuated - at.actuated[accepted]) / reach.scale, change
+        )
+        at.actuated[accepted], at.passive[accepted] = reached.actuated, reached.passive
+        linear.take(accepted, trial_linear)
+        active = active[part[active] > _SHORTEST]
+    reached = descend(reach, index, at, 8)
+    closer = np.linalg.norm((reached.actuated - near) / reach.scale, axis=1) < np.linalg.norm(
+        (start.actuated - near) / reach.scale, axis=1
+    )
+    kept = np.flatnonzero(~closer | (reached.distance > NEARLY))
+    reached.actuated[kept], reached.passive[kept] = start.actuated[kept], start.passive[kept]
+    reached.distance[kept] = start.distance[kept]
+    return reached
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """What limits hold.
+
+    Attributes:
+        joints: Actuated joints, (n, n_actuated).
+        passive: Passive joints, (n, n_passive).
+        low: Passive joints whose lower limit is the nearer one, (n, n_passive).
+    """
+
+    joints: BoolArray
+    passive: BoolArray
+    low: BoolArray
+
+    def subset(self, index: IntArray) -> _Held:
+        """Return what belongs to the configurations with these indices (n,)."""
+        return _Held(self.joints[index], self.passive[index], self.low[index])
+
+    def rows(self, linear: Linear) -> FloatArray:
+        """Return A, with the columns of held joints, (n, n_rows + n_passive, n_actuated)."""
+        return np.concatenate([linear.slope, self.passive[:, :, None] * linear.passive_slope], axis=1)
+
+    def gap(self, reach: Reach, linear: Linear, passive: FloatArray) -> FloatArray:
+        """Return c, (n, n_rows + n_passive)."""
+        below, above = reach.room(passive)
+        off = np.where(self.low, below - NEAR_LIMIT / 2, NEAR_LIMIT / 2 - above)
+        return np.concatenate([linear.error, np.where(self.passive, off, 0.0)], axis=1)
+
+
+def _step(
+    reach: Reach, at: Configured, linear: Linear, way: FloatArray, hessian: FloatArray
+) -> tuple[_Held, FloatArray, FloatArray]:
+    """What is held, the step d (n, n_actuated), and the largest part of P w, (n,): what is left."""
+    below, above = reach.room(at.passive)
+    low, high = at.actuated <= reach.lower, at.actuated >= reach.upper
+    held = _Held(np.tile(reach.held, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
+    for _ in range(low.shape[1] + 1):
+        inverse, projector = _inverse(held.rows(linear), held)
+        back = -np.einsum("nij,nj->ni", inverse, held.gap(reach, linear, at.passive))
+        matrix = projector @ hessian @ projector + np.eye(low.shape[1]) - projector
+        aim = projector @ (way[:, :, None] - hessian @ back[:, :, None])
+        step = back + (projector @ np.linalg.solve(matrix, aim))[:, :, 0]
+        change = np.einsum("nij,nj->ni", linear.passive_slope, step)
+        outward = ((low & (step < -_ROUNDING)) | (high & (step > _ROUNDING))) & ~held.joints
+        passive = ((below < NEAR_LIMIT) & (change < -_ROUNDING)) | ((above < NEAR_LIMIT) & (change > _ROUNDING))
+        passive &= ~held.passive
+        if not (np.any(outward) or np.any(passive)):
+            break
+        held = _Held(held.joints | outward, held.passive | passive, held.low)
+    return held, step, np.max(np.abs(projector @ way[:, :, None]), axis=(1, 2))
+
+
+def _inverse(rows: FloatArray, held: _Held) -> tuple[FloatArray, FloatArray]:
+    """A^+ (n, n_actuated, n_rows) and P (n, n_actuated, n_actuated), both zero in the rows of held joints."""
+    left, values, right = np.linalg.svd(np.where(held.joints[:, None, :], 0.0, rows), full_matrices=False)
+    used = values > 1e-9 * values[:, :1]
+    weights = np.where(used, 1 / np.where(used, values, 1.0), 0.0)
+    inverse = (right * weights[:, :, None]).transpose(0, 2, 1) @ left.transpose(0, 2, 1)
+    taken = np.where(used[:, :, None], right, 0.0)
+    projector = np.eye(rows.shape[2]) - taken.transpose(0, 2, 1) @ taken
+    projector = np.where(held.joints[:, :, None] | held.joints[:, None, :], 0.0, projector)
+    return inverse, projector
+
+
+def _trial(reach: Reach, at: Configured, linear: Linear, held: _Held, part: FloatArray, step: FloatArray) -> FloatArray:
+    """Actuated joints at the end of this part of the step, or at the first limit on the way, (n, n_actuated)."""
+    change = np.einsum("nij,nj->ni", linear.passive_slope, step)
+    room = np.where(step < 0, at.actuated - reach.lower, reach.upper - at.actuated) / reach.scale
+    below, above = reach.room(at.passive)
+    passive_room = np.maximum(np.where(change < 0, below, above) - NEAR_LIMIT / 2, NEAR_LIMIT / 4)
+    length = part * np.minimum(1.0, LARGEST_STEP / np.maximum(np.max(np.abs(step), axis=1), 1e-300))
+    for moved, space, free in ((step, room, ~held.joints), (change, passive_room, ~held.passive)):
+        ratio = space / np.maximum(np.abs(moved), 1e-300)
+        length = np.minimum(length, np.min(ratio, axis=1, initial=np.inf, where=free & (np.abs(moved) > _ROUNDING)))
+    return np.clip(at.actuated + length[:, None] * reach.scale * step, reach.lower, reach.upper)
+
+
+def _tried(
+    reach: Reach, index: IntArray, at: Configured, linear: Linear, held: _Held, trial: FloatArray, near: FloatArray
+) -> tuple[IntArray, Configured, Linear, FloatArray]:
+    """Which trials lower the merit, (n,); of these: where they end, linearised, and the change of A^T l on the way."""
+    passive, closures, followed = reach.follow(at, linear, trial)
+    moved = np.flatnonzero(followed)
+    trial_linear = reach.linearise(index[moved], trial[moved], passive[moved], closures[moved])
+    tied = held.subset(moved)
+    before = held.rows(linear)[moved]
+    merit, _ = _merit(
+        before, held.gap(reach, linear, at.passive)[moved], tied, (near - at.actuated)[moved] / reach.scale
+    )
+    rows, gap = tied.rows(trial_linear), tied.gap(reach, trial_linear, passive[moved])
+    new, multipliers = _merit(rows, gap, tied, (near - trial)[moved] / reach.scale)
+    lower = np.flatnonzero(new < merit)
+    good = moved[lower]
+    change = np.einsum("nij,ni->nj", (rows - before)[lower], multipliers[lower])
+    reached = Configured(trial[good], passive[good], np.linalg.norm(trial_linear.error[lower], axis=1))
+    return good, reached, trial_linear.subset(lower), change
+
+
+def _merit(rows: FloatArray, gap: FloatArray, held: _Held, way: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The function that a step must lower, (n,), and the multipliers l, (n, n_rows)."""
+    inverse, _ = _inverse(rows, held)
+    back = np.einsum("nij,nj->ni", inverse, gap)
+    merit: FloatArray = 0.5 * np.sum((way + back) ** 2, axis=1) + 0.5 * _WEIGHT * np.sum(back**2, axis=1)
+    return merit, np.einsum("nij,ni->nj", inverse, way)
+
+
+def _learned(hessian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+    """B after a step (n, n_actuated) that changed the gradient of c^T l by `change`: damped BFGS, positive definite."""
+    product = np.einsum("nij,nj->ni", hessian, step)
+    curvature = np.maximum(np.sum(step * product, axis=1, keepdims=True), 1e-300)
+    gradient = step + change
+    along = np.sum(step * gradient, axis=1, keepdims=True)
+    weight = np.where(along < 0.2 * curvature, 0.8 * curvature / np.maximum(curvature - along, 1e-300), 1.0)
+    damped = weight * gradient + (1 - weight) * product
+    along = np.maximum(np.sum(step * damped, axis=1, keepdims=True), 1e-300)
+    removed, added = product / np.sqrt(curvature), damped / np.sqrt(along)
+    learned = hessian - removed[:, :, None] * removed[:, None, :] + added[:, :, None] * added[:, None, :]
+    return np.where(curvature[:, :, None] > 1e-24, learned, hessian)

@@ -1,0 +1,152 @@
+"""Starts from which goals are searched: the nearest goals that are solved, and configurations spread evenly.
+
+Goals are solved nearest to home first, each from the nearest solved one; those that fail are tried again from other
+neighbours, and then from configurations spread evenly over the joint limits (a Halton sequence, so that the answer is
+always the same). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a
+goal that is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is
+missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics.halton import halton
+from calib.core.robots import loops
+from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.robot import Robot
+from calib.programs.reaching.reaching import Configured, Reach, descend
+
+TOLERANCE = 1e-9
+"""Largest miss of a goal that counts as reached [m, rad]."""
+_NEIGHBOURS = 3
+_SPREAD, _SPREAD_NEIGHBOURS = 256, (8, 64)
+_LARGEST_ROUND = 8192  # searches in one round
+
+
+def inside(reach: Reach, q: FloatArray) -> FloatArray:
+    """Return joint values (..., n_actuated) moved inside the joint limits where they are not."""
+    n = q.shape[-1]
+    return np.clip(q, reach.lower[:n], reach.upper[:n])
+
+
+def closed_start(robot: Robot, reach: Reach) -> Configured:
+    """Return home, moved inside the joint limits where it is not."""
+    start = robot.assemble(inside(reach, robot.home))
+    return Configured(start.actuated, start.passive, np.array([np.inf]))
+
+
+class Search:
+    """The best configuration found for each goal so far.
+
+    Args:
+        reach: The problem.
+        home: One closed configuration to start from.
+    """
+
+    def __init__(self, reach: Reach, home: Configured) -> None:
+        n = len(reach.goals)
+        self.reach, self.home = reach, home
+        repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
+        self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
+        goal_features = _features(
+            reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
+        )
+        self._features = np.where(np.isnan(goal_features), self._features_at(home), goal_features)
+
+    @property
+    def solved(self) -> BoolArray:
+        """Which goals are reached, (n,)."""
+        return self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
+
+    def run(self, robot: Robot) -> None:
+        """Try every start of the module docstring until a goal is reached."""
+        for batch in self._batches():
+            self._improve(batch, self._known(), 1)
+        self._improve(np.flatnonzero(~self.solved), self._known(), _NEIGHBOURS)
+        if np.all(self.solved):
+            return
+        spread = _spread(robot, self.reach)
+        for count in _SPREAD_NEIGHBOURS:
+            left = np.flatnonzero(~self.solved)
+            self._improve(left, spread, min(count, _LARGEST_ROUND // max(len(left), 1)))
+
+    def keep(self, index: IntArray, solutions: Configured) -> None:
+        """Take over what was found for the goals `index`, (n,)."""
+        self.best.actuated[index], self.best.passive[index] = solutions.actuated, solutions.passive
+        self.best.distance[index] = solutions.distance
+
+    def _batches(self) -> Iterator[IntArray]:
+        """Goals in order of their distance from home's pose, in batches that double in size."""
+        home = self._features_at(self.home)
+        order = np.argsort(np.linalg.norm(self._features - home, axis=1), kind="stable")
+        start, size = 0, 8
+        while start < len(order):
+            yield order[start : start + size]
+            start, size = start + size, 2 * size
+
+    def _known(self) -> Configured:
+        """Home and all solved configurations."""
+        solved = self.best.subset(np.flatnonzero(self.solved))
+        return Configured(
+            *(
+                np.concatenate(parts)
+                for parts in (
+                    (self.home.actuated, solved.actuated),
+                    (self.home.passive, solved.passive),
+                    (self.home.distance, solved.distance),
+                )
+            )
+        )
+
+    def _improve(self, todo: IntArray, starts: Configured, count: int) -> None:
+        """Search for the goals `todo`, each from the `count` nearest starts; keep what is better."""
+        count = min(count, len(starts.actuated))
+        if len(todo) == 0 or count == 0:
+            return
+        nearest_starts = scipy.spatial.cKDTree(self._features_at(starts)).query(
+            self._features[todo], k=range(1, count + 1)
+        )[1]
+        index = np.repeat(todo, count)
+        solutions = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
+        best = np.argmin(solutions.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
+        better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
+        self.keep(todo[better], solutions.subset(best[better]))
+
+    def _features_at(self, at: Configured) -> FloatArray:
+        position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)
+        goals = self.reach.goals
+        return _features(
+            position,
+            None if goals.rotations is None else rotation,
+            None if goals.directions is None else rotation[:, :, 2],
+            self.reach.mechanism.length,
+        )
+
+
+def _features(
+    positions: FloatArray, rotations: FloatArray | None, directions: FloatArray | None, length: float
+) -> FloatArray:
+    """Coordinates in which poses that are alike are near each other, (n, k) [m]."""
+    parts = [positions]
+    if rotations is not None:
+        parts.append(length * rotations.reshape(-1, 9) / np.sqrt(2))
+    if directions is not None:
+        parts.append(length * directions)
+    return np.concatenate(parts, axis=1)
+
+
+def _spread(robot: Robot, reach: Reach) -> Configured:
+    """Configurations spread over the joint limits (one turn about home where there are none) that close."""
+    turn, n_actuated = np.pi * robot.mechanism.joint_scale, len(robot.home)
+    lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
+    lower = np.where(np.isfinite(lower), lower, robot.home - turn)
+    upper = np.where(np.isfinite(upper), upper, robot.home + turn)
+    sample = halton(_SPREAD, n_actuated)
+    actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
+    closed = loops.close(reach.mechanism, reach.mode, actuated)
+    return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

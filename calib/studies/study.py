@@ -1,0 +1,288 @@
+"""Monte Carlo: many calibrations of one robot on simulated measurements, and what they say about its statistics.
+
+In each draw a true robot is measured at the same poses with new noise, and the nominal robot calibrated from that. Over
+many draws the estimates scatter by what the fit claims (`std`), around the truth (no bias), 95 % intervals hold it in
+95 of 100 draws, and chi-square is what the stated noise says: as far as the problem is linear, the noise is what is
+assumed, and the model can be the truth. Where one of these fails is what a study finds out.
+
+Or nothing is simulated, and the poses of real measurements are drawn again (`calib.studies.study_data`).
+
+Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers depend neither
+on how many workers share the draws nor on how they are dealt out. Draws are sent to the workers in chunks; what a chunk
+shares is computed once (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again
+(`calib.core.base.workers`).
+
+When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
+simulates what it is told: errors that are not in the truth or the noise are not in its figures.
+
+Reference: jcgm101.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import CalibrationError, InputError, NotConvergedError
+from calib.core.base.other_words import worded
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import in_si
+from calib.core.base.workers import Progress, Workers, in_order
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.data.in_memory import PosesLike
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.settings import Settings
+from calib.core.numerics.losses import checked_loss
+from calib.core.robots.acceleration import compilation_requested, compiled, pays
+from calib.core.robots.configurations import joint_vector
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.core.rows.prediction import carried
+from calib.studies.draw_statistics import Estimate
+from calib.studies.many_calibrations import Repeated
+from calib.studies.study_data import Drawn, Noise, Resampled, Simulated, simulated
+from calib.studies.study_result import Draws, DrawSums, Study
+
+_CHUNK = 50
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """What all draws share.
+
+    Attributes:
+        source: Where the data of a draw come from.
+        settings: How to fit.
+        repeated: Calibrates like the first time.
+        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
+        near: Passive joints there, (n, n_passive) [m or rad].
+        compiled: Whether there is so much to do that loading compiled code is worth it.
+        seed: Of the whole study; draws have those spawned from it.
+        keep_draws: Whether every number of every draw is kept.
+    """
+
+    source: Simulated | Resampled
+    settings: Settings
+    repeated: Repeated
+    elsewhere: FloatArray
+    near: FloatArray
+    compiled: bool
+    seed: np.random.SeedSequence
+    keep_draws: bool
+
+    @property
+    def first(self) -> Fit:
+        """The fit that all others start from."""
+        return self.repeated.first
+
+    @property
+    def states_noise(self) -> bool:
+        """Whether chi-square means something: what is drawn twice scatters less than noise does."""
+        return self.first.chi_square is not None and isinstance(self.source, Simulated)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    """What some draws gave; why some gave no answer."""
+
+    sums: DrawSums
+    draws: Draws | None
+    failures: tuple[str, ...]
+
+
+@worded
+def study(
+    robot: RobotLike,
+    poses: PosesLike,
+    *,
+    draws: int = 1000,
+    truth: Robot | Literal["priors"] | None = None,
+    resample: bool = False,
+    sigma: float | str | None = None,
+    noise: Noise | None = None,
+    loss: str = "none",
+    elsewhere: ArrayLike | None = None,
+    seed: int = 0,
+    keep_draws: bool = True,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Calibrate a robot many times from simulated measurements, or from real ones drawn with replacement.
+
+    Args:
+        robot: The nominal robot, as every fit starts from it.
+        poses: Where to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
+            what was read at each.
+        draws: How many calibrations.
+        truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
+            from the priors each time.
+        resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
+            replacement (`calib.studies.study_data` says what that tells). The truth is the fit of all.
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
+        noise: Function of exact measurements and a generator that returns the readings of a draw; normal noise as
+            stated if not given. It must be in a module, so that other processes find it.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
+        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
+        seed: Seed of the whole study.
+        keep_draws: Whether `draws` of the result has every number of every draw. Without them, memory does not grow
+            with the number of draws.
+        executor: What runs the draws; as in `calib.fit`.
+        progress: Called with the number of draws done and of all draws, in the order of work.
+
+    Raises:
+        InputError: A number of draws or processes that makes no sense, unstated noise, nothing to resample.
+        NotConvergedError: The first draw did not converge, or none gave an answer.
+        CalibrationError: What `calib.fit` raises, of the first draw.
+    """
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    started = time.perf_counter()
+    if draws < 2:
+        raise InputError(f"draws {draws}: must be 2 or more")
+    settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
+    shared = np.random.SeedSequence(seed)
+    chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
+    kept, failures, sums = list[Draws](), list[str](), None
+    with Workers(executor, len(chunks)) as workers:
+        source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
+        setting = _prepared(robot, source, settings, elsewhere, shared, draws, keep_draws)
+        if setting.compiled and workers is not None:
+            _chunk(setting, range(1))  # compiles what they then load, instead of each by itself
+        for chunk in in_order(partial(_chunk, setting), chunks, workers):
+            sums = chunk.sums if sums is None else sums.with_more(chunk.sums)
+            kept += [] if chunk.draws is None else [chunk.draws]
+            failures += chunk.failures
+            if progress is not None:
+                progress(sums.n, draws)
+    assert sums is not None  # two draws or more
+    if not sums.answered:
+        raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
+    return _study(setting, sums, kept, failures, time.perf_counter() - started)
+
+
+def _measured(poses: object, truth: object, noise: object) -> Measurements:
+    """The measurements to resample; `InputError` where that makes no sense."""
+    if truth is not None or noise is not None:
+        raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
+    if not isinstance(poses, Measurements):
+        raise InputError("resample: needs measurements, as calib.read_measurements reads them; these are poses alone")
+    return poses
+
+
+@one_blas_thread
+def _prepared(
+    robot: Robot,
+    source: Simulated | Measurements,
+    settings: Settings,
+    elsewhere: ArrayLike | None,
+    seed: np.random.SeedSequence,
+    draws: int,
+    keep_draws: bool,
+) -> _Setting:
+    """Do the calibration that all others start from."""
+    q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
+    near = robot.assemble(q).passive
+    data = source if isinstance(source, Measurements) else source.measured(_of_draw(seed, 0)).data
+    first = calibrate(robot, data, None, settings)
+    if not first.converged:
+        which = "calibration from all poses" if data is source else "first of the simulated calibrations"
+        raise NotConvergedError(f"the {which} did not converge: {first.message}")
+    known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
+    use_compiled = pays(draws * len(data)) or compilation_requested()
+    with compiled() if use_compiled else nullcontext():
+        repeated = Repeated.of(first, settings, alike=not known.changes_visits)
+    return _Setting(known, settings, repeated, q, near, use_compiled, seed, keep_draws)
+
+
+def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
+    """Return the seed of a draw: that of `seed.spawn`, without all those before it."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=(number,))
+
+
+@one_blas_thread
+def _chunk(setting: _Setting, numbers: range) -> _Chunk:
+    """Do the draws of these numbers."""
+    drawn, failures = list[Drawn | CalibrationError](), list[str]()
+    with compiled() if setting.compiled else nullcontext():
+        for number in numbers:
+            try:
+                drawn.append(setting.source.measured(_of_draw(setting.seed, number)))
+            except CalibrationError as error:
+                drawn.append(error)
+        given = setting.repeated.estimates([each for each in drawn if isinstance(each, Drawn)])
+        estimates, draws = iter(given), list[Draws]()
+        for each in drawn:
+            estimate = next(estimates) if isinstance(each, Drawn) else each
+            if isinstance(estimate, Estimate) and isinstance(each, Drawn) and not estimate.open:
+                draws.append(_draw(setting, each.truth, estimate))
+            else:
+                failures.append(estimate.open if isinstance(estimate, Estimate) else str(estimate))
+                draws.append(_unanswered(setting))
+    all_draws = Draws.joined(draws)
+    return _Chunk(DrawSums.of(all_draws), all_draws if setting.keep_draws else None, tuple(failures))
+
+
+def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
+    """One draw that gave an answer."""
+    first = setting.first
+    true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
+    errors = half_width = np.zeros((0, len(truth.target_names), 3))
+    if len(setting.elsewhere):
+        values = first.robot.values.copy()
+        values[first.unknowns.index] = estimate.values
+        robot = first.robot.with_parameters(values)
+        at = linearise(robot, robot.assemble(setting.elsewhere, setting.near))
+        spread = carried(at.jacobian[..., first.unknowns.index], estimate.covariance)
+        half_width = estimate.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
+        errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
+    rows = (
+        np.array([true.get(name, np.nan) for name in first.free_names]),
+        estimate.values,
+        estimate.std,
+        estimate.half_width,
+        estimate.sigma,
+        estimate.chi_square if setting.states_noise else np.nan,
+        estimate.freedom,
+        float(estimate.names_outliers),
+        errors,
+        half_width,
+    )
+    return Draws(*(np.asarray(row)[None] for row in rows))
+
+
+def _unanswered(setting: _Setting) -> Draws:
+    """One draw that gave no answer."""
+    first = setting.first
+    n_free, at_targets = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
+    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
+    return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
+
+
+def _study(setting: _Setting, sums: DrawSums, kept: Sequence[Draws], failures: Sequence[str], seconds: float) -> Study:
+    """Return the study of all draws."""
+    first = setting.first
+    free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
+    groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
+    draws = Draws.joined(kept) if setting.keep_draws else None
+    return Study(
+        first.nominal.name,
+        free,
+        groups,
+        sums,
+        draws,
+        tuple(failures),
+        setting.source.data.n_poses,
+        setting.settings.seed,
+        seconds,
+        isinstance(setting.source, Resampled),
+    )

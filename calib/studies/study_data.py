@@ -1,0 +1,171 @@
+"""What is measured in each draw of a study: simulated measurements, or the poses of real ones drawn again.
+
+Simulated. A true robot is measured at the same poses, with new noise in each draw.
+
+Resampled (the bootstrap of poses). As many poses as there are, drawn from them with replacement, with all visits that
+repeat them and all that was read there; a pose that is drawn twice counts as two. Nothing is assumed of the noise, nor
+that it is the same everywhere: the scatter over the draws estimates how far the parameters would be off if other poses
+of the same kind had been measured, with errors as these have, and also with what the model leaves out as far as that
+differs from pose to pose. For many poses it is the sandwich H^-1 (sum over poses of g g^T) H^-1, with g the gradient of
+a pose's part of the cost.
+
+When that is wrong. An error that all poses share (an instrument's scale, a joint term left out that acts everywhere the
+same way) is in every draw, and shows in none. A draw holds about 63 % of the poses, so that with few poses for the
+parameters the scatter is too large, and some draws determine nothing. Poses that were chosen, for an index say, are no
+random sample: the scatter is that of choosing worse ones, too. What a prior holds scatters less than its standard
+deviation says, because the prior is the same in each draw.
+
+Reference: efron1979, white1980.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.data.in_memory import PosesLike, as_poses
+from calib.core.data.measurements import Measurements
+from calib.core.data.pose_groups import repeated_poses
+from calib.core.robots.robot import Robot
+from calib.core.rows.observed import predicted_readings
+from calib.core.rows.simulate import noisy_readings, simulate, unstated_noise
+from calib.core.rows.unknowns import Unknowns
+
+Noise = Callable[[Measurements, np.random.Generator], Measurements]
+"""Makes what is read of what would be read without noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What one draw calibrates from.
+
+    Attributes:
+        truth: The robot that was measured.
+        data: What was read.
+        passive: Passive joints of a robot nearby at the visits, (n, n_passive) [m or rad]; None where not known.
+    """
+
+    truth: Robot
+    data: Measurements
+    passive: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Simulated measurements of a true robot.
+
+    Attributes:
+        truth: The robot that is measured.
+        data: What would be read of it without noise.
+        drawn: D; in each draw, D z with z normal is added to the values of the truth, (n_parameters, n) [m or rad].
+        noise: What makes measurements of `data`, if that is not what the description states.
+        sigma: Noise of positions in place of what is stated [m], or None.
+        passive: Passive joints of the truth where it is measured, (n, n_passive) [m or rad].
+    """
+
+    truth: Robot
+    data: Measurements
+    drawn: FloatArray
+    noise: Noise | None
+    sigma: float | None
+    passive: FloatArray
+
+    @property
+    def changes_visits(self) -> bool:
+        """Whether draws are of different visits: where something is touched, the noise is in the joints."""
+        return any(instrument.touches for instrument in self.truth.instruments)
+
+    def measured(self, seed: np.random.SeedSequence) -> Drawn:
+        """Return what a draw calibrates from."""
+        rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
+        if np.any(self.drawn):
+            truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
+        if self.changes_visits:
+            return Drawn(truth, simulate(truth, exact, self.sigma, rng))
+        if truth is not self.truth:
+            configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
+            exact = replace(exact, readings=predicted_readings(truth, configurations, exact.readings))
+        if self.noise is not None:
+            return Drawn(truth, self.noise(exact, rng))
+        return Drawn(truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)))
+
+
+@dataclass(frozen=True, eq=False)
+class Resampled:
+    """Poses of measurements drawn with replacement.
+
+    Attributes:
+        truth: The robot as all poses calibrate it.
+        data: All measurements.
+        passive: Its passive joints at the visits, (n, n_passive) [m or rad].
+    """
+
+    truth: Robot
+    data: Measurements
+    passive: FloatArray
+    changes_visits = True
+
+    def measured(self, seed: np.random.SeedSequence) -> Drawn:
+        """Return what a draw calibrates from."""
+        groups = repeated_poses(self.data.joints, self.data.pose_numbers)
+        chosen = np.random.default_rng(seed).integers(len(groups), size=len(groups))
+        visits = [(turn, k) for turn, group in enumerate(chosen) for k in groups[group]]
+        index = np.array([k for _, k in visits], dtype=np.intp)
+        names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # drawn twice, it is two poses
+        return Drawn(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
+
+
+def simulated(
+    robot: Robot,
+    poses: PosesLike,
+    truth: Robot | Literal["priors"] | None,
+    sigma: float | None,
+    noise: Noise | None,
+) -> Simulated:
+    """Return where simulated draws come from.
+
+    Args:
+        robot: The nominal robot.
+        poses: Where to measure, as `Poses` or (n, n_actuated) [m or rad].
+        truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
+        sigma: Noise of positions in place of what is stated [m].
+        noise: What makes measurements of exact ones, if that is not what the description states.
+
+    Raises:
+        InputError: The truth is none of this robot, there are no priors to draw it from, or the noise is not stated.
+    """
+    unstated = [] if noise is not None else unstated_noise(robot, sigma)
+    if unstated:
+        raise InputError(
+            f"{robot.path}: states no noise (sigma) of {', '.join(unstated)}, so that none can be simulated; state it"
+            " there, or give sigma, which is that of positions (--sigma-mm), or a function noise"
+        )
+    if not (truth is None or truth == "priors" or isinstance(truth, Robot)):
+        raise InputError(f"truth {truth!r:.60}: must be a robot, or 'priors'")
+    true = truth if isinstance(truth, Robot) else robot
+    if true.joint_names != robot.joint_names:
+        raise InputError(
+            f"truth {true.path}: has joints {', '.join(true.joint_names)}, and {robot.path} has"
+            f" {', '.join(robot.joint_names)}; give the same robot with other values or more parameters"
+        )
+    drawn: FloatArray = np.zeros((len(true.parameters), 0))
+    if truth == "priors":
+        true = robot.with_parameters({p.name: p.mean_si for p in robot.parameters if p.mean_si is not None})
+        drawn = _drawn_from_priors(robot)
+        if not np.any(drawn):
+            raise InputError(f"{robot.path}: has no priors to draw the truth from; give a robot as the truth")
+    exact = simulate(true, as_poses(robot, poses), 0.0)
+    passive = true.assemble(exact.joints, labels=exact.labels, context=exact.conditions).passive
+    return Simulated(true, exact, drawn, noise, sigma, passive)
+
+
+def _drawn_from_priors(robot: Robot) -> FloatArray:
+    """D of `Simulated`, by what is expected of the free parameters, (n_parameters, n_parameters) [m or rad]."""
+    unknowns, drawn = Unknowns.of(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
+    drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
+    return drawn

@@ -1,0 +1,329 @@
+"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square.
+
+All of it comes from sums over the draws. Each piece of work makes its own, where the draws arise, and they are put
+together in the order of the draws, so that a study needs no more memory for ten million draws than for fifty. The draws
+themselves are kept beside that unless nobody asks for them.
+
+Reference: chan1983.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import millimetres
+from calib.core.base.words import as_data, counted, data_frame, listed, plain_text, text_table
+
+_TAIL = 0.05  # of chi-square, on both sides together
+_SURE = 4.0  # standard deviations beyond which a difference is no chance
+_SCREEN = 25  # parameters whose table leaves a screen of 40 lines
+_SHOWN = 10  # parameters in the table where there are more
+_WIDTH = 110  # characters
+
+
+@dataclass(frozen=True, eq=False)
+class Draws(ReadOnlyArrays):
+    """What each draw gave, a row for each; NaN throughout where it gave no answer.
+
+    Attributes:
+        truth: True values of the free parameters, NaN where the truth has no such parameter, (n, n_free) [m or rad].
+        values: Values found, (n, n_free).
+        std: Their standard deviations as claimed, (n, n_free).
+        half_width: Half the 95 % intervals as claimed, (n, n_free).
+        sigma: Noise found of each group of rows, (n, n_groups) [SI].
+        chi_square: Sum of squares of the residuals, in units of the stated noise, (n,).
+        freedom: Degrees of freedom, (n,).
+        names_outliers: 1 where the fit named an outlier, else 0, (n,).
+        errors: Predicted minus true positions at poses that were not measured, (n, n_poses, n_targets, 3) [m].
+        error_half_width: Half their 95 % intervals as claimed, (n, n_poses, n_targets, 3) [m].
+    """
+
+    truth: FloatArray
+    values: FloatArray
+    std: FloatArray
+    half_width: FloatArray
+    sigma: FloatArray
+    chi_square: FloatArray
+    freedom: FloatArray
+    names_outliers: FloatArray
+    errors: FloatArray
+    error_half_width: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @staticmethod
+    def joined(parts: Sequence[Draws]) -> Draws:
+        """Put the draws of several parts one after another."""
+        return Draws(
+            **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
+        )
+
+    @property
+    def answered(self) -> BoolArray:
+        """Which draws gave an answer, (n,)."""
+        return np.isfinite(self.values[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class DrawSums(ReadOnlyArrays):
+    """What the figures of a study need of its draws. All but `n` are of draws that gave an answer.
+
+    Attributes:
+        n: How many draws.
+        answered: How many gave an answer.
+        bias: Mean of value minus truth, (n_free,) [m or rad].
+        scatter: Sum of squares of value minus truth minus that mean, (n_free,).
+        held: How many 95 % intervals hold the truth, (n_free,); NaN where the truth has no such parameter.
+        variance: Sum of the squares of claimed standard deviations, (n_free,).
+        sigma: Sum of the noise found, (n_groups,) [SI].
+        chi_square: Sum of chi-square over its degrees of freedom.
+        chi_square_refused: How many of these a test at 5 % rejects; NaN where no noise is stated.
+        outliers: How many name an outlier.
+        squares: Sum of squared distances of predicted from true positions elsewhere, (n_poses, n_targets) [m^2].
+        positions_held: How many 95 % intervals hold each true coordinate elsewhere, (n_poses, n_targets, 3).
+    """
+
+    n: int
+    answered: int
+    bias: FloatArray
+    scatter: FloatArray
+    held: FloatArray
+    variance: FloatArray
+    sigma: FloatArray
+    chi_square: float
+    chi_square_refused: float
+    outliers: float
+    squares: FloatArray
+    positions_held: FloatArray
+
+    @staticmethod
+    def of(draws: Draws) -> DrawSums:
+        """Add up some draws."""
+        kept = draws.answered
+        error = (draws.values - draws.truth)[kept]
+        bias = np.sum(error, axis=0) / max(len(error), 1)
+        value, freedom = draws.chi_square[kept], draws.freedom[kept]
+        tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
+        elsewhere = draws.errors[kept]
+        return DrawSums(
+            len(draws),
+            len(error),
+            bias,
+            np.sum((error - bias) ** 2, axis=0),
+            np.sum(np.where(np.isnan(error), np.nan, np.abs(error) <= draws.half_width[kept]), axis=0),
+            np.sum(draws.std[kept] ** 2, axis=0),
+            np.sum(draws.sigma[kept], axis=0),
+            float(np.sum(value / freedom)),
+            float(np.sum(np.where(np.isfinite(value), tail < _TAIL / 2, np.nan))),
+            float(np.sum(draws.names_outliers[kept])),
+            np.sum(elsewhere**2, axis=(0, -1)),
+            np.sum(np.abs(elsewhere) <= draws.error_half_width[kept], axis=0, dtype=float),
+        )
+
+    def with_more(self, more: DrawSums) -> DrawSums:
+        """Return the sums over these draws and more of the same study."""
+        if not (self.answered and more.answered):
+            of_answers = self if self.answered else more
+            return replace(of_answers, n=self.n + more.n)
+        added = {field.name: getattr(self, field.name) + getattr(more, field.name) for field in fields(self)}
+        apart = more.bias - self.bias
+        added["bias"] = self.bias + apart * (more.answered / added["answered"])
+        added["scatter"] += apart**2 * (self.answered * more.answered / added["answered"])
+        return DrawSums(**added)
+
+
+@dataclass(frozen=True)
+class ParameterStudy:
+    """One free parameter over all draws.
+
+    Attributes:
+        name: Its name.
+        unit: Unit of its numbers.
+        bias: Mean of value minus truth.
+        bias_std: Standard deviation of that mean.
+        spread: Standard deviation of value minus truth.
+        claimed: Root mean square of the standard deviations that the fits claimed.
+        coverage: Part of the draws whose 95 % interval holds the truth.
+    """
+
+    name: str
+    unit: str
+    bias: float
+    bias_std: float
+    spread: float
+    claimed: float
+    coverage: float
+
+    def row(self) -> dict[str, object]:
+        """Return the row of a table."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(ReadOnlyArrays):
+    """Many calibrations of one robot.
+
+    Attributes:
+        robot: Name of the robot.
+        free: The free parameters.
+        groups: Names of the groups of rows, in the order of `draws.sigma`.
+        sums: What all draws gave together.
+        draws: What each draw gave; None if only sums were kept.
+        failures: Why draws gave no answer, as many as gave none.
+        n_poses: How many poses were measured.
+        seed: Seed of everything random.
+        seconds: Duration of the whole computation.
+        resampled: Whether poses of real measurements were drawn again; else everything is simulated.
+    """
+
+    robot: str
+    free: tuple[Parameter, ...]
+    groups: tuple[str, ...]
+    sums: DrawSums
+    draws: Draws | None
+    failures: tuple[str, ...]
+    n_poses: int
+    seed: int
+    seconds: float
+    resampled: bool
+
+    def __repr__(self) -> str:
+        return f"<study of '{self.robot}': {len(self)} calibrations, {len(self.failures)} without an answer>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def __len__(self) -> int:
+        return self.sums.n
+
+    @property
+    def parameters(self) -> tuple[ParameterStudy, ...]:
+        """Every free parameter over all draws that gave an answer."""
+        sums, n = self.sums, self.sums.answered
+        spread = np.sqrt(sums.scatter / (n - 1)) if n > 1 else np.full(len(sums.bias), np.nan)
+        columns = (sums.bias, spread / np.sqrt(n), spread, np.sqrt(sums.variance / n), sums.held / n)
+        scale = np.array([[parameter.per_si] * 4 + [1.0] for parameter in self.free])  # a coverage has no unit
+        return tuple(
+            ParameterStudy(parameter.name, parameter.unit, *map(float, numbers))
+            for parameter, numbers in zip(self.free, scale * np.stack(columns, axis=1), strict=True)
+        )
+
+    @property
+    def position_coverage(self) -> FloatArray:
+        """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
+        return self.sums.positions_held / self.sums.answered
+
+    @property
+    def position_error(self) -> float:
+        """Root mean square distance of predicted from true positions elsewhere [m]; NaN where none are."""
+        squares = self.sums.squares / self.sums.answered
+        return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
+
+    @property
+    def chi_square(self) -> float:
+        """Mean of chi-square over its degrees of freedom: 1 where the noise is as stated; NaN where none is stated."""
+        return self.sums.chi_square / self.sums.answered
+
+    @property
+    def chi_square_refused(self) -> float:
+        """Part of the draws that a test of chi-square at 5 % rejects; NaN where no noise is stated."""
+        return self.sums.chi_square_refused / self.sums.answered
+
+    @property
+    def outliers(self) -> float:
+        """Part of the draws that name an outlier."""
+        return self.sums.outliers / self.sums.answered
+
+    def report(self, *, verbose: bool = False) -> str:
+        """Return the study as text.
+
+        Args:
+            verbose: All parameters; otherwise, of more than fit on a screen, those with the lowest coverage.
+        """
+        headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
+        table = text_table(headers, headers[:2], plain=True)
+        parameters, more = self.parameters, 0
+        if not verbose and len(parameters) > _SCREEN:
+            more = len(parameters) - _SHOWN
+            parameters = tuple(sorted(parameters, key=lambda parameter: parameter.coverage)[:_SHOWN])
+        for parameter in parameters:
+            row = parameter.row()
+            numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
+            ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
+            table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
+        rest = [f"{counted(more, 'more parameter')} covered at least as often: --verbose prints them"] if more else []
+        return plain_text([*self._summary(), "", table, *rest, "", *self._findings()], _WIDTH).rstrip()
+
+    def _summary(self) -> list[str]:
+        done, poses = "simulated calibration", f"{counted(self.n_poses, 'pose')} each"
+        if self.resampled:
+            done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
+        lines = [f"{counted(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
+        if self.failures:
+            n_failed = len(self) - self.sums.answered
+            lines.append(f"{counted(n_failed, 'draw')} gave no answer: {listed(self.failures, '; ', 2)}")
+        return lines
+
+    def _findings(self) -> list[str]:
+        chance = 100 * np.sqrt(0.95 * 0.05 / self.sums.answered)
+        coverage = 100 * np.array([parameter.coverage for parameter in self.parameters])
+        truth = "what all poses give" if self.resampled else "the truth"
+        lines = [
+            f"95 % intervals contain {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
+            f" is {chance:.1f} %"
+        ]
+        biased = [parameter.name for parameter in self.parameters if abs(parameter.bias) > _SURE * parameter.bias_std]
+        if biased:
+            lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
+        if self.sums.squares.size:
+            lines.append(
+                f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals contain"
+                f" {truth} in {_range(100 * self.position_coverage)} %"
+            )
+        if np.isfinite(self.chi_square):
+            lines.append(
+                f"chi-square over its degrees of freedom: {self.chi_square:.3f} on average; a test at 5 % rejects"
+                f" {100 * self.chi_square_refused:.1f} % of the draws"
+            )
+        if not self.resampled:
+            lines.append(f"{100 * self.outliers:.1f} % of the draws name an outlier")
+        return lines
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table of the free parameters over all draws; pandas missing is an `InputError`."""
+        return data_frame([parameter.row() for parameter in self.parameters])
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
+        sigma = self.sums.sigma / self.sums.answered
+        return as_data(
+            {
+                "robot": self.robot,
+                "draws": len(self),
+                "answered": self.sums.answered,
+                "failures": list(self.failures),
+                "n_poses": self.n_poses,
+                "resampled": self.resampled,
+                "seed": self.seed,
+                "seconds": self.seconds,
+                "parameters": [parameter.row() for parameter in self.parameters],
+                "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
+                "chi_square": self.chi_square,
+                "chi_square_refused": self.chi_square_refused,
+                "outliers": self.outliers,
+                "position_error_mm": millimetres(self.position_error),
+                "position_coverage": self.position_coverage.tolist(),
+            }
+        )
+
+
+def _range(percent: FloatArray) -> str:
+    return f"{np.min(percent):.1f} to {np.max(percent):.1f} (mean {np.mean(percent):.1f})"

@@ -29,8 +29,17 @@ def columns_in(instrument: Instrument, table: Table) -> list[str]:
     return [name for name in names if name in table.names]
 
 
-def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArray) -> Readings:
-    """Return what an instrument read in the rows of a table, whose visits are given, (n_table_rows,).
+def readings_in(
+    robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
+) -> Readings:
+    """Return what an instrument read in the rows of a table.
+
+    Args:
+        robot: The robot.
+        instrument: One of its instruments.
+        table: The table.
+        rows: Visit of each row, (n_table_rows,).
+        own_lines: Whether readings keep their file and line, because other files have the joint values.
 
     Raises:
         DataError: The message names file, line and column.
@@ -70,7 +79,12 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
     numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
-    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine])
+    labels = tuple(picked(Numbered(wheres.before, table.lines, _pose_names(table)), kept)) if own_lines else None
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine], labels)
+
+
+def _pose_names(table: Table) -> tuple[str, ...] | None:
+    return tuple(table.texts("pose")) if "pose" in table.names else None
 
 
 def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:

@@ -96,7 +96,10 @@ def read_measurements(
         else:
             rows = _visits_by_pose(table, poses)
         for instrument in _seen_in(robot, table):
-            parts.setdefault(instrument.name, []).append(readings_in(robot, instrument, table, rows))
+            own_lines = len(with_joints) < len(tables)
+            parts.setdefault(instrument.name, []).append(
+                readings_in(robot, instrument, table, rows, own_lines=own_lines)
+            )
     data = measurements(poses, {name: joined_readings(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{tables[0].path}: has no column of any instrument; expected: {_expected(robot)}")

@@ -107,6 +107,8 @@ class Readings(ReadOnlyArrays):
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
+        labels: File, line and pose name of each, where they stand in another file than the joint values; None: those
+            of its visit.
     """
 
     visits: IntArray
@@ -114,9 +116,21 @@ class Readings(ReadOnlyArrays):
     values: FloatArray
     covariance: FloatArray | None
     details: FloatArray
+    labels: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.visits)
+
+    def subset(self, index: IntArray, visits: IntArray | None = None) -> Readings:
+        """Return the readings with these indices (n,), in this order, with new visits (n,) if given."""
+        return Readings(
+            self.visits[index] if visits is None else visits,
+            self.pairs[index],
+            self.values[index],
+            None if self.covariance is None else self.covariance[index],
+            self.details[index],
+            None if self.labels is None else tuple([self.labels[k] for k in index]),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,8 +68,8 @@ def data(**changes):
 
 BAD_DATA = {
     "missing joint column": (DATA.replace("slide", "slid_e"), "no column 'slide'; did you mean 'slid_e'?"),
-    "missing measured column": (DATA.replace("tip_z", "other"), "data.csv: no column 'tip_z'; did you mean 'tip_"),
-    "wrong joint name": (DATA.replace("wrist", "wirst"), "no column 'wrist'; did you mean 'wirst'? (if your file"),
+    "missing measured column": (DATA.replace("tip_z", "other"), "data.csv: no column 'tip_z'; the file has turn"),
+    "wrong joint name": (DATA.replace("wrist", "wirst"), "no column 'wrist'; did you mean 'wirst'? The file has turn,"),
     "duplicate column": (data(line1="turn,slide,wrist,tip_x,tip_y,tip_y"), "data.csv: column 'tip_y' appears twice"),
     "duplicate with another unit": (DATA.replace("tip_y [mm]", "turn [deg]"), "data.csv: column 'turn' appears twice"),
     "nameless column": (data(line1="turn,,wrist,tip_x,tip_y,tip_z"), "data.csv: column 2 has no name in the header"),

@@ -29,6 +29,12 @@ def columns_in(instrument: Instrument, table: Table) -> list[str]:
     return [name for name in names if name in table.names]
 
 
+def nearest_free_column(name: str, robot: Robot, table: Table) -> str:
+    """Return the hint for a column that a table lacks; no column that another joint or instrument reads is offered."""
+    read = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
+    return nearest_column(name, table.names, read | {*robot.joint_names, "pose", "setup"})
+
+
 def readings_in(
     robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
 ) -> Readings:
@@ -50,9 +56,9 @@ def readings_in(
         if hint is not None:
             raise DataError(f"{table.path}, {hint}")
         raise DataError(
-            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)} (the robot description has"
-            f" '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml' writes a"
-            " description)"
+            f"{table.path}: no column '{lacking}'{nearest_free_column(lacking, robot, table)} (the robot description"
+            f" has '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml'"
+            " writes a description)"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
@@ -62,7 +68,7 @@ def readings_in(
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
         if name not in table.names:
-            raise DataError(f"{table.path}: no column '{name}'{nearest_column(name, table.names)}")
+            raise DataError(f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
     belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))

@@ -41,7 +41,8 @@ def _reader(dimension: Dimension) -> BeforeValidator:
 def _number_or_text(value: Any) -> float | str:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
-    return value
+    huge = isinstance(value, int) and abs(value) >= 10**300  # `quantity` refuses it with its own sentence
+    return value if huge or isinstance(value, str) else float(value)
 
 
 Length = Annotated[float, _reader("length")]

@@ -42,6 +42,7 @@ class Part:
         is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
             is told in them, and the noise of positions is theirs.
         is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
+        plural: What its readings are called in a sentence; the name with an s if not given.
     """
 
     name: str
@@ -51,6 +52,12 @@ class Part:
     largest: float = float("inf")
     is_position: bool = False
     is_distance: bool = False
+    plural: str = ""
+
+    @property
+    def readings(self) -> str:
+        """What its readings are called in a sentence."""
+        return self.plural or f"{self.name}s"
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 import calib
 from calib.core.data.measurements import directions_of_motion
 from calib.core.judging import findings
+from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.effect_kinds import Family, Kind
 from calib.core.judging.effects import ORDERS, JointWaves
 from calib.core.judging.residual_patterns import Pattern, describe
@@ -109,6 +110,13 @@ def test_a_tracker_that_moved_while_measuring_is_found(arm):
     patterns = significant(fitted(arm, joints(80), shift=moved))
     assert patterns[0].kind == "drift"
     assert "if a tracker or base had moved" in describe(patterns[0], arm.mechanism.dimensions)
+
+
+def test_rows_that_show_a_change_in_their_course_are_not_called_unordered(arm):
+    moved = np.zeros((80, 1, 3))
+    moved[50:, 0, 1] = 2e-4
+    assert not any("random order" in line for line in not_covered(fitted(arm, joints(80), shift=moved)))
+    assert any("random order" in line for line in not_covered(fitted(arm, joints(80))))
 
 
 def test_a_joint_that_slipped_while_measuring_is_found(arm):

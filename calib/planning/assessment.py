@@ -33,7 +33,14 @@ from calib.core.numerics.observability import Information, TaskIndex, informatio
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.core.rows.candidates import (
+    WHITENED,
+    assumed_sigma,
+    positions_at,
+    require_free,
+    rows_of_measured,
+    rows_of_poses,
+)
 from calib.core.rows.determination import Determination, determination
 from calib.core.rows.observed import looks_at, observe
 from calib.core.rows.prediction import beside_common_motion
@@ -223,8 +230,10 @@ def check(
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]
     elimination = eliminate(determined.columns, order)
-    counting = Poses(poses.joints, poses.labels, poses.names, poses.path, ()) if task is None else task
-    _, positions, task_rows = rows_of_measured(robot, counting, sigma)
+    if task is None:
+        positions, task_rows = positions_at(robot, configurations)
+    else:
+        _, positions, task_rows = rows_of_measured(robot, task, sigma)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
     beside = known.position_errors(beside_common_motion(positions[:, robot.located], task_rows))

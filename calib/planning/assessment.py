@@ -27,6 +27,7 @@ from calib.core.base.units import in_si, millimetres
 from calib.core.base.words import counted, data_frame, listed, titled_html
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate
 from calib.core.numerics.null_space import UnseenGroup, null_groups
 from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
@@ -342,7 +343,7 @@ def accuracy_by_count(
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
     if problem.known.rank.rank == 0:  # no number of poses determines anything
         return ()
-    rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    rank_left = problem.known.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
@@ -366,7 +367,7 @@ def accuracy_by_count(
 
 def _directions_of_a_pose(rows: FloatArray) -> int:
     """How many directions a pose determines at most; its rows, (n, n_rows, n_parameters), may repeat each other."""
-    strengths = np.linalg.svd(rows, compute_uv=False)
+    strengths = linalg.singular_values(rows)
     return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 
 

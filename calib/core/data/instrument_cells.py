@@ -13,6 +13,7 @@ from calib.core.data.on_demand import Numbered, picked
 from calib.core.data.robot_tables import odd_unit
 from calib.core.data.tables import Table
 from calib.core.instruments.kind import Instrument, Readings
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 
 
@@ -151,7 +152,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
         correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
-    smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
+    smallest = linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
         raise DataError(

@@ -14,6 +14,7 @@ from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.numerics.graphs import connected_parts
+from calib.core.numerics import linalg
 from calib.core.robots.configurations import close
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
@@ -102,7 +103,7 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     )
     if len(points) == 0 or turned:
         return
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    spread = linalg.singular_values(points - points.mean(axis=0))
     same = len(unmoved_joints(robot, data.joints)) == len(robot.joint_names)
     if len(spread) > 1 and spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
         return
@@ -133,7 +134,7 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
     if len(moved) == 0:
         return []
     scaled = (joints[:, moved] - joints[:, moved].mean(axis=0)) / reach[moved]
-    _, spread, directions = np.linalg.svd(scaled, full_matrices=len(scaled) < len(moved))
+    _, spread, directions = linalg.svd(scaled, full_matrices=len(scaled) < len(moved))
     unseen = directions[int(np.sum(spread > _ALONE * spread[0])) :]
     projector = np.abs(unseen.T @ unseen) > _TIED
     groups = [part for part in connected_parts(projector) if projector[part[0], part[0]]]
@@ -167,7 +168,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
-    null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
+    null = linalg.svd(determined.open_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(

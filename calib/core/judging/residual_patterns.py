@@ -47,6 +47,7 @@ from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_s
 from calib.core.base.words import joints_named
 from calib.core.judging.effect_kinds import Family, Kind, Trait
 from calib.core.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.clusters import LeftOut
 from calib.core.numerics.tall import Span, in_parts
@@ -118,7 +119,7 @@ class LinearFit:
         size = np.linalg.norm(effects, axis=0)
         columns = effects[:, size > 0] / size[size > 0]
         left = self.after_fit(columns)
-        values, vectors = np.linalg.eigh(columns.T @ left)
+        values, vectors = linalg.eigh(columns.T @ left)
         seen = values > _ABSORBED
         root = vectors[:, seen] / np.sqrt(values[seen])
         absorbed, fewer = left @ root, int(np.sum(seen))
@@ -418,7 +419,7 @@ def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> tuple[list[
     size = np.where(shown[:, None], size, 1.0)
     absorbed = np.array([effect.absorbed for effect in effects]) / size[:, None, :]
     left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
-    values, vectors = np.linalg.eigh(left)
+    values, vectors = linalg.eigh(left)
     determined = values > _ABSORBED
     score = np.array([effect.score for effect in effects]) / size
     score = np.where(determined, np.matmul(score[:, None, :], vectors)[:, 0], 0.0)
@@ -450,7 +451,7 @@ def _chance(residuals: LinearFit, tested: _Tested, effect: Effect, explained: Fl
     """
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
-    basis = scipy.linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
+    basis = linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
 

@@ -44,6 +44,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.comparison_report import Difference, Pair, ResultComparison
+from calib.core.results.result_format import unchanged
 from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.core.results.results import save
 from calib.core.robots import loading
@@ -76,7 +77,8 @@ class _Result:
         known = load_uncertainty(folder, robot)
         free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
         freedom = float(content["degrees_of_freedom"])
-        return cls(name, content, robot, free, known.covariance, freedom, readings_of(folder / "residuals.csv"))
+        readings = readings_of(unchanged(folder, "residuals.csv", content))
+        return cls(name, content, robot, free, known.covariance, freedom, readings)
 
     def parameters(self, names: Sequence[str]) -> list[Parameter]:
         """Return the parameters of these names."""

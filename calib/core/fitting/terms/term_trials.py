@@ -224,7 +224,7 @@ class Trials:
         self._by_column = {
             name: self._design.columns(block.by(unknowns.index) * unknowns.scales) for name, block in observed.items()
         }
-        partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
+        partitions = [boxes(data.joints, data.pose_numbers, BLOCKS, self.robot.mechanism.depths)]
         if np.ptp(data.conditions.time) > 0:
             partitions.append(stretches(data, BLOCKS))
         if data.setups is not None and np.ptp(data.setups) > 0:

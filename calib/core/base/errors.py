@@ -13,6 +13,8 @@ from collections.abc import Collection, Iterable
 from difflib import SequenceMatcher
 from itertools import takewhile
 
+from calib.core.base.letters import brief, visible
+
 _ALIKE = 0.6
 """Part of two names that must agree for one to be a misspelling of the other."""
 _LISTED = 100
@@ -20,9 +22,16 @@ _LISTED = 100
 
 
 class CalibrationError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose.
+
+    Args:
+        message: What is wrong, where, and what to do; what it quotes of files is shown as far as a person reads it.
+    """
 
     exit_code = 3
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(brief(visible(message)))
 
 
 class InputError(CalibrationError):

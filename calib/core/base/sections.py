@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.files import read_text
+from calib.core.base.letters import unseen
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension, quantity
 
@@ -201,6 +202,8 @@ def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
     """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
     if id(node) not in sizes:
         sizes[id(node)] = 0  # while its parts are counted
+        if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):
+            raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
         parts = node.value if isinstance(node, yaml.CollectionNode) else ()
         sizes[id(node)] = 1 + sum(
             _size(part, sizes) for entry in parts for part in (entry if isinstance(entry, tuple) else (entry,))

@@ -126,8 +126,7 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
     """
     order, starts = _by_pose(joints, by_name)
     sizes = np.diff(starts, append=len(order))
-    centres = np.add.reduceat(joints[order], starts) / sizes[:, None]
-    centres = _both_ways_alike(centres)
+    centres = _both_ways_alike(np.add.reduceat(joints[order], starts) / sizes[:, None])
     sizes_in_order = np.abs(centres.T).astype(">f8")  # the bytes of such numbers are sorted as the numbers are
     by_base = sorted(range(len(depths)), key=lambda joint: (depths[joint], sizes_in_order[joint].tobytes()))
     centres = centres[:, by_base]

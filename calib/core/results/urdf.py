@@ -10,6 +10,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Sequence
 
+from calib.core.base.letters import visible
 from calib.core.base.version import PROGRAM
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
@@ -80,4 +81,4 @@ def numbers(values: Iterable[float]) -> str:
 def comment(lines: Sequence[str]) -> str:
     """Return an XML comment, one line each; ASCII, so that it fits every encoding."""
     text = "\n".join(lines).encode("ascii", "backslashreplace").decode()
-    return "<!-- " + re.sub(r"-(?=-|$)", "- ", text) + "\n-->"
+    return "<!-- " + re.sub(r"-(?=-|$)", "- ", visible(text)) + "\n-->"

@@ -13,8 +13,8 @@ from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics import linalg
+from calib.core.numerics.graphs import connected_parts
 from calib.core.robots.configurations import close
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition

@@ -304,7 +304,7 @@ BAD = {
             ("$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}", "BAS(#TOOL,4)", "TOOL_DATA[4] is not known here"),
             ("$BASE=$NULLFRAME", "BAS(#BASE,5)", "BASE_DATA[5] is not known here"),
             ("$BASE=$NULLFRAME", "$BASE=found", "found is not known here"),
-            ("$BASE=$NULLFRAME", "FDAT_ACT=FP9", "FP9 is declared nowhere here"),
+            ("$BASE=$NULLFRAME", "FDAT_ACT=FP9\nBAS(#PTP_PARAMS,100)", "FP9 is declared nowhere here"),
             ("$TOOL={X 0,", "$TOOL={X h,", "$TOOL is not six plain numbers"),
             ("$TOOL={X 0,", "$TOOL={", "$TOOL is not six plain numbers"),
             ("$BASE=$NULLFRAME", "$BASE=$NULLFRAME\n$IPO_MODE=#TCP", "the tool is not on the robot"),

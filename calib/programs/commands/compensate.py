@@ -86,6 +86,12 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
     multiple=True,
     help="Controllers' programs: tools and frames that PROGRAM does not declare; a table, RAPID module or $config.dat.",
 )
+@click.option(
+    "--harmless",
+    metavar="NAME",
+    multiple=True,
+    help="Controllers' programs: a routine declared elsewhere that changes no target, tool, frame or mode of motion.",
+)
 @click.option("--base-link", metavar="LINK", help="Controllers' programs: the controller's base frame in the URDF.")
 @click.option("--flange-link", metavar="LINK", help="Controllers' programs: the controller's flange in the URDF.")
 @click.option(
@@ -108,6 +114,7 @@ def command(
     zero: str | None,
     start: str | None,
     frames: tuple[str, ...],
+    harmless: tuple[str, ...],
     base_link: str | None,
     flange_link: str | None,
     third_joint: str | None,
@@ -146,15 +153,15 @@ def command(
         )
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)
-    if suffix not in languages.SUFFIXES and (frames or any(link is not None for link in links)):
+    if suffix not in languages.SUFFIXES and (frames or harmless or any(link is not None for link in links)):
         raise InputError(
-            "--frames, --base-link, --flange-link and --third-joint are for programs of controllers"
+            "--frames, --harmless, --base-link, --flange-link and --third-joint are for programs of controllers"
             f" ({', '.join(languages.SUFFIXES)}); leave them out"
         )
     if suffix in languages.SUFFIXES:
         if any(option is not None for option in (keep, grid, zero, start, tolerance_mm)):
             raise InputError("--keep, --grid, --zero, --start and --tolerance-mm are not for programs of controllers")
-        compensate_controller(known, program, result, frames, links, skip_unreachable, out, output)
+        compensate_controller(known, program, result, frames, harmless, links, skip_unreachable, out, output)
         return
     if suffix in SUFFIXES:
         if keep is not None or grid is not None or skip_unreachable:

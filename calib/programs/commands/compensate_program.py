@@ -33,6 +33,7 @@ def compensate_controller(
     path: str,
     result: str,
     frames: Sequence[str],
+    harmless: Sequence[str],
     links: tuple[str | None, str | None, str | None],
     skip_unreachable: bool,
     out: str,
@@ -45,6 +46,7 @@ def compensate_controller(
         path: The program.
         result: Folder of the calibration, for messages.
         frames: --frames.
+        harmless: --harmless.
         links: --base-link, --flange-link and --third-joint.
         skip_unreachable: Whether targets that cannot be compensated stay as they are.
         out: File to write; a `.dat` file goes beside it.
@@ -58,7 +60,7 @@ def compensate_controller(
     suffix = Path(path).suffix
     if Path(out).suffix.lower() != suffix.lower():
         raise InputError(f"{out}: the program has the language of {path}, whose names end in {suffix}; end it so, too")
-    program = read_program(path, frames)
+    program = read_program(path, frames, harmless)
     places = [Path(out), *(Path(out).with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))
     base, flange, third_joint = links

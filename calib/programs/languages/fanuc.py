@@ -8,19 +8,20 @@ Numbers keep their three decimals and their columns.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from calib.core.base.errors import DataError
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.fanuc_statements import WORDS, FanucStatements
+from calib.programs.languages.harmless import names
 from calib.programs.languages.robot_program import (
     DEGREE,
     MILLIMETRE,
-    NUMBER,
-    Collector,
     Configuration,
     LeftOutError,
     Number,
@@ -29,127 +30,231 @@ from calib.programs.languages.robot_program import (
     Source,
     cells_at,
 )
+from calib.programs.languages.tokens import Code, Span
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
-_BLANK = r"(?m)^\s*\d+:\s*(?:!|//)[^\n]*"
-_MOTION = re.compile(r"(?m)^\s*\d*:\s*([JLCAS])\s+([^;]*);")
-_PLACE = re.compile(r"P\[\s*(\w+\[[^\]]*\]|[^\]:]+?)\s*(?::[^\]]*)?\]|PR\[[^\]]*\]")
-_CHANGED = re.compile(r"\b(Tool_Offset|Offset|VOFFSET|TOOL_OFFSET|OFFSET|INC|LOCK\s+PREG|CV_TCP)\b", re.IGNORECASE)
-_POSITION = re.compile(r"P\[\s*(\d+)\s*(?::[^\]]*)?\]\s*\{(.*?)\}\s*;", re.DOTALL)
-_GROUP = re.compile(r"GP(\d+)\s*:")
-_FIELD = re.compile(rf"\b([XYZWPR]|[JE]\d)(\s*=)(\s*)({NUMBER})\s*(mm|deg)\b")
-_FRAME = re.compile(r"UF\s*:\s*(\w+)\s*,\s*UT\s*:\s*(\w+)")
-_CONFIG = re.compile(r"CONFIG\s*:\s*'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+_SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
+_CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+_CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
+_KNOWN = names(
+    """FINE ACC CR WJNT RT_LD AP_LD PTH BREAK MROT SKIP LBL TA TB DB DA SEC MSEC MM CM MIN DEG INCH EV PSPD P SPS SPOT
+    CALL     TIME BEFORE AFTER MAX_SPEED WELD_SPEED ON OFF R DO RO GO AO F PULSE ARC START END WEAVE SINE"""
+)
 _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
 _TURNING = (0, 3, 4, 5)
 
 
-def read_fanuc(path: Path | str, frames: Mapping[str, pin.SE3 | str]) -> RobotProgram:
+def read_fanuc(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
     """Read a program.
 
     Args:
         path: The file.
         frames: `UFRAME[1]`, `UTOOL[1]`, ...; those of number 0 are the robot's base and its flange.
+        harmless: Programs and macros that change no frame and no tool, in capitals.
 
     Raises:
         DataError: The message names file and line.
     """
-    source = Source.read(path, "a FANUC program as text (LS)", _BLANK)
-    positions = source.code.find("/POS")
-    if positions < 0 or "/MN" not in source.code[:positions]:
+    source = Source.read(path, "a FANUC program as text (LS)")
+    sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
+    if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
         raise DataError(f"{path}: has no /MN and /POS sections; save the program as text (LS)")
-    collector = Collector()
-    declared = {match[1]: match for match in _POSITION.finditer(source.code, positions)}
-    for motion in _MOTION.finditer(source.code, 0, positions):
-        for place in _PLACE.finditer(source.code, motion.start(2), motion.end(2)):
-            if source.code[motion.start(2) : place.start()].rstrip().endswith(","):
-                continue  # of an offset
+    end = sections["END"].start() if "END" in sections else None
+    positions = _positions(Code(source, WORDS, lines="blank", part=slice(sections["POS"].end(), end)))
+    instructions = Code(source, WORDS, lines="blank", part=slice(sections["MN"].end(), sections["POS"].start()))
+    return _Reader(source, instructions, positions, frames, harmless).program()
+
+
+@dataclass(frozen=True)
+class _Position:
+    """A position of `/POS`.
+
+    Attributes:
+        code: Words of the section.
+        at: Its first word.
+        groups: Its motion groups.
+        fields: Place of the number of each field, from behind the equals sign, and its unit.
+        frame, tool: Numbers of its user frame and tool, as written; empty where it has none.
+        configuration: As written, with quotes; empty where it has none.
+    """
+
+    code: Code
+    at: int
+    groups: tuple[str, ...]
+    fields: Mapping[str, tuple[int, Span, str]]
+    frame: str
+    tool: str
+    configuration: str
+
+
+def _positions(code: Code) -> dict[str, _Position]:
+    """Positions of the section by number."""
+    positions: dict[str, _Position] = {}
+    for at in code.names(0, len(code.tokens) - 5):
+        if (
+            code.tokens[at].text != "P"
+            or not code.is_mark(at + 1, "[")
+            or not code.is_mark(code.partner[at + 1] + 1, "{")
+        ):
+            continue
+        number = code.tokens[at + 2].text.partition(":")[0].strip()
+        if number in positions:
+            raise DataError(f"{code.where(at)}: P[{number}] is in /POS twice; save the program again")
+        opening = code.partner[at + 1] + 1
+        positions[number] = _position(code, at, opening + 1, code.partner[opening])
+    return positions
+
+
+def _position(code: Code, at: int, first: int, stop: int) -> _Position:
+    groups, fields, said = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
+    for k in code.names(first, stop):
+        name = code.tokens[k].text
+        if name.startswith("GP") and code.is_mark(k + 1, ":"):
+            groups.append(name)
+        elif code.is_mark(k + 1, ":"):
+            said.setdefault(name, code.tokens[k + 2].text)
+        elif code.is_mark(k + 1, "="):
+            behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
+            number = code.number(k + 2, behind)
+            unit = code.tokens[behind].text
+            if number is not None and unit in ("MM", "DEG"):
+                if name in fields:
+                    raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
+                fields[name] = (code.tokens[k + 1].end, number, unit)
+    return _Position(code, at, tuple(groups), fields, *(said.get(key, "") for key in ("UF", "UT", "CONFIG")))
+
+
+class _Reader(FanucStatements):
+    def __init__(
+        self,
+        source: Source,
+        code: Code,
+        positions: Mapping[str, _Position],
+        frames: Mapping[str, pin.SE3 | str],
+        harmless: Collection[str],
+    ) -> None:
+        super().__init__(source, code, harmless)
+        self.positions, self.frames = positions, frames
+
+    def program(self) -> RobotProgram:
+        """Read the instructions, follow the program, and take in its moves."""
+        self.read()
+        self.uses.follow()
+        self.flow.follow()
+        return self.collector.program(LANGUAGE, [self.source])
+
+    def move(self, places: list[Span], options: Span, state: State | None) -> None:
+        """Take in one motion: its places and the words behind them, and what holds there."""
+        for span in places:
+            start, position = self.code.tokens[span[0]].start, None
             try:
-                collector.take(_target(source, place, motion[2], declared, frames), source, place.start())
+                found, changed = self._position(span), self._changed(options)
+                if changed.upper() in ("", "INC"):  # others move along with the position
+                    position = found
+                if changed:
+                    raise LeftOutError(f"is computed at run time ({changed})")
+                if state is None:
+                    raise LeftOutError("is a place to which the program never comes")
+                self.collector.take(self._target(found, state), self.source, start)
             except LeftOutError as why:
-                collector.leave(source, place.start(), source.shown(*place.span()), str(why))
-    return collector.program(LANGUAGE, [source])
+                if position is not None and position.fields:
+                    name = "J1" if "J1" in position.fields else "X"
+                    if name in position.fields:
+                        self.collector.refuse(self._cells(position, (name,)))
+                self.collector.leave(self.source, start, self.code.shown(*span), str(why))
 
+    def _changed(self, options: Span) -> str:
+        """A word behind the places that changes the target; a word that is not known."""
+        for at in self.code.names(*options):
+            token = self.code.tokens[at]
+            if token.text in _CHANGED:
+                return self.code.shown(at, at + 1)
+        for at in self.code.names(*options):
+            text = self.code.tokens[at].text
+            if text.rstrip("0123456789") not in ("CNT", "ACC", "CR", *_KNOWN) and not self.called(at):
+                raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
+        return ""
 
-def _target(
-    source: Source,
-    place: re.Match[str],
-    motion: str,
-    declared: Mapping[str, re.Match[str]],
-    frames: Mapping[str, pin.SE3 | str],
-) -> ProgramTarget:
-    """The target of a motion."""
-    changed = _CHANGED.search(motion)
-    if place[0].startswith("PR"):
-        raise LeftOutError("is a position register; its numbers are not in the program")
-    if not place[1].isdigit():
-        raise LeftOutError("is computed at run time")
-    if changed:
-        raise LeftOutError(f"is computed at run time ({changed[0]})")
-    position = declared.get(place[1])
-    if position is None:
-        raise DataError(f"{source.where(place.start())}: P[{place[1]}] is not in /POS; save the program again")
-    groups = _GROUP.findall(position[2])
-    if groups != ["1"]:
-        raise LeftOutError("moves other motion groups, which the description does not have")
-    fields = {match[1]: match for match in _FIELD.finditer(source.code, *position.span(2))}
-    if any(float(match[4]) for name, match in fields.items() if name.startswith("E")):
-        raise LeftOutError("moves external axes, which the description does not have")
-    name, line = f"P[{place[1]}]", source.line(position.start())
-    if set(_JOINTS) <= set(fields):
-        return ProgramTarget(line, source.path, name, _cells(source, fields, _JOINTS), None)
-    if not set(_POSE) <= set(fields):
-        missing = next(key for key in _POSE if key not in fields)
-        raise DataError(f"{source.where(position.start())}: {name} has no number for {missing}; correct it")
-    which = _FRAME.search(position[2])
-    if which is None:
-        raise DataError(f"{source.where(position.start())}: {name} does not say UF and UT; save the program again")
-    frame, tool = (
-        _frame(kind, number, frames) for kind, number in zip(("UFRAME", "UTOOL"), which.groups(), strict=True)
-    )
-    configuration = _configuration(source, position)
-    cells = _cells(source, fields, _POSE)
-    return ProgramTarget(line, source.path, name, cells, "xyz", frame, tool, configuration)
+    def _position(self, span: Span) -> _Position:
+        name = self.place(span)
+        if name == "PR":
+            raise LeftOutError("is a position register; its numbers are not in the program")
+        if not name[2:-1].isdigit():
+            raise LeftOutError("is computed at run time")
+        if name[2:-1] not in self.positions:
+            raise DataError(f"{self.code.where(span[0])}: {name} is not in /POS; save the program again")
+        return self.positions[name[2:-1]]
 
-
-def _cells(source: Source, fields: Mapping[str, re.Match[str]], names: tuple[str, ...]) -> tuple[Number, ...]:
-    """Numbers with the blanks before them, which make room for a sign."""
-    cells = cells_at(
-        source,
-        0,
-        [fields[name].span(4) for name in names],
-        [MILLIMETRE if fields[name][5] == "mm" else DEGREE for name in names],
-    )
-    return tuple(
-        replace(
-            cell,
-            start=fields[name].start(3),
-            width=len(fields[name][3]) + len(fields[name][4]),
-            decimals=len(fields[name][4].partition(".")[2]),
+    def _target(self, position: _Position, state: State) -> ProgramTarget:
+        """The target of a motion."""
+        code, fields, where = position.code, position.fields, position.code.where(position.at)
+        name = f"P[{code.tokens[position.at + 2].text.partition(':')[0].strip()}]"
+        why = self.uses.why_not(name) or self.uses.why_not("P[*]")
+        if why:
+            raise LeftOutError(why)
+        if position.groups != ("GP1",):
+            raise LeftOutError("moves other motion groups, which the description does not have")
+        if any(float(self.source.text[slice(*fields[key][1])]) for key in fields if key.startswith("E")):
+            raise LeftOutError("moves external axes, which the description does not have")
+        line = code.line(position.at)
+        if set(_JOINTS) <= set(fields):
+            return ProgramTarget(line, self.source.path, name, self._cells(position, _JOINTS), None)
+        if not set(_POSE) <= set(fields):
+            missing = next(key for key in _POSE if key not in fields)
+            raise DataError(f"{where}: {name} has no number for {missing}; correct it")
+        if not position.frame or not position.tool:
+            raise DataError(f"{where}: {name} does not say UF and UT; save the program again")
+        frame, tool = (
+            self._frame(kind, number, state) for kind, number in (("UFRAME", position.frame), ("UTOOL", position.tool))
         )
-        for cell, name in zip(cells, names, strict=True)
-    )
+        configuration = _configuration(where, position.configuration)
+        cells = self._cells(position, _POSE)
+        return ProgramTarget(line, self.source.path, name, cells, "xyz", frame, tool, configuration)
+
+    def _cells(self, position: _Position, names: tuple[str, ...]) -> tuple[Number, ...]:
+        """Numbers with the blanks before them, which make room for a sign."""
+        fields = [position.fields[name] for name in names]
+        units = [MILLIMETRE if unit == "MM" else DEGREE for _, _, unit in fields]
+        cells = cells_at(self.source, 0, [number for _, number, _ in fields], units)
+        return tuple(
+            replace(
+                cell,
+                start=start,
+                width=number[1] - start,
+                decimals=len(self.source.text[slice(*number)].partition(".")[2]),
+            )
+            for cell, (start, number, _) in zip(cells, fields, strict=True)
+        )
+
+    def _frame(self, kind: str, number: str, state: State) -> pin.SE3:
+        what = "user frame" if kind == "UFRAME" else "tool"
+        selected = state[f"{kind}_NUM"]
+        if isinstance(selected, Unknown):
+            raise LeftOutError(f"which {what} is selected {selected.why}")
+        if selected not in ("", number):
+            raise LeftOutError(f"is of {what} {number}, and {selected} is selected here")
+        if number == "0":
+            return pin.SE3.Identity()
+        name = f"{kind}[{number}]"
+        frame = self.frames.get(name)
+        if frame is None:
+            given = f"is not known; give {name} with --frames"
+            raise LeftOutError(f"its {what} {given if number.isdigit() else 'is chosen at run time'}")
+        for changed in (state.get(name), state[kind]):
+            if isinstance(changed, Unknown):
+                raise LeftOutError(f"{name} {changed.why}")
+        if isinstance(frame, str):
+            raise LeftOutError(frame)
+        return frame
 
 
-def _frame(kind: str, number: str, frames: Mapping[str, pin.SE3 | str]) -> pin.SE3:
-    if number == "0":
-        return pin.SE3.Identity()
-    frame = frames.get(f"{kind}[{number}]")
-    if frame is None:
-        why = "is chosen at run time" if not number.isdigit() else f"is not known; give {kind}[{number}] with --frames"
-        raise LeftOutError(f"its {'user frame' if kind == 'UFRAME' else 'tool'} {why}")
-    if isinstance(frame, str):
-        raise LeftOutError(frame)
-    return frame
-
-
-def _configuration(source: Source, position: re.Match[str]) -> Configuration:
+def _configuration(where: str, text: str) -> Configuration:
     """N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0."""
-    match = _CONFIG.search(position[2])
+    match = _CONFIG.fullmatch(text)
     if match is None:
-        raise DataError(f"{source.where(position.start())}: has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
+        raise DataError(f"{where}: has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
     if any(int(turn) for turn in match.groups()[3:]):
         raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
     ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
     flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
-    return Configuration(match[0], ranges, **flags)
+    return Configuration(f"CONFIG : {text}", ranges, **flags)

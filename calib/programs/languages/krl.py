@@ -1,309 +1,209 @@
 """Targets of KRL, the language of KUKA: a `.src` file with the `.dat` file beside it.
 
 Read are `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes (`E6AXIS`,
-`AXIS`), declared in either file or written out. Tool and base are those that hold there in the text: of the inline
-forms (`FDAT_ACT` or the spline's `STOOL2`, `SBASE`), of `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or set in `$TOOL` and
-`$BASE`. `TOOL_DATA` and `BASE_DATA` stand in the controller's `$config.dat`, or in a table of frames.
+`AXIS`), declared in either file or written out. Tool and base are those that hold there on every way to the motion: of
+the inline forms (`FDAT_ACT` and a `BAS` behind it, or the spline's `STOOL2`, `SBASE`), of `BAS(#TOOL, ...)` and
+`BAS(#BASE, ...)`, or set in `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` stand in the controller's `$config.dat`,
+or in a table of frames.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Hashable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.krl_statements import Aggregate, Frame, KrlStatements
 from calib.programs.languages.orientations import pose_of
 from calib.programs.languages.robot_program import (
     DEGREE,
     MILLIMETRE,
-    NUMBER,
-    Collector,
     Configuration,
     LeftOutError,
     Number,
     ProgramTarget,
     RobotProgram,
     Source,
-    arguments,
     cells_at,
-    closing,
 )
+from calib.programs.languages.tokens import Span
 
 LANGUAGE, SUFFIXES = "KRL", (".src",)
-_BLANK = r'"[^"\n]*"|;[^\n]*'
 _WHAT = "a KRL program"
-_DECLARED = re.compile(
-    r"^[ \t]*(?:DECL[ \t]+)?(?:GLOBAL[ \t]+)?(?:(E6POS|POS|FRAME|E6AXIS|AXIS|FDAT)[ \t]+)?([$\w]+(?:\[\d+\])?)[ \t]*="
-    r"[ \t]*(?=\{)",
-    re.IGNORECASE | re.MULTILINE,
-)
-_ASSIGNED = re.compile(r"^[ \t]*(?!DECL\b)(\w+)(?:\[[^\]\n]*\])?(?:\.\w+)?[ \t]*=(?!=)", re.IGNORECASE | re.MULTILINE)
-_MOVE = re.compile(r"^[ \t]*(S?PTP|S?LIN|S?CIRC|SPL)(_REL)?[ \t]+([^\n]*)", re.IGNORECASE | re.MULTILINE)
-_STATE = re.compile(
-    r"^[ \t]*(?:(\$TOOL|\$BASE|FDAT_ACT|\$IPO_MODE)[ \t]*=[ \t]*([^\n]*)"
-    r"|BAS[ \t]*\([ \t]*#(TOOL|BASE)[ \t]*,([^)\n]*)\))",
-    re.IGNORECASE | re.MULTILINE,
-)
-_SPLINE = re.compile(
-    r"^[ \t]*(?:(ENDSPLINE)\b|(?:PTP_)?SPLINE\b(?:[ \t]+WITH\b([^\n]*))?)", re.IGNORECASE | re.MULTILINE
-)
-_WITH = re.compile(r"(\$TOOL|\$BASE)\s*=\s*(.*)", re.IGNORECASE)
-_FORM = re.compile(r"S(?:TOOL2?|BASE)\s*\(\s*(\w+)", re.IGNORECASE)
-_COMPONENT = re.compile(rf"\s*([A-Z]\w*)\s+({NUMBER})\s*", re.IGNORECASE)
-_MEMBER = re.compile(r"(TOOL_NO|BASE_NO)\s+(\d+)|IPO_FRAME\s+(#\w+)", re.IGNORECASE)
 _POSE, _AXES = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
 _NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
 
 
-@dataclass(frozen=True)
-class _Literal:
-    """Components in braces."""
-
-    file: int
-    start: int
-    name: str
-    components: Mapping[str, tuple[int, int]]
-
-
-@dataclass(frozen=True)
-class _Held:
-    """Tool and base that hold somewhere in the text, or why they are not known.
-
-    Attributes:
-        tool, base: T_flange_tool and T_base_frame.
-        outside: Whether the tool is not on the robot.
-        of_tool, of_base: Places of the positions that they were set to.
-    """
-
-    tool: pin.SE3 | str
-    base: pin.SE3 | str
-    outside: bool = False
-    of_tool: tuple[tuple[int, int], ...] = ()
-    of_base: tuple[tuple[int, int], ...] = ()
-
-
-def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str]) -> RobotProgram:
+def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
     """Read a program and the `.dat` file beside it, if there is one.
 
     Args:
         path: The `.src` file.
         frames: `TOOL_DATA[1]`, `BASE_DATA[2]`, ... that it does not set.
+        harmless: Routines of other files that set no data, tool or base, in capitals.
 
     Raises:
         DataError: The message names file and line.
     """
     beside = [Path(path).with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat")]
     data_files = [file for file in beside if file.is_file()][:1]
-    return _Reader([Source.read(file, _WHAT, _BLANK) for file in (Path(path), *data_files)], frames).program()
+    reader = _Reader([Source.read(file, _WHAT) for file in (Path(path), *data_files)], frames, harmless)
+    return reader.program()
 
 
 def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
-    return _Reader([Source.read(path, "a KRL data list", _BLANK)], {}).frames
+    reader = _Reader([Source.read(path, "a KRL data list")], {}, ())
+    reader.read_data(0)
+    frames: dict[str, pin.SE3 | str] = {}
+    for name in reader.declared:
+        if name.startswith(("TOOL_DATA[", "BASE_DATA[")):
+            frame = reader.frame_named(name, reader.flow.start)
+            frames[name] = pose_of(frame.values, "zyx") if isinstance(frame, Frame) else getattr(frame, "why", name)
+    return frames
 
 
-class _Reader:
-    def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str]) -> None:
-        self.sources, self.collector = sources, Collector()
-        self.declared: dict[str, _Literal | None] = {}
-        self.forms: dict[str, str] = {}
-        self.frames: dict[str, pin.SE3 | str] = {**frames}
-        for file, source in enumerate(sources):
-            self._declarations(file, source)
-        self.set_later = {match[1].upper() for match in _ASSIGNED.finditer(sources[0].code)}
-        self.held = _Held(
-            "nothing before it selects a tool (BAS, $TOOL, an inline form)",
-            "nothing before it selects a base (BAS, $BASE, an inline form)",
-        )
-
-    def _declarations(self, file: int, source: Source) -> None:
-        for match in _DECLARED.finditer(source.code):
-            opening, name = match.end(), match[2].upper()
-            end = closing(source.code, opening)
-            if end is None or name in ("$TOOL", "$BASE"):
-                continue
-            if (match[1] or "").upper() == "FDAT":
-                self.forms[name] = source.code[opening : end + 1]
-            elif name.startswith(("TOOL_DATA[", "BASE_DATA[")):
-                self.frames[name] = self._frame(file, opening, end + 1, name)
-            elif match[1] or name not in self.declared:
-                self.declared[name] = self._literal(file, opening, end + 1, match[2])
-
-    def _literal(self, file: int, start: int, end: int, name: str = "") -> _Literal | None:
-        """What stands in braces; None where it is not plain numbers."""
-        code = self.sources[file].code
-        if code[start] != "{" or closing(code, start) != end - 1:
-            return None
-        first = re.compile(r"\{\s*(?:\w+\s*:)?").match(code, start)  # the type may stand first
-        assert first is not None
-        components = {}
-        for left, right in arguments(code, first.end(), end - 1):
-            match = _COMPONENT.fullmatch(code, left, right)
-            if match is None:
-                return None
-            components[match[1].upper()] = match.span(2)
-        return _Literal(file, start, name, components)
-
-    def _frame(self, file: int, start: int, end: int, name: str) -> pin.SE3 | str:
-        literal = self._literal(file, start, end)
-        if literal is None or not set(_POSE) <= set(literal.components):
-            return f"{name} is not six plain numbers"
-        return pose_of([cell.value for cell in self._cells(literal, _POSE)], "zyx")
-
-    def _cells(self, literal: _Literal, names: tuple[str, ...]) -> tuple[Number, ...]:
-        units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
-        spans = [literal.components[name] for name in names]
-        return cells_at(self.sources[literal.file], literal.file, spans, units)
+class _Reader(KrlStatements):
+    def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        super().__init__(sources, harmless)
+        self.frames = frames
 
     def program(self) -> RobotProgram:
-        """Walk through the text."""
-        code = self.sources[0].code
-        matches = [*_MOVE.finditer(code), *_STATE.finditer(code), *_SPLINE.finditer(code)]
-        outside = self.held
-        for match in sorted(matches, key=lambda match: match.start()):
-            if match.re is _STATE:
-                self._set(match)
-            elif match.re is _SPLINE:
-                if match[1]:
-                    self.held = outside
-                else:
-                    outside = self.held
-                    self._with(match.start(2), match.end(2))
-            else:
-                held = self.held
-                self._move(match)
-                self.held = held
+        """Read the statements, follow the program, and take in its moves."""
+        self.read()
+        self.uses.follow()
+        self.flow.follow()
         return self.collector.program(LANGUAGE, self.sources)
 
-    def _set(self, match: re.Match[str]) -> None:
-        """Take in a tool or base that holds from here on."""
-        variable, value = (match[1] or "").upper(), (match[2] or "").strip().upper()
-        if match[3]:
-            self._choose(match[3].upper(), match[4].strip())
-        elif variable == "$IPO_MODE":
-            self.held = replace(self.held, outside=value == "#TCP")
-        elif variable == "FDAT_ACT":
-            self._form(value)
-        else:
-            self._hold(variable, match.start(2), value)
+    def frame(self, span: Span, state: State) -> Hashable:
+        """Return what a tool or base is set to: a `Frame`, the name of a given one, or `Unknown`."""
+        if self.code.inside(*span, "{"):
+            components = self.components(0, *span)
+            if components is None or not set(_POSE) <= set(components):
+                return Unknown("is not six plain numbers")
+            return Frame(self._values(0, components))
+        return self.frame_named("".join(token.text for token in self.code.tokens[slice(*span)]), state)
 
-    def _hold(self, variable: str, start: int, value: str) -> None:
-        """Take in what `$TOOL` or `$BASE` is set to."""
-        code = self.sources[0].code
-        end = closing(code, start) if value.startswith("{") else None
-        frame = self._frame(0, start, end + 1, variable) if end is not None else self._named(value)
-        literal = self.declared.get(value.replace(" ", ""))
-        constants = ((literal.file, literal.components["X"][0]),) if literal and "X" in literal.components else ()
-        if variable == "$TOOL":
-            self.held = replace(self.held, tool=frame, of_tool=constants)
-        else:
-            self.held = replace(self.held, base=frame, of_base=constants)
-
-    def _with(self, start: int, end: int) -> None:
-        """Take in what a motion or a spline sets for itself, behind WITH."""
-        code = self.sources[0].code
-        for left, right in arguments(code, start, end):
-            match = _WITH.match(code, left, right)
-            if match is None:
-                continue
-            held, variable, form = self.held, match[1].upper(), _FORM.match(match[2])
-            if form is None:
-                self._hold(variable, match.start(2), match[2].strip().upper())
-                continue
-            self._form(form[1].upper())
-            if variable == "$BASE":
-                self.held = replace(held, base=self.held.base, of_base=(), outside=self.held.outside)
-            else:
-                self.held = replace(held, tool=self.held.tool, of_tool=(), outside=self.held.outside)
-
-    def _choose(self, kind: str, number: str) -> None:
-        frame = self._named(f"{kind}_DATA[{number}]")
-        if kind == "TOOL":
-            self.held = replace(self.held, tool=frame, of_tool=())
-        else:
-            self.held = replace(self.held, base=frame, of_base=())
-
-    def _named(self, value: str) -> pin.SE3 | str:
-        name = value.replace(" ", "")
+    def frame_named(self, name: str, state: State) -> Hashable:
+        """Return the frame of a name."""
+        unknown = Unknown(f"{name if '[' in name else name.lower()} is not known here; give $config.dat with --frames")
         if name in _NULL:
-            return pin.SE3.Identity()
-        if name in self.frames:
-            return self.frames[name]
-        literal = self.declared.get(name)
-        if literal is not None and set(_POSE) <= set(literal.components) and name not in self.set_later:
-            return pose_of([cell.value for cell in self._cells(literal, _POSE)], "zyx")
-        return f"{value.lower() if '[' not in name else name} is not known here; give $config.dat with --frames"
+            return Frame((0.0,) * 6)
+        if state.get(name) is not None:
+            return state[name]
+        base = name.partition("[")[0]
+        if base in ("TOOL_DATA", "BASE_DATA") and isinstance(state["DATA"], Unknown):
+            return Unknown(f"{name} {state['DATA'].why}")
+        data = self.declared.get(name)
+        if data is not None and data.components is None and base in ("TOOL_DATA", "BASE_DATA"):
+            return Unknown(f"{name} is not six plain numbers")
+        if data is not None and data.components is not None and set(_POSE) <= set(data.components):
+            if base not in ("TOOL_DATA", "BASE_DATA") and (self.uses.is_set(name) or (data.shared and self.foreign)):
+                return unknown
+            return Frame(self._values(data.file, data.components), ((data.file, data.components["X"][0]),))
+        return name if name in self.frames else unknown
 
-    def _form(self, name: str) -> None:
-        """Take in the tool and base of an inline form."""
-        members = {(m[1] or "IPO").upper(): (m[2] or m[3]).upper() for m in _MEMBER.finditer(self.forms.get(name, ""))}
-        if not {"TOOL_NO", "BASE_NO"} <= set(members):
-            self.held = _Held(f"{name} is declared nowhere here", f"{name} is declared nowhere here")
-            return
-        self._choose("TOOL", members["TOOL_NO"])
-        self._choose("BASE", members["BASE_NO"])
-        self.held = replace(self.held, outside=members.get("IPO") == "#TCP")
+    def form(self, name: str, state: State) -> tuple[Hashable, Hashable, Hashable]:
+        """Return tool, base and interpolation mode of an inline form."""
+        file, span = self.forms.get(name, (0, (0, 0)))
+        code, members = self.codes[file], dict[str, str]()
+        inside = code.inside(*span, "{")
+        for first, stop in code.split(*inside) if inside else []:
+            members[code.tokens[first].text] = "".join(token.text for token in code.tokens[first + 1 : stop])
+        if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
+            why = Unknown(f"{name} is {'set while the program runs' if members else 'declared nowhere here'}")
+            return why, why, why
+        tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
+        base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
+        return tool, base, members.get("IPO_FRAME", "#BASE")
 
-    def _move(self, match: re.Match[str]) -> None:
-        """Take in one motion."""
-        source, word = self.sources[0], match[1].upper()
-        pieces = re.split(r"(?i)\bWITH\b", match[3])
-        if len(pieces) > 1:
-            self._with(match.end(3) - len(pieces[-1]), match.end(3))
-        end = match.start(3) + len(pieces[0])
-        spans = list(arguments(source.code, match.start(3), end))
-        for span in spans[: 2 if word.endswith("CIRC") else 1]:
-            start = span[0]
-            stop = re.compile(r"\s+C_(?:PTP|DIS|ORI|VEL|SPL)\b.*", re.IGNORECASE | re.DOTALL)
-            span = start, start + len(stop.sub("", source.code[slice(*span)]).rstrip())
+    def _values(self, file: int, components: Mapping[str, tuple[int, int]]) -> tuple[float, ...]:
+        return tuple(cell.value for cell in self._cells(file, components, _POSE))
+
+    def _cells(
+        self, file: int, components: Mapping[str, tuple[int, int]], names: tuple[str, ...]
+    ) -> tuple[Number, ...]:
+        units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
+        return cells_at(self.sources[file], file, [components[name] for name in names], units)
+
+    def move(self, word: str, span: Span, state: State | None) -> None:
+        """Take in one motion: its arguments, and what holds there."""
+        code = self.code
+        base, _, relative = word.partition("_")
+        for first, stop in code.split(*span)[: 2 if base.endswith("CIRC") else 1]:
+            end = next((k for k in range(first, stop) if code.tokens[k].text.startswith("C_")), stop)
+            data, start = None, code.tokens[first].start
             try:
-                if match[2]:
+                if relative:
                     raise LeftOutError("is relative to where the robot is")
-                self.collector.take(self._target(span), source, start)
+                if state is None:
+                    raise LeftOutError("is a place to which the program never comes")
+                data = self._data(first, end)
+                self.collector.take(self._target(data, state), self.sources[0], start)
             except LeftOutError as why:
-                self.collector.leave(source, start, source.shown(*span), str(why))
+                if data is not None and data.components:
+                    self._refuse(data)
+                self.collector.leave(self.sources[0], start, code.shown(first, end), str(why))
 
-    def _target(self, span: tuple[int, int]) -> ProgramTarget:
-        text = self.sources[0].code[slice(*span)].strip()
-        name = text.upper()
-        literal = self._literal(0, *span) if text.startswith("{") else self.declared.get(name)
-        if literal is None:
-            if name in self.declared or text.startswith("{"):
-                raise LeftOutError("is not plain numbers")
-            raise LeftOutError("is declared nowhere here" if re.fullmatch(r"\w+", text) else "is computed at run time")
-        if name in self.set_later:
+    def _refuse(self, data: Aggregate) -> None:
+        """Leave a target as it is everywhere."""
+        for key in ("X", "A1"):
+            if data.components and key in data.components:
+                self.collector.refuse(cells_at(self.sources[data.file], data.file, [data.components[key]], [1.0]))
+
+    def _data(self, first: int, stop: int) -> Aggregate:
+        """The numbers of a target, written out or declared."""
+        code = self.code
+        name = "".join(token.text for token in code.tokens[first:stop])
+        written = code.inside(first, stop, "{") is not None
+        data = Aggregate(0, first, "", self.components(0, first, stop)) if written else self.declared.get(name)
+        if data is None and self.uses.is_set(name):
             raise LeftOutError("is set while the program runs")
-        code = self.sources[literal.file].code
-        numbers = {key: float(code[slice(*place)]) for key, place in literal.components.items()}
+        if data is None:
+            single = stop == first + 1 and code.tokens[first].kind == "name" and not name.startswith("$")
+            raise LeftOutError("is declared nowhere here" if single else "is computed at run time")
+        if data.components is None:
+            raise LeftOutError("is not plain numbers")
+        return data
+
+    def _target(self, data: Aggregate, state: State) -> ProgramTarget:
+        assert data.components is not None
+        source, code = self.sources[data.file], self.codes[data.file]
+        why = self.uses.why_not(data.name.upper().partition("[")[0]) if data.name else ""
+        if why or (data.shared and self.foreign):
+            raise LeftOutError(why or f"may be set by {self.foreign}")
+        numbers = {key: float(source.text[slice(*place)]) for key, place in data.components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
-        path, line = self.sources[literal.file].path, self.sources[literal.file].line(literal.start)
+        path, line = source.path, code.line(data.at)
         if set(_AXES) <= set(numbers):
-            return ProgramTarget(line, path, literal.name, self._cells(literal, _AXES), None)
+            return ProgramTarget(line, path, data.name, self._cells(data.file, data.components, _AXES), None)
         if not set(_POSE) <= set(numbers):
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
-        held = self.held
-        for frame in (held.tool, held.base, "the tool is not on the robot" if held.outside else None):
-            if isinstance(frame, str):
-                raise LeftOutError(frame)
-        assert isinstance(held.tool, pin.SE3)
-        assert isinstance(held.base, pin.SE3)
-        cells, configuration = self._cells(literal, _POSE), _configuration(numbers)
-        return ProgramTarget(
-            line,
-            path,
-            literal.name,
-            cells,
-            "zyx",
-            held.base,
-            held.tool,
-            configuration,
-            constants=held.of_base + held.of_tool,
-        )
+        tool, base = (self._pose(key, state[key]) for key in ("$TOOL", "$BASE"))
+        mode = state["$IPO_MODE"]
+        if mode != "#BASE":
+            raise LeftOutError(
+                "the tool is not on the robot" if mode == "#TCP" else "whether the tool is on the robot is not known"
+            )
+        cells, configuration = self._cells(data.file, data.components, _POSE), _configuration(numbers)
+        places = tuple(place for key in ("$BASE", "$TOOL") for place in getattr(state[key], "places", ()))
+        return ProgramTarget(line, path, data.name, cells, "zyx", base, tool, configuration, constants=places)
+
+    def _pose(self, key: str, value: object) -> pin.SE3:
+        """A tool or base as a pose."""
+        if isinstance(value, Frame):
+            return pose_of(value.values, "zyx")
+        frame = self.frames.get(value) if isinstance(value, str) else None
+        if isinstance(frame, pin.SE3):
+            return frame
+        why = frame if isinstance(frame, str) else getattr(value, "why", "is not known")
+        starts = ("nothing", "TOOL_DATA", "BASE_DATA")
+        own = why.startswith(starts) or "known here" in why or "declared nowhere here" in why.partition("(")[0]
+        raise LeftOutError(why if own else f"{key} {why}")
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import pinocchio as pin
@@ -13,7 +13,7 @@ from calib.programs.languages.orientations import read_frames
 from calib.programs.languages.robot_program import RobotProgram
 
 Frames = Mapping[str, "pin.SE3 | str"]
-_READERS: dict[str, Callable[[Path | str, Frames], RobotProgram]] = {
+_READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], RobotProgram]] = {
     **dict.fromkeys(urscript.SUFFIXES, urscript.read_urscript),
     **dict.fromkeys(rapid.SUFFIXES, rapid.read_rapid),
     **dict.fromkeys(krl.SUFFIXES, krl.read_krl),
@@ -27,13 +27,14 @@ _DECLARING: dict[str, Callable[[Path | str], dict[str, pin.SE3 | str]]] = {
 SUFFIXES = tuple(_READERS)
 
 
-def read_program(path: Path | str, frames: Sequence[Path | str] = ()) -> RobotProgram:
+def read_program(path: Path | str, frames: Sequence[Path | str] = (), harmless: Sequence[str] = ()) -> RobotProgram:
     """Read a controller's program.
 
     Args:
         path: The file; its suffix says the language.
         frames: Files with tools and frames that it does not declare: tables (`calib.programs.languages.
             orientations.read_frames`), RAPID modules, KUKA's `$config.dat`.
+        harmless: Routines that it calls and does not declare, and that change no target, tool, frame or mode.
 
     Raises:
         DataError: The message names file and line.
@@ -51,4 +52,5 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = ()) -> RobotPr
     suffix = Path(path).suffix.lower()
     if suffix not in _READERS:
         raise InputError(f"{path}: is not a program of a controller; these end in {', '.join(SUFFIXES)}")
-    return _READERS[suffix](path, known)
+    names = harmless if suffix in urscript.SUFFIXES else [name.upper() for name in harmless]
+    return _READERS[suffix](path, known, names)

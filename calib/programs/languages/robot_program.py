@@ -13,8 +13,10 @@ So is a target that the program reaches with two different tools or frames.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import pinocchio as pin
@@ -24,7 +26,6 @@ from calib.core.base.files import read_bytes
 from calib.core.base.units import PER_SI
 from calib.programs.languages.orientations import Rotation, numbers_of, pose_of
 
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
 _DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # at least so many, by unit
 _QUATERNION_DECIMALS = 9
@@ -161,21 +162,18 @@ class Source:
     Attributes:
         path: Where it came from.
         text: What is in it.
-        code: The same, with blanks for comments and texts.
     """
 
     path: str
     text: str
-    code: str
 
     @classmethod
-    def read(cls, path: Path | str, what: str, blank: str) -> Source:
+    def read(cls, path: Path | str, what: str) -> Source:
         """Read a file.
 
         Args:
             path: The file.
             what: What it should be.
-            blank: Pattern of what is no code.
 
         Raises:
             DataError: It cannot be read, or is not text.
@@ -185,11 +183,16 @@ class Source:
         if odd is not None:
             line = text.count("\n", 0, odd.start()) + 1
             raise DataError(f"{path}, line {line}: is not text; is this {what}?")
-        return cls(str(path), text, re.sub(blank, _blanked, text))
+        return cls(str(path), text)
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Where lines end."""
+        return [match.start() for match in re.finditer("\n", self.text)]
 
     def line(self, at: int) -> int:
         """Return the line of a place in the text, from 1."""
-        return self.text.count("\n", 0, at) + 1
+        return bisect_left(self._ends, at) + 1
 
     def where(self, at: int) -> str:
         """Return file and line of a place in the text."""
@@ -198,12 +201,6 @@ class Source:
     def shown(self, start: int, end: int) -> str:
         """Return a piece of the program for a message: one line, not too long."""
         return " ".join(self.text[start:end].split())[:60]
-
-
-def _blanked(match: re.Match[str]) -> str:
-    """Blanks for a comment, or for what is between quotes."""
-    quoted = match[0].startswith('"')
-    return '"' + " " * (len(match[0]) - 2) + '"' if quoted else re.sub(r"[^\n]", " ", match[0])
 
 
 @dataclass(frozen=True)
@@ -273,6 +270,10 @@ class Collector:
             near, constants = known.near or target.near, known.constants + target.constants
             self._targets[key] = replace(known, near=near, constants=tuple(dict.fromkeys(constants)))
 
+    def refuse(self, cells: Sequence[Number]) -> None:
+        """Leave a target as it is wherever the program goes to it."""
+        self._targets[cells[0].file, cells[0].start] = None
+
     def leave(self, source: Source, at: int, text: str, why: str) -> None:
         """Note what is not compensated."""
         line = source.line(at)
@@ -285,7 +286,7 @@ class Collector:
             first = next((taken[place] for place in target.constants if place in taken), None)
             if first is not None:
                 source, at = self._places[key]
-                text = target.name or source.shown(at, source.code.find("\n", at))
+                text = target.name or source.shown(at, source.text.find("\n", at))
                 self._targets[key] = None
                 self.leave(source, at, text, f"moves along with {first.name}, a target that is its frame or tool")
 
@@ -327,32 +328,3 @@ def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units:
         written = len(re.split("[eE]", text)[0].partition(".")[2])
         cells.append(Number(file, start, end, float(text) * (unit or 1.0), unit or 1.0, max(least, written)))
     return tuple(cells)
-
-
-def closing(code: str, at: int) -> int | None:
-    """Return where the bracket that opens at a place is closed; None where it is not."""
-    depth, pairs = 0, {"(": ")", "[": "]", "{": "}"}
-    for k in range(at, min(len(code), at + 100_000)):
-        if code[k] in pairs:
-            depth += 1
-        elif code[k] in pairs.values():
-            depth -= 1
-            if depth == 0:
-                return k
-    return None
-
-
-def arguments(code: str, start: int, end: int) -> Iterator[tuple[int, int]]:
-    """Yield where the arguments between two places stand, without the blanks around them."""
-    depth, first = 0, start
-    for k in range(start, end + 1):
-        if k == end or (code[k] == "," and depth == 0):
-            piece = code[first:k]
-            if piece.strip():
-                left = first + len(piece) - len(piece.lstrip())
-                yield left, left + len(piece.strip())
-            first = k + 1
-        elif code[k] in "([{":
-            depth += 1
-        elif code[k] in ")]}":
-            depth -= 1

@@ -1,0 +1,317 @@
+"""What holds where a program moves: tools, frames and modes on all ways on which it can come there.
+
+A reader writes down each routine as steps: settings, moves, calls, branches and loops. A state says of each setting
+what it is; where two ways meet with different values, it is not known. States go along the ways until none changes:
+each place is passed only again when something there was found to be unknown, so the time is linear in the steps.
+
+A routine that runs beside the others or at any time (a thread, an interrupt, an error handler) leaves what it sets
+unknown everywhere.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+State = Mapping[str, Hashable]
+Change = Callable[[State], State]
+EVERYTHING = "*"
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A setting that is not known, and why."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of a routine: `change`, `move`, `label`, `jump`, `maybe` (a jump or not) or `call`."""
+
+    kind: str
+    place: str = ""
+    change: Change | None = None
+    keys: frozenset[str] = frozenset()
+    move: Callable[[State | None], None] | None = None
+    at: int = 0
+
+
+@dataclass
+class _Routine:
+    """Steps of a routine, and what is known of them."""
+
+    at_any_time: bool
+    steps: list[_Step] = field(default_factory=list)
+    labels: dict[str, int] = field(default_factory=dict)
+    states: dict[int, State] = field(default_factory=dict)
+    keys: set[str] = field(default_factory=set)
+    calls: set[str] = field(default_factory=set)
+    left: State | None = None
+
+
+@dataclass
+class Block:
+    """Branches or a loop that are open.
+
+    Attributes:
+        kind: The word that opened it.
+        line: Where.
+        loop: Whether it is a loop.
+        end: Label behind it.
+        again: Label of the next branch or round.
+    """
+
+    kind: str
+    line: int
+    loop: bool
+    end: str
+    again: str
+
+
+class Flow:
+    """A program as routines of steps.
+
+    Args:
+        start: What holds at first, by setting.
+    """
+
+    def __init__(self, start: State) -> None:
+        self.start = dict(start)
+        self.routines: dict[str, _Routine] = {}
+        self._open: list[tuple[str, list[Block]]] = []
+        self._count = 0
+
+    # what a reader writes down
+
+    def begin(self, name: str, *, at_any_time: bool = False) -> None:
+        """Begin a routine, within the one that is open or not."""
+        self.routines.setdefault(name, _Routine(at_any_time)).at_any_time |= at_any_time
+        self._open.append((name, []))
+
+    def finish(self) -> None:
+        """End the routine that is open."""
+        self.label("return")
+        self._open.pop()
+
+    def finish_all(self) -> None:
+        """End what is outside of all routines."""
+        while self._open:
+            self.finish()
+
+    @property
+    def routine(self) -> str:
+        """Name of the routine that is open; empty outside of all."""
+        return self._open[-1][0] if self._open else ""
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Branches and loops that are open, the innermost last."""
+        if not self._open:
+            self.begin("")
+        return self._open[-1][1]
+
+    def _add(self, step: _Step) -> None:
+        if not self._open:
+            self.begin("")
+        routine = self.routines[self.routine]
+        if step.kind == "label":
+            routine.labels[step.place] = len(routine.steps)
+        routine.keys |= step.keys
+        if step.kind == "call":
+            routine.calls.add(step.place)
+        routine.steps.append(step)
+
+    def change(self, keys: Iterable[str], change: Change) -> None:
+        """Note a step that changes these settings, or `EVERYTHING`."""
+        self._add(_Step("change", change=change, keys=frozenset(keys)))
+
+    def set(self, key: str, value: Hashable) -> None:
+        """Note that a setting becomes a value."""
+        self.change([key], lambda state: {**state, key: value})
+
+    def lose(self, why: str, keys: Iterable[str] = ()) -> None:
+        """Note that these settings, or all, are not known from here on."""
+        some = frozenset(keys)
+        self.change(some or [EVERYTHING], lambda state: {**state, **dict.fromkeys(some or state, Unknown(why))})
+
+    def move(self, at: int, move: Callable[[State | None], None]) -> None:
+        """Note a move at a place of the text; it is called in the end with the state there, None where none comes."""
+        self._add(_Step("move", move=move, at=at))
+
+    def call(self, name: str, *, maybe: bool = False) -> None:
+        """Note a call of a routine, which may be left out."""
+        over = self._new() if maybe else ""
+        if maybe:
+            self.maybe(over)
+        self._add(_Step("call", name))
+        if maybe:
+            self.label(over)
+
+    def label(self, name: str) -> None:
+        """Note a place that can be jumped to."""
+        self._add(_Step("label", name))
+
+    def jump(self, name: str) -> None:
+        """Note a jump; `return` leaves the routine."""
+        self._add(_Step("jump", name))
+
+    def maybe(self, name: str) -> None:
+        """Note a jump that is taken or not."""
+        self._add(_Step("maybe", name))
+
+    def _new(self) -> str:
+        self._count += 1
+        return f" {self._count}"
+
+    def open_choice(self, kind: str, line: int) -> None:
+        """Begin branches."""
+        self.blocks.append(Block(kind, line, False, self._new(), self._new()))
+
+    def next_choice(self) -> None:
+        """Begin the next branch."""
+        block = self.blocks[-1]
+        self.jump(block.end)
+        self.label(block.again)
+        block.again = self._new()
+
+    def open_loop(self, kind: str, line: int) -> None:
+        """Begin a loop."""
+        self.blocks.append(Block(kind, line, True, self._new(), self._new()))
+        self.label(self.blocks[-1].again)
+
+    def pass_over(self) -> None:
+        """Note that the branch that begins here, or the rest of the loop, is taken or not."""
+        block = self.blocks[-1]
+        self.maybe(block.end if block.loop else block.again)
+
+    def close(self) -> None:
+        """End the innermost branches or loop."""
+        block = self.blocks.pop()
+        if block.loop:
+            self.jump(block.again)
+        else:
+            self.label(block.again)
+        self.label(block.end)
+
+    def leave_loop(self, *, again: bool = False) -> None:
+        """Note a jump out of the innermost loop, or to its next round."""
+        block = next((block for block in reversed(self.blocks) if block.loop), None)
+        if block is not None:
+            self.jump(block.again if again else block.end)
+
+    # what holds where
+
+    def follow(self) -> None:
+        """Follow all ways, and call every move with what holds there, in the order of the text."""
+        for routine in self.routines.values():
+            routine.calls &= set(self.routines)
+        self._spread_keys()
+        keys = {key for routine in self.routines.values() for key in routine.keys}
+        loose = {key for routine in self.routines.values() if routine.at_any_time for key in routine.keys}
+        everything = (keys | set(self.start)) - {EVERYTHING}
+        changed, loose = (everything if EVERYTHING in some else some for some in (keys, loose))
+        self._loose = dict.fromkeys(loose, Unknown("is also set by a part of the program that runs at any time"))
+        self._start = {**dict.fromkeys(everything), **self.start}
+        anything = {**self._start, **dict.fromkeys(changed, Unknown("is set by other parts of the program"))}
+        self._work: list[tuple[int, int]] = []
+        self._names = list(self.routines)
+        self._numbers = {name: number for number, name in enumerate(self._names)}
+        self._callers: dict[str, set[tuple[int, int]]] = {name: set() for name in self._names}
+        called = {name for routine in self.routines.values() for name in routine.calls}
+        for name, routine in self.routines.items():
+            if routine.at_any_time:
+                self._arrive(name, 0, anything)
+            elif name not in called:
+                self._arrive(name, 0, self._start)
+        self._run()
+        for name, routine in self.routines.items():
+            if 0 not in routine.states:  # called by none but one another
+                self._arrive(name, 0, self._start)
+                self._run()
+        moves: dict[int, tuple[_Step, State | None]] = {}
+        for name, routine in self.routines.items():
+            moves.update({id(step): (step, None) for step in routine.steps if step.kind == "move"})
+            for at in list(routine.states):
+                moves.update({id(step): (step, state) for step, state in self._pass(name, at)})
+        for step, state in sorted(moves.values(), key=lambda entry: entry[0].at):
+            if step.move is not None:
+                step.move(state)
+
+    def _spread_keys(self) -> None:
+        """Add to the settings of each routine those of what it calls."""
+        callers: dict[str, list[str]] = {name: [] for name in self.routines}
+        for name, routine in self.routines.items():
+            for callee in routine.calls:
+                callers[callee].append(name)
+        for key in {key for routine in self.routines.values() for key in routine.keys}:
+            work = [name for name, routine in self.routines.items() if key in routine.keys]
+            while work:
+                for caller in callers[work.pop()]:
+                    if key not in self.routines[caller].keys:
+                        self.routines[caller].keys.add(key)
+                        work.append(caller)
+
+    def _arrive(self, name: str, at: int, state: State) -> None:
+        """Come to a place with a state."""
+        routine = self.routines[name]
+        known = routine.states.get(at)
+        together = {**state, **self._loose} if known is None else _joined(known, state)
+        if together != known:
+            routine.states[at] = together
+            heapq.heappush(self._work, (self._numbers[name], at))
+
+    def _run(self) -> None:
+        while self._work:
+            number, at = heapq.heappop(self._work)
+            self._pass(self._names[number], at)
+
+    def _pass(self, name: str, at: int) -> list[tuple[_Step, State]]:
+        """Go on from a place to the next one that can also be reached otherwise; return the moves between."""
+        routine, first = self.routines[name], at
+        moves: list[tuple[_Step, State]] = []
+        state: State | None = routine.states[at]
+        while state is not None and at < len(routine.steps):
+            step = routine.steps[at]
+            if step.kind in ("label", "call") and at > first:
+                self._arrive(name, at, state)
+                return moves
+            if step.kind == "change" and step.change is not None:
+                state = {**step.change(state), **self._loose}
+            elif step.kind == "move":
+                moves.append((step, state))
+            elif step.kind in ("jump", "maybe"):
+                if step.place in routine.labels:
+                    self._arrive(name, routine.labels[step.place], state)
+                state = state if step.kind == "maybe" else None
+            elif step.kind == "call" and step.place in self.routines:
+                state = self._after_call(name, at, step.place, state)
+            at += 1
+        if state is not None:
+            together = state if routine.left is None else _joined(routine.left, state)
+            if together != routine.left:
+                routine.left = together
+                for caller in self._callers[name]:
+                    heapq.heappush(self._work, caller)
+        return moves
+
+    def _after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
+        """What holds behind a call; None where it is not known yet that the routine comes back."""
+        routine = self.routines[callee]
+        self._callers[callee].add((self._numbers[name], at))
+        self._arrive(callee, 0, state)
+        if routine.left is None:
+            return None
+        keys = set(routine.left) if EVERYTHING in routine.keys else routine.keys
+        return {**state, **{key: routine.left[key] for key in keys if key in routine.left}}
+
+
+def _joined(one: State, other: State) -> State:
+    """What holds where two ways meet; what is not known already stays so."""
+    both = dict(one)
+    for key, value in one.items():
+        if value != other.get(key) and not isinstance(value, Unknown):
+            differs = Unknown("depends on the way on which the program comes here")
+            both[key] = other[key] if isinstance(other.get(key), Unknown) else differs
+    return both

@@ -1,0 +1,50 @@
+"""What a program does with its data other than to go there.
+
+Numbers of a target may be changed only where the program does nothing else with them. If it sets them, they are not
+what the text says. If it decides by them (a condition, a count), other numbers may lead it elsewhere. If it computes
+another target from them, that one moves along; so what is computed is followed to what is decided by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class DataUses:
+    """What is set while the program runs, what is computed from what, and by what the program decides."""
+
+    def __init__(self) -> None:
+        self._set: dict[str, str] = {}
+        self._decides: dict[str, str] = {}
+        self._sources: dict[str, set[str]] = {}
+
+    def set(self, name: str, why: str = "is set while the program runs") -> None:
+        """Note that a name becomes another value."""
+        self._set.setdefault(name, why)
+
+    def compute(self, name: str, sources: Iterable[str]) -> None:
+        """Note that a name is computed from others."""
+        self._sources.setdefault(name, set()).update(sources)
+
+    def decide(self, names: Iterable[str], line: int) -> None:
+        """Note that the program decides by these names, or tells them to what is not known."""
+        for name in names:
+            self._decides.setdefault(name, f"also decides what the program does, in line {line}")
+
+    def follow(self) -> None:
+        """Follow what is decided back to what it is computed from."""
+        work = list(self._decides)
+        while work:
+            name = work.pop()
+            for source in self._sources.get(name, ()):
+                if source not in self._decides:
+                    self._decides[source] = self._decides[name]
+                    work.append(source)
+
+    def is_set(self, name: str) -> bool:
+        """Return whether the program sets it."""
+        return name in self._set
+
+    def why_not(self, name: str) -> str:
+        """Return why its numbers must stay as they are; empty if they may be changed."""
+        return self._set.get(name) or self._decides.get(name, "")

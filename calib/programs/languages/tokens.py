@@ -1,0 +1,170 @@
+"""The words of a program: numbers, names, marks and lines, without comments, and which bracket closes which.
+
+A language gives one pattern of its words. Whatever it does not name is no word of the language, and the program is
+refused. The pattern's alternatives never go back over what they have read, so the time is linear in the text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.robot_program import Source
+
+Span = tuple[int, int]
+"""The first of some words, and the one behind the last."""
+_CLOSING = {")": "(", "]": "[", "}": "{"}
+_DEEPEST = 100
+
+
+class Token(NamedTuple):
+    """A word of a program.
+
+    Attributes:
+        kind: `name`, `number`, `text`, `mark` or `line`, which is the end of a line.
+        text: The word; in capitals where case does not count.
+        start, end: Where it stands.
+    """
+
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+def word_pattern(blank: str, name: str, marks: str, text: str = r'"[^"\n]*"') -> re.Pattern[str]:
+    """Return the pattern of a language's words.
+
+    Args:
+        blank: Comments.
+        name: Names.
+        marks: Marks of more than one character, and a class of the others.
+        text: Texts in quotes.
+    """
+    return re.compile(
+        rf"(?P<line>\n)|(?P<text>{text})|(?P<blank>{blank}|[^\S\n]+)"
+        rf"|(?P<name>{name})|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<mark>{marks})|(?P<odd>.)",
+        re.MULTILINE,
+    )
+
+
+class Code:
+    """The words of a source.
+
+    Args:
+        source: The text.
+        words: Pattern of its words.
+        fold_case: Whether case does not count.
+        lines: What ends of lines are: `blank`; or words, `outside` of brackets, or of which brackets hold none (`all`).
+        part: Which part of the text to read.
+
+    Attributes:
+        tokens: The words; the last one is the end of a line behind the text.
+        partner: Of each word the place of the bracket that closes or opens it; its own of all others.
+
+    Raises:
+        DataError: A character that is none of the language's, or a bracket that is not closed.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        words: re.Pattern[str],
+        *,
+        fold_case: bool = True,
+        lines: Literal["blank", "outside", "all"] = "all",
+        part: slice = slice(None),
+    ) -> None:
+        self.source = source
+        self.tokens: list[Token] = []
+        self.partner: list[int] = []
+        opened: list[int] = []
+        for match in words.finditer(source.text, part.start or 0, len(source.text) if part.stop is None else part.stop):
+            kind = str(match.lastgroup)
+            if kind == "blank" or (kind == "line" and (lines == "blank" or (opened and lines == "outside"))):
+                continue
+            if kind == "line" and opened:
+                raise self._unclosed(opened[-1])
+            if kind == "odd":
+                raise DataError(f"{source.where(match.start())}: '{match[0]}' is not understood here; correct it")
+            at = len(self.tokens)
+            self.tokens.append(
+                Token(kind, match[0].upper() if fold_case and kind == "name" else match[0], match.start(), match.end())
+            )
+            self.partner.append(at)
+            if kind == "mark" and match[0] in "([{":
+                opened.append(at)
+                if len(opened) > _DEEPEST:
+                    raise DataError(f"{source.where(match.start())}: has brackets in more than {_DEEPEST} brackets")
+            elif kind == "mark" and match[0] in _CLOSING:
+                if not opened or self.tokens[opened[-1]].text != _CLOSING[match[0]]:
+                    raise self._unclosed(opened[-1] if opened else at)
+                self.partner[at] = opened.pop()
+                self.partner[self.partner[at]] = at
+        if opened:
+            raise self._unclosed(opened[-1])
+        self.tokens.append(Token("line", "\n", len(source.text), len(source.text)))
+        self.partner.append(len(self.tokens) - 1)
+
+    def _unclosed(self, at: int) -> DataError:
+        start = self.tokens[at - 1].start if at and self.tokens[at - 1].kind == "name" else self.tokens[at].start
+        text = self.source.shown(start, self.tokens[at].end)
+        return DataError(f"{self.source.where(start)}: {text}: has a bracket that is not closed; correct it")
+
+    def where(self, at: int) -> str:
+        """Return file and line of a word."""
+        return self.source.where(self.tokens[at].start)
+
+    def line(self, at: int) -> int:
+        """Return the line of a word."""
+        return self.source.line(self.tokens[at].start)
+
+    def shown(self, first: int, end: int) -> str:
+        """Return words for a message."""
+        return self.source.shown(self.tokens[first].start, self.tokens[end - 1].end) if end > first else ""
+
+    def is_mark(self, at: int, *marks: str) -> bool:
+        """Return whether a word is one of these marks."""
+        token = self.tokens[at]
+        return token.kind == "mark" and token.text in marks
+
+    def until(self, first: int, end: int, *marks: str) -> int:
+        """Return the place of the next of these marks outside of brackets, or the end."""
+        at = first
+        while at < end and not self.is_mark(at, *marks):
+            at = max(self.partner[at], at) + 1
+        return at
+
+    def split(self, first: int, end: int, mark: str = ",") -> list[Span]:
+        """Return the pieces between marks outside of brackets, without empty ones."""
+        pieces = []
+        while first < end:
+            stop = self.until(first, end, mark)
+            if stop > first:
+                pieces.append((first, stop))
+            first = stop + 1
+        return pieces
+
+    def inside(self, first: int, end: int, opening: str) -> Span | None:
+        """Return the words in a bracket if these words are one whole bracket of this kind."""
+        whole = end > first and self.is_mark(first, opening) and self.partner[first] == end - 1
+        return (first + 1, end - 1) if whole else None
+
+    def number(self, first: int, end: int) -> tuple[int, int] | None:
+        """Return where a plain number with its sign stands in the text, if these words are one."""
+        tokens = self.tokens[first:end]
+        signed = len(tokens) == 2 and tokens[0].text in ("+", "-") and tokens[0].end == tokens[1].start
+        if (len(tokens) == 1 or signed) and tokens[-1].kind == "number":
+            return tokens[0].start, tokens[-1].end
+        return None
+
+    def names(self, first: int, end: int) -> Iterator[int]:
+        """Yield the places of names."""
+        return (at for at in range(first, end) if self.tokens[at].kind == "name")
+
+    def calls(self, first: int, end: int) -> Iterator[int]:
+        """Yield the places of names with arguments in brackets behind them, inner ones first."""
+        calls = [at for at in self.names(first, end - 1) if self.is_mark(at + 1, "(")]
+        return iter(sorted(calls, key=lambda at: self.partner[at + 1]))

@@ -160,7 +160,7 @@ class _Reader(FanucStatements):
                 if position is not None and position.fields:
                     name = "J1" if "J1" in position.fields else "X"
                     if name in position.fields:
-                        self.collector.refuse(self._cells(position, (name,)))
+                        self.collector.refuse(self._cells(position, (name,)), self.source, start)
                 self.collector.leave(self.source, start, self.code.shown(*span), str(why))
 
     def _changed(self, options: Span) -> str:

@@ -94,16 +94,24 @@ class FanucStatements(ABC):
         self.flow.lose(call_remedy(name, self.code.line(at), "change it"), _STATE)
 
     def _instruction(self, at: int, stop: int) -> None:
-        code, flow, word = self.code, self.flow, self.code.tokens[at].text
+        """Take in an instruction, behind the conditions on which it is carried out."""
+        code, opened = self.code, 0
         comma = code.until(at, stop, ",")
+        while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
+            self.uses.decide(self._names(at, comma), code.line(at))
+            self.flow.open_choice(code.tokens[at].text, code.line(at))
+            self.flow.pass_over()
+            at, opened = comma + 1, opened + 1
+            comma = code.until(at, stop, ",")
+        if at < stop:
+            self._action(at, stop)
+        for _ in range(opened):
+            self.flow.close()
+
+    def _action(self, at: int, stop: int) -> None:
+        code, flow, word = self.code, self.flow, self.code.tokens[at].text
         if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
             self._motion(at, stop)
-        elif word in ("IF", "SELECT", "=", "ELSE") and comma < stop:
-            self.uses.decide(self._names(at, comma), code.line(at))
-            flow.open_choice(word, code.line(at))
-            flow.pass_over()
-            self._instruction(comma + 1, stop)
-            flow.close()
         elif word == "IF" and code.tokens[stop - 1].text == "THEN":
             self.uses.decide(self._names(at, stop), code.line(at))
             flow.open_choice(word, code.line(at))

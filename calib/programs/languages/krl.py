@@ -145,14 +145,16 @@ class _Reader(KrlStatements):
                 self.collector.take(self._target(data, state), self.sources[0], start)
             except LeftOutError as why:
                 if data is not None and data.components:
-                    self._refuse(data)
+                    self._refuse(data, start)
                 self.collector.leave(self.sources[0], start, code.shown(first, end), str(why))
 
-    def _refuse(self, data: Aggregate) -> None:
+    def _refuse(self, data: Aggregate, start: int) -> None:
         """Leave a target as it is everywhere."""
         for key in ("X", "A1"):
             if data.components and key in data.components:
-                self.collector.refuse(cells_at(self.sources[data.file], data.file, [data.components[key]], [1.0]))
+                self.collector.refuse(
+                    cells_at(self.sources[data.file], data.file, [data.components[key]], [1.0]), self.sources[0], start
+                )
 
     def _data(self, first: int, stop: int) -> Aggregate:
         """The numbers of a target, written out or declared."""

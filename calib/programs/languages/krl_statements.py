@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass, field
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.control_flow import Flow, State, Unknown
+from calib.programs.languages.control_flow import Change, Flow, State, Unknown
 from calib.programs.languages.data_uses import DataUses
 from calib.programs.languages.harmless import BAS_FORMS, BAS_HARMLESS, KRL, call_remedy, names
 from calib.programs.languages.robot_program import Collector, Source
@@ -163,11 +163,11 @@ class KrlStatements(ABC):
             at = self.code.partner[at] + 1
         return at
 
-    def _word(self, first: int, stop: int, *words: str) -> int:
-        """Place of the next of these words outside of brackets, or the end."""
-        while first < stop and self.code.tokens[first].text not in words:
+    def _word(self, first: int, *words: str) -> int:
+        """Place of the next of these words in the line, or where the line ends."""
+        while self.code.tokens[first].kind != "line" and self.code.tokens[first].text not in words:
             first = self.code.partner[first] + 1
-        return min(first, stop)
+        return first
 
     def _keyword_table(self) -> dict[str, Callable[[int], int]]:
         return {
@@ -217,7 +217,7 @@ class KrlStatements(ABC):
         return stop
 
     def _choice(self, at: int) -> int:
-        stop = self._word(at + 1, self._line_end(at), "THEN")
+        stop = self._word(at + 1, "THEN")
         self._decide(at + 1, stop)
         self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
         self.flow.pass_over()
@@ -263,10 +263,10 @@ class KrlStatements(ABC):
     def _at_any_time(self, at: int) -> int:
         """`INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
         stop = self._line_end(at)
-        do = self._word(at, stop, "DO")
+        do = self._word(at, "DO")
         self._decide(at, do)
         if do + 1 < stop:
-            end = self._word(do, stop, "PRIO")
+            end = self._word(do, "PRIO")
             self.flow.begin(f"{self.flow.routine} {at}", at_any_time=True)
             self._statement(do + 1, end)
             self.flow.finish()
@@ -442,7 +442,7 @@ class KrlStatements(ABC):
             self._restore("of the program")
             return stop
         self._save("of the program")
-        self._with(self._word(at, stop, "WITH"), stop)
+        self._with(self._word(at, "WITH"), stop)
         return stop
 
     def _save(self, key: str) -> None:
@@ -460,7 +460,7 @@ class KrlStatements(ABC):
         """Take in a motion, with what holds for it alone behind WITH."""
         code, word = self.code, self.code.tokens[at].text
         self._expression(at + 1, stop)
-        end = self._word(at, stop, "WITH")
+        end = min(self._word(at, "WITH"), stop)
         if end < stop:
             self._save("of the motion")
             self._with(end, stop)
@@ -482,12 +482,14 @@ class KrlStatements(ABC):
                 continue
             function = code.tokens[left + 2].text
             if function in ("STOOL", "STOOL2", "SBASE", "SIPO_MODE") and code.is_mark(left + 3, "("):
-                form = code.tokens[left + 4].text
-                self._select(
-                    name,
-                    lambda state, name=name, form=form: dict(zip(_SELECTED, self.form(form, state), strict=True))[name],
-                )  # type: ignore[misc]
+                self.flow.change([name], self._of_form(name, code.tokens[left + 4].text))
             elif name == "$IPO_MODE":
                 self.flow.set(name, "".join(token.text for token in code.tokens[left + 2 : right]))
             else:
-                self._select(name, lambda state, span=(left + 2, right): self.frame(span, state))  # type: ignore[misc]
+                self.flow.change([name], self._of_words(name, (left + 2, right)))
+
+    def _of_form(self, name: str, form: str) -> Change:
+        return lambda state: {**state, name: dict(zip(_SELECTED, self.form(form, state), strict=True))[name]}
+
+    def _of_words(self, name: str, span: Span) -> Change:
+        return lambda state: {**state, name: self.frame(span, state)}

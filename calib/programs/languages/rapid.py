@@ -163,16 +163,16 @@ class _Reader(RapidStatements):
                 self.collector.take(self._target(word, declared, spans, options, state), self.source, start)
             except LeftOutError as why:
                 if declared is not None and state is not None:
-                    self._refuse(declared)
+                    self._refuse(declared, start)
                 self.collector.leave(self.source, start, self.code.shown(*span), str(why))
 
-    def _refuse(self, declared: _Declared) -> None:
+    def _refuse(self, declared: _Declared, start: int) -> None:
         """Leave a target as it is everywhere, if it has plain numbers."""
         groups = self._elements(declared.span)
         first = self._elements(groups[0]) if groups else []
         number = self.code.number(*first[0]) if first else None
         if number is not None:
-            self.collector.refuse(cells_at(self.source, 0, [number], [MILLIMETRE]))
+            self.collector.refuse(cells_at(self.source, 0, [number], [MILLIMETRE]), self.source, start)
 
     def _named(self, span: Span) -> str:
         """What an argument names, in capitals."""

@@ -198,9 +198,13 @@ class Source:
         """Return file and line of a place in the text."""
         return f"{self.path}, line {self.line(at)}"
 
+    def shown_line(self, at: int) -> str:
+        """Return the rest of a line for a message."""
+        return self.shown(at, self.text.find("\n", at))
+
     def shown(self, start: int, end: int) -> str:
         """Return a piece of the program for a message: one line, not too long."""
-        return " ".join(self.text[start:end].split())[:60]
+        return " ".join(self.text[start : min(end, start + 1000)].split())[:60]
 
 
 @dataclass(frozen=True)
@@ -253,31 +257,35 @@ class Collector:
     def __init__(self) -> None:
         self._targets: dict[tuple[int, int], ProgramTarget | None] = {}
         self._left: dict[tuple[str, int, str], NotCompensated] = {}
-        self._places: dict[tuple[int, int], tuple[Source, int]] = {}
+        self._places: dict[tuple[int, int], list[tuple[Source, int, str]]] = {}
+        self._refused: dict[tuple[int, int], str] = {}
 
     def take(self, target: ProgramTarget, source: Source, at: int) -> None:
         """Take a target that the program goes to at a place of the text."""
         key = (target.cells[0].file, target.cells[0].start)
         known = self._targets.setdefault(key, target)
-        self._places.setdefault(key, (source, at))
+        self._places.setdefault(key, []).append((source, at, target.name or source.shown_line(at)))
         if known is None:
             return
         same = known.rotation is None or (known.frame.isApprox(target.frame) and known.tool.isApprox(target.tool))
         if not same:
-            self._targets[key] = None
+            self.refuse(target.cells, source, at)
             self.leave(source, at, target.name, "is reached with different tools or frames; give each a target")
         else:
             near, constants = known.near or target.near, known.constants + target.constants
             self._targets[key] = replace(known, near=near, constants=tuple(dict.fromkeys(constants)))
 
-    def refuse(self, cells: Sequence[Number]) -> None:
-        """Leave a target as it is wherever the program goes to it."""
-        self._targets[cells[0].file, cells[0].start] = None
+    def refuse(self, cells: Sequence[Number], source: Source, at: int) -> None:
+        """Leave a target as it is wherever the program goes to it, because of one place."""
+        key = (cells[0].file, cells[0].start)
+        self._targets[key] = None
+        self._refused.setdefault(key, f"stays as it is because of line {source.line(at)}")
 
     def leave(self, source: Source, at: int, text: str, why: str) -> None:
         """Note what is not compensated."""
         line = source.line(at)
-        self._left.setdefault((source.path, line, text), NotCompensated(source.path, line, text, why))
+        if (source.path, line, text) not in self._left:
+            self._left[source.path, line, text] = NotCompensated(source.path, line, text, why)
 
     def _leave_what_moves_along(self) -> None:
         """Leave out targets whose frame or tool is a target too: its new numbers move them already."""
@@ -285,10 +293,8 @@ class Collector:
         for key, target in taken.items():
             first = next((taken[place] for place in target.constants if place in taken), None)
             if first is not None:
-                source, at = self._places[key]
-                text = target.name or source.shown(at, source.text.find("\n", at))
                 self._targets[key] = None
-                self.leave(source, at, text, f"moves along with {first.name}, a target that is its frame or tool")
+                self._refused[key] = f"moves along with {first.name}, a target that is its frame or tool"
 
     def program(self, language: str, sources: Sequence[Source]) -> RobotProgram:
         """Return the program.
@@ -297,6 +303,9 @@ class Collector:
             DataError: It goes nowhere.
         """
         self._leave_what_moves_along()
+        for key, why in self._refused.items():
+            for source, at, text in self._places.get(key, ()):
+                self.leave(source, at, text, why)
         targets = tuple(target for target in self._targets.values() if target is not None)
         left = tuple(
             sorted(self._left.values(), key=lambda left_out: (left_out.path != sources[0].path, left_out.line))

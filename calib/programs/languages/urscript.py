@@ -278,7 +278,7 @@ class _Reader:
                 raise LeftOutError(self.given)
         except LeftOutError as refusal:
             if goal is not None and state is not None:
-                self.collector.refuse(goal.literal.cells)
+                self.collector.refuse(goal.literal.cells, self.source, start)
             self.collector.leave(self.source, start, self.code.shown(first, stop), str(refusal))
             return
         pose, places = pin.SE3.Identity(), goal.constants

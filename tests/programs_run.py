@@ -869,6 +869,7 @@ class Fanuc(Controller):
         else:
             number = re.search(r"\[(?:R\[(\d+)\]|(\d+))\]", place)
             key = int(self.registers.get(f"R[{number[1]}]", 1)) if number[1] else int(number[2])
+            key = key if key in self.positions else 1
             if isinstance(self.positions.get(key), list):
                 self.moves.append(Move(line, np.radians(self.positions[key])))
                 return

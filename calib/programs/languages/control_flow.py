@@ -4,7 +4,7 @@ A reader writes down each routine as steps: settings, moves, calls, branches and
 what it is; where two ways meet with different values, it is not known. States go along the ways until none changes:
 each place is passed only again when something there was found to be unknown, so the time is linear in the steps.
 
-A routine that runs beside the others or at any time (a thread, an interrupt, an error handler) leaves what it sets
+A routine that runs at any time (a thread, an interrupt, an error handler) leaves what it sets
 unknown everywhere.
 """
 
@@ -13,6 +13,8 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
+
+from calib.core.base.errors import DataError
 
 State = Mapping[str, Hashable]
 Change = Callable[[State], State]
@@ -81,13 +83,20 @@ class Flow:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
         self._open: list[tuple[str, list[Block]]] = []
+        self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
     # what a reader writes down
 
-    def begin(self, name: str, *, at_any_time: bool = False) -> None:
-        """Begin a routine, within the one that is open or not."""
-        self.routines.setdefault(name, _Routine(at_any_time)).at_any_time |= at_any_time
+    def begin(self, name: str, where: str = "", *, at_any_time: bool = False) -> None:
+        """Begin a routine, within the one that is open or not.
+
+        Raises:
+            DataError: There is one of this name.
+        """
+        if name in self.routines:
+            raise DataError(f"{where}: '{name}' is declared twice; name each routine otherwise")
+        self.routines[name] = _Routine(at_any_time)
         self._open.append((name, []))
 
     def finish(self) -> None:
@@ -109,12 +118,12 @@ class Flow:
     def blocks(self) -> list[Block]:
         """Branches and loops that are open, the innermost last."""
         if not self._open:
-            self.begin("")
+            self._open.append(("", []))
         return self._open[-1][1]
 
     def _add(self, step: _Step) -> None:
         if not self._open:
-            self.begin("")
+            self._open.append(("", []))
         routine = self.routines[self.routine]
         if step.kind == "label":
             routine.labels[step.place] = len(routine.steps)

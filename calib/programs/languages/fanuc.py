@@ -73,7 +73,7 @@ class _Position:
         code: Words of the section.
         at: Its first word.
         groups: Its motion groups.
-        fields: Place of the number of each field, from behind the equals sign, and its unit.
+        fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
         frame, tool: Numbers of its user frame and tool, as written; empty where it has none.
         configuration: As written, with quotes; empty where it has none.
     """
@@ -117,7 +117,7 @@ def _position(code: Code, at: int, first: int, stop: int) -> _Position:
             behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
             number = code.number(k + 2, behind)
             unit = code.tokens[behind].text
-            if number is not None and unit in ("MM", "DEG"):
+            if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
                 if name in fields:
                     raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
                 fields[name] = (code.tokens[k + 1].end, number, unit)

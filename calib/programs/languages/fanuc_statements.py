@@ -135,7 +135,7 @@ class FanucStatements(ABC):
             self._called(at + 1, stop)
         elif word not in self.harmless and not code.is_mark(at, "-"):
             self.uses.decide(self._names(at, stop), code.line(at))
-            self._lose(code.shown(at, stop), at)
+            self._lose(code.shown(at, at + 1), at)
         else:
             self.uses.decide(self._names(at, stop), code.line(at))
 
@@ -179,7 +179,7 @@ class FanucStatements(ABC):
             self.uses.compute(word, names)
         else:
             self.uses.decide(names, code.line(at))
-            self._lose(code.shown(at, equals), at)
+            self._lose(code.shown(at, at + 1), at)
 
     def _motion(self, at: int, stop: int) -> None:
         """Take in a motion, and what is called while the robot moves."""

@@ -18,7 +18,7 @@ from calib.programs.languages.robot_program import Collector, Source
 from calib.programs.languages.tokens import Code, Span, word_pattern
 
 _WORDS = word_pattern(
-    r"[;&][^\n]*", r"[$#]?[^\W\d][\w$]*", r"[=<>]=|<>|[-+*/()\[\]{}=<>,.:!?^]", r"\"[^\"\n]*\"|'[^'\n]*'"
+    r"[;&][^\n]*", r"[$#]?[^\W\d][\w$]*", r"[=<>]=|<>|[-+*/()\[\]{}=<>,.:!?^%@~|]", r"\"[^\"\n]*\"|'[^'\n]*'"
 )
 _MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 _SELECTED = ("$TOOL", "$BASE", "$IPO_MODE")
@@ -189,7 +189,7 @@ class KrlStatements(ABC):
 
     def _begin_routine(self, at: int) -> int:
         bracket = next(k for k in range(at, at + 8) if self.code.is_mark(k, "("))
-        self.flow.begin(self.code.tokens[bracket - 1].text)
+        self.flow.begin(self.code.tokens[bracket - 1].text, self.code.where(at))
         return self.code.partner[bracket] + 1
 
     def _end_routine(self, at: int) -> int:

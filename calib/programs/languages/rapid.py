@@ -62,7 +62,11 @@ def read_rapid(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: 
 
 def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return the tools and work objects that a module declares; the reason for those that cannot be used."""
-    return _Reader(Source.read(path, _WHAT), {}, ()).frames
+    reader = _Reader(Source.read(path, _WHAT), {}, ())
+    return {
+        name: f"'{name.lower()}' is set by its module" if reader.uses.is_set(name.partition("{")[0]) else frame
+        for name, frame in reader.frames.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,7 @@ class RapidStatements(ABC):
     def _begin_routine(self, at: int) -> int:
         word = self.code.tokens[at].text
         name = at + 2 if word == "FUNC" else at + 1
-        self.flow.begin(self.code.tokens[name].text, at_any_time=word == "TRAP")
+        self.flow.begin(self.code.tokens[name].text, self.code.where(at), at_any_time=word == "TRAP")
         return self.code.partner[name + 1] + 1 if self.code.is_mark(name + 1, "(") else name + 1
 
     def _handler(self, at: int) -> int:
@@ -165,7 +165,7 @@ class RapidStatements(ABC):
         self.flow.jump("return")
         name = f"{self.flow.routine} {self.code.tokens[at].text}"
         self.flow.finish()
-        self.flow.begin(name, at_any_time=True)
+        self.flow.begin(name, self.code.where(at), at_any_time=True)
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
 
     def _end_routine(self, at: int) -> int:

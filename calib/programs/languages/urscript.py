@@ -145,7 +145,7 @@ class _Reader:
         code, flow, line = self.code, self.flow, self.code.line(at)
         stop = min(code.until(at + 1, self._end(at), ":"), self._end(at))
         if word in _ROUTINES:
-            flow.begin(code.tokens[at + 1].text, at_any_time=word != "def")
+            flow.begin(code.tokens[at + 1].text, code.where(at), at_any_time=word != "def")
             return stop
         if word == "end":
             if flow.blocks:

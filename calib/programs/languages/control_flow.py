@@ -38,6 +38,7 @@ class _Step:
     keys: frozenset[str] = frozenset()
     move: Callable[[State | None], None] | None = None
     at: int = 0
+    why: str = ""
 
 
 @dataclass
@@ -143,7 +144,11 @@ class Flow:
     def lose(self, why: str, keys: Iterable[str] = ()) -> None:
         """Note that these settings, or all, are not known from here on."""
         some = frozenset(keys)
-        self.change(some or [EVERYTHING], lambda state: {**state, **dict.fromkeys(some or state, Unknown(why))})
+
+        def change(state: State) -> State:
+            return {**state, **dict.fromkeys(some or state, Unknown(why))}
+
+        self._add(_Step("change", change=change, keys=some or frozenset([EVERYTHING]), why=why))
 
     def move(self, at: int, move: Callable[[State | None], None]) -> None:
         """Note a move at a place of the text; it is called in the end with the state there, None where none comes."""
@@ -221,7 +226,9 @@ class Flow:
         loose = {key for routine in self.routines.values() if routine.at_any_time for key in routine.keys}
         everything = (keys | set(self.start)) - {EVERYTHING}
         changed, loose = (everything if EVERYTHING in some else some for some in (keys, loose))
-        self._loose = dict.fromkeys(loose, Unknown("is also set by a part of the program that runs at any time"))
+        steps = (step for routine in self.routines.values() if routine.at_any_time for step in routine.steps)
+        set_anywhere = "is also set by a part of the program that runs at any time"
+        self._loose = dict.fromkeys(loose, Unknown(next((step.why for step in steps if step.why), set_anywhere)))
         self._start = {**dict.fromkeys(everything), **self.start}
         anything = {**self._start, **dict.fromkeys(changed, Unknown("is set by other parts of the program"))}
         self._work: list[tuple[int, int]] = []

@@ -32,6 +32,7 @@ from calib.programs.commands.compensate_program import compensate_controller
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
+from calib.programs.languages.gcode_dialects import DIALECTS
 from calib.programs.reaching.compensation import Compensation, compensate
 from calib.programs.reaching.expected_errors import (
     COUNTED,
@@ -44,6 +45,7 @@ from calib.programs.reaching.expected_errors import (
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.program_task import KEEP
 
+_OF_GCODE = "--zero, --start, --tolerance-mm and --dialect"
 _FIGURES = ("before", "expected", "low95", "high95")
 _OF_POSITIONS: tuple[tuple[str, str, float], ...] = tuple(
     (figure, ERROR_UNIT["length"], error_scale("length")) for figure in _FIGURES
@@ -81,16 +83,22 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
     help="G-code: where the machine stands at first and after homing, in the program's coordinates [mm].",
 )
 @click.option(
+    "--dialect",
+    type=click.Choice(tuple(DIALECTS)),
+    help="G-code: whose rules hold; cnc: milling machines (LinuxCNC, grbl).  [default: as the file says, .nc, .ngc: cnc]",
+)
+@click.option(
+    "--harmless",
+    metavar="WORD",
+    multiple=True,
+    help="G-code, controllers' programs: a macro, command or routine that changes no position, target, tool, frame or"
+    " mode.",
+)
+@click.option(
     "--frames",
     metavar="FILE",
     multiple=True,
     help="Controllers' programs: tools and frames that PROGRAM does not declare; a table, RAPID module or $config.dat.",
-)
-@click.option(
-    "--harmless",
-    metavar="NAME",
-    multiple=True,
-    help="Controllers' programs: a routine declared elsewhere that changes no target, tool, frame or mode of motion.",
 )
 @click.option("--base-link", metavar="LINK", help="Controllers' programs: the controller's base frame in the URDF.")
 @click.option("--flange-link", metavar="LINK", help="Controllers' programs: the controller's flange in the URDF.")
@@ -113,8 +121,9 @@ def command(
     tolerance_mm: float | None,
     zero: str | None,
     start: str | None,
-    frames: tuple[str, ...],
+    dialect: str | None,
     harmless: tuple[str, ...],
+    frames: tuple[str, ...],
     base_link: str | None,
     flange_link: str | None,
     third_joint: str | None,
@@ -137,7 +146,7 @@ def command(
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
     nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.
-    Other moves are refused. All other lines stay.
+    Other moves are refused, and moves behind commands that may have changed what they mean. All other lines stay.
 
     In a controller's program, only the numbers of the targets change. Targets that it computes at run time are listed
     with their lines. Poses are those of link `tool0` in link `base` if the URDF has them, else those of the target's
@@ -153,23 +162,24 @@ def command(
         )
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)
-    if suffix not in languages.SUFFIXES and (frames or harmless or any(link is not None for link in links)):
+    of_gcode = (zero, start, tolerance_mm, dialect)
+    if suffix not in languages.SUFFIXES and (frames or any(link is not None for link in links)):
         raise InputError(
-            "--frames, --harmless, --base-link, --flange-link and --third-joint are for programs of controllers"
+            "--frames, --base-link, --flange-link and --third-joint are for programs of controllers"
             f" ({', '.join(languages.SUFFIXES)}); leave them out"
         )
     if suffix in languages.SUFFIXES:
-        if any(option is not None for option in (keep, grid, zero, start, tolerance_mm)):
-            raise InputError("--keep, --grid, --zero, --start and --tolerance-mm are not for programs of controllers")
+        if any(option is not None for option in (keep, grid, *of_gcode)):
+            raise InputError(f"--keep, --grid, {_OF_GCODE} are not for programs of controllers")
         compensate_controller(known, program, result, frames, harmless, links, skip_unreachable, out, output)
         return
     if suffix in SUFFIXES:
         if keep is not None or grid is not None or skip_unreachable:
             raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
-        compensate_gcode(known, program, result, (zero, start), tolerance_mm, out, output)
+        compensate_gcode(known, program, result, (zero, start), (dialect, harmless), tolerance_mm, out, output)
         return
-    if any(option is not None for option in (zero, start, tolerance_mm)):
-        raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
+    if harmless or any(option is not None for option in of_gcode):
+        raise InputError(f"{_OF_GCODE} are for G-code, --harmless for programs ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
     output.check(out)
     if grid is not None:

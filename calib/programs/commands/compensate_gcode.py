@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from calib.core.base.errors import DataError, InputError
@@ -10,7 +12,8 @@ from calib.core.base.units import millimetres, quantity
 from calib.core.base.words import counted
 from calib.core.commands.common import Output, said_of_failure
 from calib.core.rows.known_robot import KnownRobot
-from calib.programs.languages.gcode import ROUNDING, GcodeProgram, read_gcode
+from calib.programs.languages.gcode import read_gcode
+from calib.programs.languages.gcode_program import ROUNDING, GcodeProgram
 from calib.programs.languages.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 from calib.programs.reaching.expected_errors import (
     COUNTED,
@@ -29,6 +32,7 @@ def compensate_gcode(
     path: str,
     result: str,
     places: tuple[str | None, str | None],
+    rules: tuple[str | None, Collection[str]],
     tolerance_mm: float | None,
     out: str,
     output: Output,
@@ -40,6 +44,7 @@ def compensate_gcode(
         path: The program.
         result: Folder of the calibration, for messages.
         places: --zero and --start.
+        rules: --dialect and --harmless.
         tolerance_mm: --tolerance-mm; 0.01 if not given.
         out: File to write.
         output: Where to print.
@@ -56,7 +61,7 @@ def compensate_gcode(
         raise DataError(
             f"{known.robot.path}: has several targets, but G-code moves only one; describe that target alone"
         )
-    program = read_gcode(path, start)
+    program = read_gcode(path, start, *rules)
     output.check(out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     origin = np.zeros(3) if zero is None else np.array(zero)

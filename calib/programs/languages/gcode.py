@@ -1,179 +1,60 @@
-"""G-code programs of straight moves: where each leads, and the same program with other points in it.
+"""Reading of G-code programs of straight moves: where each leads.
 
 Read are G0 and G1 with X, Y and Z, absolute (G90) or relative (G91), in millimetres (G21) or inches (G20), a line
-without a G meaning the motion before it; until a program says otherwise, G90 and G21 hold. Lines that move nothing are
-carried as they are; M, T and the macros of firmwares (`START_PRINT`) are taken for such, and to leave the machine
-where it stands.
+without a G meaning the motion before it. A program begins in G90 and G21.
 
-What would put the points somewhere else than X, Y and Z say is refused with its line: arcs, cycles, work offsets, G92
-of an axis, tool corrections, rotary axes, subprograms, expressions, settings of steps or of the machine's geometry.
-Homing and probing (G28, G29, G30) leave the machine where only its firmware knows. G90 and G91 change what E means on
-some machines and on others not; a program that has E behind them must say so (M82, M83).
+Whatever a move depends on is known, or the move is refused with its line: where the machine stands, axis by axis;
+whether numbers are relative; their unit; the zero and the tool that they belong to. A word leaves all this as it is
+only where `calib.programs.languages.gcode_dialects` says so. Any other word (a macro, a change of tools) may change all of
+it, and position and modes are unknown until the program sets them again. Zero and tool cannot be set again: after the
+first move such a word ends what can be compensated; before it, the word prepares the machine, and the program's zero is
+the one that it leaves. Homing of all axes leads to where the user says; homing of one may move the others. Words that
+certainly change what X, Y and Z mean, lines that are run elsewhere, again or under a condition, and moves that are not
+straight are refused wherever they stand. Where firmwares read a line differently, it is refused unless the firmware is
+known.
 
-Written again, E is shared along a move that is cut, absolute (M82) or relative (M83); other words (F, S, P ...) stay on
-its first piece, since they hold from there on. Comments stay, and all lines that are no moves.
+G90 and G91 change what E means on some machines and on others not; a program that has E behind them must say so (M82,
+M83).
+
+Reading takes a time in proportion to the length: an expression takes one word and never goes back.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
-from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_text
-from calib.core.base.units import PER_SI
+from calib.programs.languages.gcode_dialects import CALLING, CHANGING, CONDITIONAL, REFUSED, TEXT, Dialect, find_dialect
+from calib.programs.languages.gcode_lines import AXES, Line, read_line, require_order, require_words
+from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeProgram, Move
 
 SUFFIXES = (".gcode", ".nc", ".ngc", ".g")
-ROUNDING = 1e-7
-"""By how much written points may be off, their decimals being limited [m]."""
-MILLIMETRE, INCH = 1 / PER_SI["length"]["mm"], 25.4 / PER_SI["length"]["mm"]
-"""Units of programs [m]."""
-_DECIMALS = {MILLIMETRE: 4, INCH: 6}
-_E_DECIMALS = 5
-_LARGEST = 1e6  # of numbers in a program
-_COMMENT = re.compile(r"\([^()]*\)|;.*")
-_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*", re.ASCII)
-_MACRO = re.compile(r"[A-Z_]{2}\w*(\s|$)")
-_HOMING = re.compile(r"(N\d+\s*)?G\s*0*(28|29|30)(\.\d+)?(?!\d)")
-_TEXT = re.compile(r"(N\d+\s*)?M\s*0*(117|118)(?!\d)")
-_HOMES = {"28", "29", "30"}
-_OWN_WORDS = {"4", "92"}
-_BESIDE_MOTION = {"3", "4", "5", "7", "8", "9"}  # spindle and coolant, which a line with X, Y, Z may switch too
-_HARMLESS = {"4", "10", "11", "17", "40", "49", "54", "61", "64", "80", "94"}
-_REFUSED = {
-    **dict.fromkeys(("2", "3"), "arcs are not read; let the program that made it write lines (arc fitting off)"),
-    **dict.fromkeys(("18", "19"), "arcs in other planes are not read; write lines"),
-    "92": "moves the zero of an axis; write the program in one system of coordinates",
-    "93": "speeds per move do not fit moves that are cut; write speeds per minute (G94)",
-}
-_CHANGED = {"92", "206", "218", "290", "428", "665", "666", "669"}  # what the machine makes of X, Y and Z
-_CALLS = {"97", "98", "99"}
+_Modes = tuple[bool | None, bool | None, float | None]  # relative, e_relative, unit
 
 
-@dataclass(frozen=True)
-class Move:
-    """A straight move.
-
-    Attributes:
-        line: Its index in the lines of the program.
-        start: Where it begins, in the program's coordinates [m]; None where that is not known.
-        end: Where it ends [m].
-        known: Whether the move before led to `start`; not so at the beginning, and after homing.
-        unit: What its numbers are in [m].
-        relative: Whether they count from where the machine stands.
-        words: Its other words, E not among them.
-        comments: As they stand on the line.
-        e: E at the beginning and at the end; None without E, or where only one piece can be written.
-        e_text: E as written; empty without.
-        e_relative: Whether E counts from where it stands.
-    """
-
-    line: int
-    start: tuple[float, ...] | None
-    end: tuple[float, ...]
-    known: bool
-    unit: float
-    relative: bool
-    words: tuple[str, ...]
-    comments: str
-    e: tuple[float, float] | None = None
-    e_text: str = ""
-    e_relative: bool = False
-
-
-@dataclass(frozen=True)
-class GcodeProgram:
-    """A program.
-
-    Attributes:
-        path: Where it came from.
-        lines: Its lines.
-        moves: Its straight moves, in order.
-    """
-
-    path: str
-    lines: tuple[str, ...]
-    moves: tuple[Move, ...]
-
-    def label(self, move: Move) -> str:
-        """Return what to call a move in messages."""
-        return f"{self.path}, line {move.line + 1}"
-
-    def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
-        """Return the program with other points.
-
-        Args:
-            ways: Of each move the points that it shall go through in straight lines, the last of them its end,
-                (n_pieces, 3) [m]; None: all lines stay as they are.
-            comments: Lines to put first, behind what starts a tape (`%`).
-
-        Raises:
-            DataError: A move with E is cut where the program does not say what E means.
-        """
-        lines = [[line] for line in self.lines]
-        stands: FloatArray = np.zeros(3)
-        for move, way in zip(self.moves, ways, strict=True) if ways is not None else ():
-            if not move.known and move.start is not None:
-                stands = np.array(move.start, dtype=np.float64)
-            lines[move.line], stands = self._pieces(move, way, stands)
-        first = 1 if self.lines and self.lines[0].strip() == "%" else 0
-        lines.insert(first, [f"; {comment}" for comment in comments])
-        return "\n".join(line for piece in lines for line in piece) + "\n"
-
-    def _pieces(self, move: Move, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
-        """The lines of one move, and where the machine then stands [m]."""
-        decimals, lines = _DECIMALS[move.unit], []
-        for k, point in enumerate(way):
-            numbers = np.round((point - stands if move.relative else point) / move.unit, decimals) + 0.0
-            stands = stands + numbers * move.unit if move.relative else numbers * move.unit
-            words = [f"{axis}{_shown(number, decimals)}" for axis, number in zip("XYZ", numbers, strict=True)]
-            others = move.words[1:] if k == 0 else ()
-            counter = [word for word in others if word.startswith("N")]
-            words = [*counter, move.words[0], *words, *(word for word in others if word not in counter)]
-            if move.e_text:
-                words.append(f"E{self._share(move, k, len(way))}")
-            lines.append(" ".join(word for word in words if word))
-        lines[0] += f" {move.comments}" if move.comments else ""
-        return lines, stands
-
-    def _share(self, move: Move, k: int, n: int) -> str:
-        """E of piece k of n."""
-        if n == 1:
-            return move.e_text
-        if move.e is None:
-            raise DataError(
-                f"{self.label(move)}: is cut into {n} pieces, and nothing says what its E means; write M82 and G92 E0,"
-                " or M83, before it and after every G90 and G91"
-            )
-        decimals = max(_E_DECIMALS, len(move.e_text.partition(".")[2]))
-        start, end = move.e
-        before, after = (round(start + (end - start) * share / n, decimals) for share in (k, k + 1))
-        return _shown(after - before if move.e_relative else after, decimals)
-
-
-def _shown(number: float, decimals: int) -> str:
-    """A number with at most so many decimals, never with an exponent."""
-    text = f"{number:.{decimals}f}".rstrip("0").rstrip(".") if decimals else f"{number:.0f}"
-    return "0" if text in ("-0", "") else text
-
-
-def read_gcode(path: Path | str, start: tuple[float, ...] | None = None) -> GcodeProgram:
+def read_gcode(
+    path: Path | str,
+    start: tuple[float, ...] | None = None,
+    dialect: str | None = None,
+    harmless: Collection[str] = (),
+) -> GcodeProgram:
     """Read a program.
 
     Args:
         path: The file.
-        start: Where the machine stands at first and after homing, (3,) [m]; not known if not given.
+        start: Where the machine stands at first and after homing of all axes, (3,) [m]; not known if not given.
+        dialect: The firmware, of `calib.programs.languages.gcode_dialects.DIALECTS`; found in the file if not given.
+        harmless: Further words that leave position, coordinates, modes and tool as they are, such as a macro.
 
     Raises:
         DataError: The message names file and line.
+        InputError: There is no such dialect.
     """
-    reader = _Reader(str(path), start)
     lines = read_text(path, "a G-code program", DataError).rstrip("\n").split("\n")
+    reader = _Reader(str(path), start, find_dialect(path, lines, dialect), {word.upper() for word in harmless})
     for number, line in enumerate(lines):
         reader.read(number, line)
     if not reader.moves:
@@ -183,148 +64,216 @@ def read_gcode(path: Path | str, start: tuple[float, ...] | None = None) -> Gcod
 
 @dataclass
 class _Reader:
-    """What holds from line to line."""
+    """What holds from line to line; None where it is not known.
+
+    Attributes:
+        home: Where the machine stands after homing of all axes.
+        vouched: Words that the user calls harmless.
+        at: Where it stands, axis by axis [m].
+        known: Whether the move before led there.
+        selected: Whether G54 was.
+        saved: Modes (relative, e_relative, unit) to restore, by name.
+        since: The last word that led the machine to a place that is not known, and its line.
+        prepared: The last word that may have moved the zero or changed the tool.
+        shifted: The first such word after a move.
+    """
 
     path: str
     home: tuple[float, ...] | None
+    dialect: Dialect
+    vouched: Collection[str]
     moves: list[Move] = field(default_factory=list)
     at: list[float | None] = field(default_factory=list)
     known: bool = False
     motion: str = ""
-    relative: bool = False
-    unit: float = MILLIMETRE
+    relative: bool | None = False
+    unit: float | None = MILLIMETRE
     e_relative: bool | None = None
     e: float | None = None
-    where: str = ""
+    tool: str = ""
+    selected: bool = False
+    saved: dict[str, list[_Modes]] = field(default_factory=dict)
+    since: str = ""
+    prepared: str = ""
+    shifted: str = ""
 
     def __post_init__(self) -> None:
-        self._lose()
+        self.at = [None] * 3 if self.home is None else list(self.home)
 
-    def _lose(self) -> None:
-        """The firmware has moved the machine."""
-        self.at, self.known = [None] * 3 if self.home is None else list(self.home), False
-
-    def _refuse(self, why: str) -> DataError:
-        return DataError(f"{self.where}: {why}")
-
-    def read(self, number: int, line: str) -> None:
-        """Take in one line."""
-        self.where = f"{self.path}, line {number + 1}"
-        if not line.replace("\t", " ").isprintable():
-            raise self._refuse("is not text; is this a G-code program?")
-        comments = " ".join(match.group().strip() for match in _COMMENT.finditer(line))
-        code = _COMMENT.sub(" ", line).strip().upper()
-        if not code or code.startswith("%") or _TEXT.match(code) or _MACRO.match(code):
+    def read(self, number: int, text: str) -> None:
+        """Take in a line."""
+        line = read_line(text, f"{self.path}, line {number + 1}", self.dialect)
+        if line is None or TEXT & {*line.codes[:1]}:
             return
-        if _HOMING.match(code):
-            self._lose()
-            return
-        words = self._words(code)
-        if words is not None:
-            self._take(number, words, comments)
+        if line.name:
+            self._name(line)
+        elif line.tool and not self.dialect.at_once:
+            self._change_tool(line)
+        else:
+            self._take(number, line)
 
-    def _words(self, code: str) -> list[tuple[str, str]] | None:
-        """Letters and numbers of a line; None for a text that an M needs."""
-        if code.startswith("/"):
-            raise self._refuse("whether lines with / are run is not known; remove the line, or the mark")
-        words, end = [], 0
-        while match := _WORD.match(code, end):
-            words.append((match[1], match[2]))
-            end = match.end()
-        if end < len(code):
-            if words and words[0][0] == "M":
-                return None
-            raise self._refuse(f"'{code[end:]:.40}' is not read; write words of a letter and a number")
-        large = next((word for word in words if abs(float(word[1])) > _LARGEST), None)
-        if large is not None:
-            raise self._refuse(f"'{large[0]}{large[1]:.20}' is beyond what any machine reads; correct it")
-        return words
+    def _lose(self, word: str, line: Line) -> None:
+        """Take in that the firmware has moved the machine."""
+        self.at, self.known = [None] * 3, False
+        self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
-    def _take(self, number: int, words: list[tuple[str, str]], comments: str) -> None:
-        letters = [letter for letter, _ in words if letter not in "GM"]
-        if len(set(letters)) < len(letters):
-            raise self._refuse("has a letter twice; write one command per line")
-        numbers = dict(word for word in words if word[0] not in "GM")
-        codes = {letter: [f"{float(value):g}" for word, value in words if word == letter] for letter in "GM"}
-        for code in codes["M"]:
-            self._m(code)
-        moving = [code for code in codes["G"] if code in ("0", "1")]
-        if len(moving) > 1:
-            raise self._refuse("has two motions; write one command per line")
-        for code, other in (("20", "21"), ("90", "91")):
-            if code in codes["G"] and other in codes["G"]:
-                raise self._refuse(f"has G{code} and G{other}; write one command per line")
-        for code in codes["G"]:
-            self._g(code, numbers)
-        if _HOMES & {*codes["G"]}:
-            self._lose()
-        elif _OWN_WORDS & {*codes["G"]} or (not moving and {*codes["M"]} - _BESIDE_MOTION):
-            return  # what stands beside these is theirs
-        elif any(axis in numbers for axis in "XYZ"):
-            self._move(number, words, numbers, comments)
-        elif "E" in numbers:
-            self._extrude(float(numbers["E"]))
+    def _forget(self, word: str, line: Line) -> None:
+        """Take in a word of which nothing is known."""
+        self._lose(word, line)
+        self.relative, self.e_relative, self.e = None, None, None
+        self.unit = None if self.dialect.inches else MILLIMETRE
+        self.motion, self.tool, self.selected, self.prepared = "", "", False, self.since
+        self.saved.clear()
+        self._shift()
 
-    def _m(self, code: str) -> None:
-        if code in _CHANGED:
-            raise self._refuse(f"M{code} changes the meaning of X, Y and Z; set it outside the program")
-        if code in _CALLS:
-            raise self._refuse(f"M{code} calls another program; write it out")
-        if code in ("82", "83"):
-            self.e_relative = code == "83"
+    def _shift(self) -> None:
+        """Take in that the zero or the tool may be another one."""
+        self.shifted = self.shifted or (self.since if self.moves else "")
 
-    def _g(self, code: str, numbers: dict[str, str]) -> None:
-        """Take in one G; what it does not know is refused."""
-        if code == "92" and set(numbers) == {"E"}:
-            self.e = float(numbers["E"])
-        elif code in ("0", "1"):
+    def _name(self, line: Line) -> None:
+        """Take in a command that is a name."""
+        if line.name in CONDITIONAL:
+            raise line.refusal(f"{line.name} depends on what is not known here; write out what is run")
+        given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
+        self._other(line.name, line, given.get("NAME", "default"))
+        if line.name == self.dialect.restoring and given.get("MOVE", "0") != "0":
+            self._lose(line.name, line)
+
+    def _change_tool(self, line: Line) -> None:
+        if len(line.words) > 1 or line.rest:
+            raise line.refusal("has more than a tool; write one command per line")
+        if line.tool not in self.vouched and not (line.tool == self.tool and self.dialect.same_tool):
+            self._forget(line.tool, line)
+            self.tool = line.tool
+
+    def _other(self, word: str, line: Line, name: str = "default") -> None:
+        """Take in a word by the lists; some save and restore modes by another name."""
+        if word in CHANGING:
+            raise line.refusal(f"{word} changes the meaning of X, Y and Z; set it outside the program")
+        if word in CALLING:
+            raise line.refusal(f"{word} calls another program, or lines again; write them out")
+        if word == self.dialect.saving:
+            self.saved.setdefault(name, []).append((self.relative, self.e_relative, self.unit))
+        elif word == self.dialect.restoring and self.saved.get(name):
+            self.relative, self.e_relative, self.unit = self.saved[name][-1]
+            self.e = None
+            if self.dialect.once:
+                self.saved[name].pop()
+        elif word in self.dialect.moving:
+            self._lose(word, line)
+        elif word not in self.dialect.harmless and word not in self.vouched:
+            self._forget(word, line)
+
+    def _take(self, number: int, line: Line) -> None:
+        """Take in a line of words."""
+        require_words(line, self.dialect)
+        for word in line.codes:
+            if word in ("M82", "M83"):
+                self.e_relative = word == "M83"
+            elif word[0] == "M":
+                self._other(word, line)
+            elif word != line.homing:
+                self._g(word, line)
+        owner = line.owner(self.vouched)
+        require_order(line, owner, self.dialect)
+        if line.homing:
+            self._home(line)
+        elif "G92" in line.codes:
+            self.e = float(line.given["E"])
+        elif not owner and {*AXES} & {*line.given}:
+            self._move(number, line)
+        elif not owner and "E" in line.given:
+            self._extrude(float(line.given["E"]))
+
+    def _g(self, code: str, line: Line) -> None:
+        """Take in a G that is not for homing; what it does not know is refused."""
+        letters = {*line.given}
+        if code in ("G0", "G1"):
             self.motion = code
-        elif code in ("20", "21"):
-            self.unit = INCH if code == "20" else MILLIMETRE
-        elif code in ("90", "91"):
-            relative = code == "91"
+        elif code == "G20" and not self.dialect.inches:
+            raise line.refusal(f"{self.dialect.name} does not know inches; write millimetres")
+        elif code in ("G20", "G21"):
+            unit = INCH if code == "G20" else MILLIMETRE
+            self.e = self.e if unit == self.unit else None  # its numbers are in the unit, too
+            self.unit = unit
+        elif code in ("G90", "G91"):
+            relative = code == "G91"
             if relative != self.e_relative:  # it changes E too on some machines, on others it does not
                 self.e_relative = None
             self.relative = relative
-        elif (code not in _HARMLESS and code not in _HOMES) or (code == "10" and numbers):
-            raise self._refuse(f"G{code}: {_REFUSED.get(code, 'is not read; only straight moves are (G0, G1)')}")
-        elif code == "80":
-            self.motion = ""
+        elif code in REFUSED:
+            retracts = code in ("G10", "G11") and letters <= self.dialect.retracting
+            if not retracts and not (code == "G92" and letters == {"E"}):
+                raise line.refusal(f"{code}: {REFUSED[code]}")
+        elif code == "G54" and code not in self.dialect.harmless:  # perhaps not what a machine begins in
+            if self.moves and not self.selected:
+                self._forget(code, line)
+            self.selected = True
+        elif code not in self.dialect.harmless | self.dialect.moving and code not in self.vouched:
+            raise line.refusal(f"{code}: is not read; only straight moves are (G0, G1)")
+        else:
+            self.motion = "" if code == "G80" else self.motion
+            self._other(code, line)
+
+    def _home(self, line: Line) -> None:
+        """Take in homing or probing; what homes one axis may move the others."""
+        if line.homing != "G28":
+            self._other(line.homing, line)
+            return
+        self._lose(line.homing, line)
+        letters = {*line.given, *filter(str.isalpha, line.rest.upper())}
+        if self.home is not None and letters <= {*AXES, "W"} and (letters & {*AXES}) in (set(), {*AXES}):
+            self.at = list(self.home)
+        if self.prepared:  # homing takes back a zero that was moved
+            self._shift()
 
     def _extrude(self, value: float) -> tuple[float, float] | None:
         """Take in E; return it before and after, None where what it means is not known."""
         before = self.e
         if self.e_relative:
-            self.e = 0.0
+            self.e = None
             return 0.0, value
         self.e = value if self.e_relative is False else None
         return None if before is None or self.e is None else (before, value)
 
-    def _move(self, number: int, words: list[tuple[str, str]], numbers: dict[str, str], comments: str) -> None:
-        wrong = next((letter for letter in numbers if letter in "ABCUVWIJKR"), None)
-        if not self.motion:
-            raise self._refuse("moves without G0 or G1 before it; write which of them")
-        if wrong is not None:
-            raise self._refuse(f"'{wrong}' does not belong to a straight move of X, Y and Z")
-        end: list[float] = []
-        for axis, at in zip("XYZ", self.at, strict=True):
-            if at is None and (self.relative or axis not in numbers):
-                raise self._refuse(
-                    f"where the machine stands along {axis} is not known here; say so with --start X,Y,Z, or give X, Y"
-                    " and Z in the first move and in the first after homing"
+    def _move(self, number: int, line: Line) -> None:
+        unit, relative = self._require_modes(line)
+        given, end = line.given, list[float]()
+        for axis, at in zip(AXES, self.at, strict=True):
+            if at is None and (relative or axis not in given):
+                raise line.refusal(
+                    f"where the machine stands along {axis} is not known here{self.since and f' after {self.since}'};"
+                    " say so with --start X,Y,Z, or give X, Y and Z in the first move and in the first after homing"
                 )
-            given = float(numbers[axis]) * self.unit if axis in numbers else 0.0
-            end.append(given if axis in numbers and not self.relative else (at or 0.0) + given)
-        # a line without a G stays one; other words keep their order
-        kept = [f"{letter}{value}" for letter, value in words if letter not in "XYZE"]
-        motion = next((word for word in kept if re.fullmatch(r"G0*[01](\.0*)?", word)), "")
-        words_kept = (motion, *(word for word in kept if word != motion))
-        e = self._extrude(float(numbers["E"])) if "E" in numbers else None
+            value = float(given[axis]) * unit if axis in given else 0.0
+            end.append(value if axis in given and not relative else (at or 0.0) + value)
+        first = next((k for k, word in enumerate(line.words) if word[0] == "G" and float(word[1]) in (0, 1)), -1)
+        lead, tail = (
+            tuple(f"{word[0]}{word[1]}" for word in words if word[0] not in "XYZE")
+            for words in (line.words[: first + 1], line.words[first + 1 :])
+        )
+        e = self._extrude(float(given["E"])) if "E" in given else None
         start = None if None in self.at else tuple(float(x) for x in self.at if x is not None)
         self.moves.append(
             Move(
-                number, start, tuple(end), self.known, self.unit, self.relative, words_kept, comments,
-                e, numbers.get("E", ""), bool(self.e_relative),
+                number, start, tuple(end), self.known, unit, relative, line.counter + lead, tail, line.comments,
+                e, given.get("E", ""), bool(self.e_relative),
             )
         )  # fmt: skip
         self.at, self.known = list(end), True
+
+    def _require_modes(self, line: Line) -> tuple[float, bool]:
+        """Return the unit of a move's numbers [m], and whether they are relative."""
+        wrong = next((letter for letter in line.given if letter not in self.dialect.move_words), None)
+        if not self.motion:
+            raise line.refusal("moves without G0 or G1 before it; write which of them")
+        if wrong is not None:
+            raise line.refusal(f"'{wrong}' does not belong to a straight move of X, Y and Z")
+        if self.shifted:
+            raise line.refusal(
+                f"{self.shifted} may have moved zero or axes, or changed the tool; say --harmless if it does not, or"
+                " compensate what is behind it by itself"
+            )
+        if self.relative is None or self.unit is None:
+            raise line.refusal(f"{self.since} may have changed modes; write G90 or G91, and G20 or G21, behind it")
+        return self.unit, self.relative

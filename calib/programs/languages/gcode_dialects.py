@@ -1,0 +1,182 @@
+"""What firmwares make of the words of G-code: which of them leave the machine as it was, and where they differ.
+
+A word that is on no list here may do anything. Lists hold what the manuals of a firmware say (Marlin's and
+RepRapFirmware's dictionaries of G-code, Klipper's page of commands, LinuxCNC's of G and M codes); a program whose
+firmware is not known may have the words that are harmless in all of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.core.base.errors import InputError
+
+
+def named(text: str) -> frozenset[str]:
+    """Return the words of a text; `M3-5` stands for M3, M4 and M5."""
+    words: set[str] = set()
+    for word in text.split():
+        first, _, last = word[1:].partition("-")
+        words.update([f"{word[0]}{n}" for n in range(int(first), int(last) + 1)] if last else [word])
+    return frozenset(words)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The rules of a firmware.
+
+    Attributes:
+        name: As in `--dialect`; empty where the firmware is not known.
+        harmless: Words that change neither position nor coordinates, modes or tool.
+        moving: Words that move the machine and change nothing else.
+        at_once: Whether the order of words in a line means nothing and T only prepares a tool, as in RS274; else
+            commands are run one after the other, each with the words behind it.
+        several: Whether a line may have several commands.
+        modal: Whether X, Y, Z without a G go on with the motion before.
+        parentheses: Whether a text in parentheses is certainly a comment.
+        inches: Whether numbers can be in inches.
+        exponents: Whether E behind a digit may be an exponent.
+        same_tool: Whether calling the tool that is in place certainly does nothing.
+        move_words: Letters that leave G0 and G1 a straight move.
+        retracting: Letters that G10 and G11 may have without moving a zero.
+        saving: The word that saves modes, ...
+        restoring: ... and the one that restores them.
+        once: Whether what was saved is restored once, the last first.
+    """
+
+    name: str
+    harmless: frozenset[str]
+    moving: frozenset[str]
+    at_once: bool = False
+    several: bool = True
+    modal: bool = True
+    parentheses: bool = False
+    inches: bool = True
+    exponents: bool = False
+    same_tool: bool = False
+    move_words: str = "XYZEFS"
+    retracting: frozenset[str] = frozenset()
+    saving: str = ""
+    restoring: str = ""
+    once: bool = False
+
+
+REFUSED = {
+    **dict.fromkeys(("G2", "G3"), "arcs are not read; let the program that made it write lines (arc fitting off)"),
+    **dict.fromkeys(("G18", "G19"), "arcs in other planes are not read; write lines"),
+    "G92": "moves the zero of an axis; write the program in one system of coordinates",
+    "G93": "speeds per move do not fit moves that are cut; write speeds per minute (G94)",
+    **dict.fromkeys(("G10", "G11"), "sets offsets or tools; only a retraction, without other words, is read"),
+}
+"""What is refused wherever it stands: G, ..."""
+CHANGING = named(
+    "M92 M206 M218 M290 M428 M556 M579 M584 M665-667 M669 M852 SET_GCODE_OFFSET SET_KINEMATIC_POSITION SET_SKEW"
+    " SKEW_PROFILE SET_DUAL_CARRIAGE RESTORE_DUAL_CARRIAGE_STATE SET_STEPPER_CARRIAGES SET_Z_THERMAL_ADJUST"
+)
+"""... what the machine makes of X, Y and Z, ..."""
+CALLING = named("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
+"""... and lines that are run elsewhere, again, ..."""
+CONDITIONAL = named("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
+"""... or under a condition."""
+TEXT = named("M117 M118")
+"""Words that a text follows which is no code in any firmware."""
+
+_EVERYWHERE = named(
+    "G4 G17 G40 G49 G64 G94 M0-5 M7-11 M17-18 M20-22 M25 M27 M30-31 M42 M73 M75-78 M80-81 M84-87 M104-119 M122-123"
+    " M126-129 M140-141 M143-145 M149-150 M154-155 M163-166 M190-193 M200-205 M207-209 M211 M220-221 M240 M250 M255-256"
+    " M260-261 M280 M282 M300-306 M309 M355 M380-381 M400 M403-407 M412-414 M430 M486 M503 M550 M566-568 M572-573"
+    " M592-593 M603 M710 M862.1 M862.2 M862.3 M862.4 M862.5 M862.6 M876 M900 M905-908 M911-914 M999"
+)
+_PROBING = named("G29 M420")
+_KLIPPER = named(
+    "CLEAR_PAUSE EXCLUDE_OBJECT EXCLUDE_OBJECT_DEFINE EXCLUDE_OBJECT_END EXCLUDE_OBJECT_START GET_POSITION"
+    " GET_RETRACTION HELP PAUSE QUERY_ENDSTOPS QUERY_FILAMENT_SENSOR RESPOND SAVE_VARIABLE SET_DISPLAY_GROUP"
+    " SET_DISPLAY_TEXT SET_EXTRUDER_ROTATION_DISTANCE SET_FAN_SPEED SET_FILAMENT_SENSOR SET_GCODE_VARIABLE"
+    " SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_INPUT_SHAPER SET_LED SET_LED_TEMPLATE SET_PIN SET_PRESSURE_ADVANCE"
+    " SET_PRINT_STATS_INFO SET_RETRACTION SET_SERVO SET_TEMPERATURE_FAN_TARGET SET_TMC_CURRENT SET_VELOCITY_LIMIT"
+    " STATUS SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT TURN_OFF_HEATERS"
+)
+_KLIPPER_MOVING = named(
+    "BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_PROFILE PROBE PROBE_ACCURACY QUAD_GANTRY_LEVEL Z_TILT_ADJUST"
+)
+_SAVING, _RESTORING = "SAVE_GCODE_STATE", "RESTORE_GCODE_STATE"
+_UNKNOWN = Dialect("", _EVERYWHERE | {"G61"}, _PROBING | {"G80"}, exponents=True)
+DIALECTS = {
+    dialect.name: dialect
+    for dialect in (
+        Dialect(
+            "cnc",
+            _EVERYWHERE | named("G54 G61 G80 M19 M48-53 M60 M62-68 M70-71"),
+            _PROBING | named("G28.1 G30 G30.1"),
+            at_once=True,
+            parentheses=True,
+        ),
+        Dialect(
+            "klipper",
+            _EVERYWHERE | _KLIPPER,
+            _PROBING | _KLIPPER_MOVING,
+            several=False,
+            modal=False,
+            inches=False,
+            saving=_SAVING,
+            restoring=_RESTORING,
+        ),
+        Dialect(
+            "marlin",
+            _EVERYWHERE | named("M120-121 M226 M600-601"),
+            _PROBING | named("G30 G60 G61 G80"),
+            several=False,
+            modal=False,
+            same_tool=True,
+        ),
+        Dialect(
+            "rrf",
+            _EVERYWHERE | named("G54 G60 M226 M600-601"),
+            _PROBING,
+            modal=False,
+            parentheses=True,
+            exponents=True,
+            same_tool=True,
+            move_words="XYZEF",  # S is the power of a laser, or homing, by the version
+            retracting=named("P R S"),  # temperatures
+            saving="M120",
+            restoring="M121",
+            once=True,
+        ),
+    )
+}
+"""By the name for `--dialect`."""
+_FLAVOURS = {"klipper": "klipper", "reprapfirmware": "rrf"}  # many print with Klipper what was made for Marlin
+_FLAVOUR = re.compile(r"^;\s*(?:gcode_flavor\s*=|FLAVOR:)\s*(\w+)", re.IGNORECASE | re.ASCII)
+_NAME = re.compile(r"\s*([A-Z_]{2}\w*)", re.IGNORECASE | re.ASCII)
+
+
+def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None) -> Dialect:
+    """Return the rules that a program is read by.
+
+    Args:
+        path: The file; `.nc` and `.ngc` are programs of milling machines.
+        lines: Its lines, some of which may say so: the flavour that slicers note, or a command that only Klipper has.
+        name: The firmware, if it is known.
+
+    Raises:
+        InputError: The firmware has no rules here.
+    """
+    if name is not None:
+        if name not in DIALECTS:
+            raise InputError(f"--dialect {name}: must be one of {', '.join(DIALECTS)}")
+        return DIALECTS[name]
+    klippers = _KLIPPER | _KLIPPER_MOVING | CHANGING | {_SAVING, _RESTORING}
+    words = False
+    for line in lines:
+        flavour = _FLAVOUR.match(line)
+        if flavour and flavour[1].lower() in _FLAVOURS:
+            return DIALECTS[_FLAVOURS[flavour[1].lower()]]
+        command = _NAME.match(line)
+        words = words or (command is not None and command[1].upper() in klippers)
+    if words:
+        return DIALECTS["klipper"]
+    return DIALECTS["cnc"] if Path(path).suffix.lower() in (".nc", ".ngc") else _UNKNOWN

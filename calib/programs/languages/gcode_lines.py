@@ -1,0 +1,163 @@
+"""Lines of G-code in parts: commands, words of a letter and a number, names, texts and comments.
+
+The grammar of a line is regular: a sequence of words, or a name and its text. An expression takes one word or comment
+and never goes back, so that reading takes a time in proportion to the length. Refused is a line that the firmware reads
+differently from what it seems to say; if the firmware is not known, a line that firmwares read differently.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.gcode_dialects import Dialect, named
+
+AXES = "XYZ"
+_LARGEST = 1e6  # of numbers in a program
+_COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # what stands in quotation marks is none
+_CODE_IN_COMMENT = re.compile(r"[XYZEFGMT]\s*[-+.\d]|(?<![A-Z_])[XYZ](?![A-Z_])|;", re.ASCII | re.IGNORECASE)
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*", re.ASCII | re.IGNORECASE)
+_NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
+_COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
+_EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
+_HOMING = named("G28 G29 G30")
+_OWN_WORDS = named("G4 G10 G92")  # X, Y, Z beside these are theirs, and beside an M
+_WITHOUT_WORDS = named("M0-5 M7-9 M30")  # but not beside these
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in parts.
+
+    Attributes:
+        where: What to call it in messages.
+        counter: Its number with N; empty without.
+        name: Its command, if that is a name (`START_PRINT`).
+        words: Its letters and numbers.
+        rest: What is no letter and number, or stands behind the name.
+        comments: Its comments.
+    """
+
+    where: str
+    counter: tuple[str, ...]
+    name: str
+    words: tuple[tuple[str, str], ...]
+    rest: str
+    comments: str
+
+    @property
+    def codes(self) -> list[str]:
+        """Its commands, such as G1."""
+        return [_code(*word) for word in self.words if word[0] in "GM"]
+
+    @property
+    def tool(self) -> str:
+        """The tool that it begins with; empty without."""
+        return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
+
+    @property
+    def given(self) -> dict[str, str]:
+        """The numbers of letters that are no commands."""
+        return {letter: number for letter, number in self.words if letter not in "GM"}
+
+    @property
+    def moving(self) -> list[str]:
+        """G0 and G1."""
+        return [code for code in self.codes if code in ("G0", "G1")]
+
+    @property
+    def homing(self) -> str:
+        """The command that homes or probes; empty without."""
+        return next((code for code in self.codes if code.split(".")[0] in _HOMING), "")
+
+    @property
+    def takers(self) -> set[str]:
+        """Commands with X, Y, Z or E behind them; empty text where these stand before all commands."""
+        takers, command = set(), ""
+        for word in self.words:
+            if word[0] in "GM":
+                command = _code(*word)
+            elif word[0] in "XYZE":
+                takers.add(command)
+        return takers
+
+    def owner(self, vouched: Collection[str]) -> str:
+        """Return the command that is no motion and takes X, Y, Z; empty without."""
+        own = _OWN_WORDS | {*vouched} | {code for code in self.codes if code[0] == "M" and code not in _WITHOUT_WORDS}
+        return next((code for code in self.codes if code in own), self.homing)
+
+    def refusal(self, why: str) -> DataError:
+        """Return the error that names the line."""
+        return DataError(f"{self.where}: {why}")
+
+
+def _code(letter: str, number: str) -> str:
+    return f"{letter}{float(number):g}"
+
+
+def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
+    """Return the parts of a line; None if it has no code.
+
+    Raises:
+        DataError: It is not read, or firmwares read it differently.
+    """
+    if not line.replace("\t", " ").isprintable():
+        raise DataError(f"{where}: is not text; is this a G-code program?")
+    comments = [text.strip() for text in _COMMENT.findall(line) if text[0] != '"']
+    code = _COMMENT.sub(lambda match: match.group() if match.group()[0] == '"' else " ", line).strip()
+    if not code or code == "%":
+        return None
+    unsure = next((text for text in comments if text[0] == "(" and _CODE_IN_COMMENT.search(text)), "")
+    if unsure and not dialect.parentheses:
+        raise DataError(f"{where}: '{unsure:.40}' is code for some firmwares; remove it, or say --dialect cnc or rrf")
+    if code.startswith("/"):
+        raise DataError(f"{where}: whether lines with / are run is not known; remove the line, or the mark")
+    words, end = [], 0
+    while match := _WORD.match(code, end):
+        words.append((match[1].upper(), match[2]))
+        end = match.end()
+    counter = [f"N{words.pop(0)[1]}"] if words and words[0][0] == "N" else []
+    large = next((word for word in words if abs(float(word[1])) > _LARGEST), None)
+    if large is not None:
+        raise DataError(f"{where}: '{large[0]}{large[1]:.20}' is beyond what any machine reads; correct it")
+    match = None if words else _NAME.match(code, end)
+    name, end = (match.group().upper(), match.end()) if match else ("", end)
+    parts = Line(where, tuple(counter), name, tuple(words), code[end:], " ".join(comments))
+    if "E" in parts.given and dialect.exponents and _EXPONENT.search(code) and parts.codes[:1] != ["M117"]:
+        raise parts.refusal("has an E that some firmwares take for an exponent; put a space before it")
+    return parts
+
+
+def require_words(parts: Line, dialect: Dialect) -> None:
+    """Raise `DataError` for a letter twice, and for text that no command takes or that may hold another command."""
+    letters = [letter for letter, _ in parts.words if letter not in "GM"]
+    if len(set(letters)) < len(letters):
+        raise parts.refusal("has a letter twice; write one command per line")
+    takes_text = parts.codes[:1] == [parts.homing] or (parts.words and parts.words[0][0] == "M")
+    hidden = dialect.several and _COMMAND.search(re.sub(r'"[^"]*"', "", parts.rest))
+    if parts.rest and (hidden or not takes_text):
+        raise parts.refusal(f"'{parts.rest:.40}' is not read; write words of a letter and a number")
+
+
+def require_order(parts: Line, owner: str, dialect: Dialect) -> None:
+    """Raise `DataError` for commands of a line that are in each other's way, or that the firmware does not run."""
+    codes, takers, moving = parts.codes, parts.takers, parts.moving
+    if len(moving) > 1:
+        raise parts.refusal("has two motions; write one command per line")
+    for pair in (("G20", "G21"), ("G90", "G91")):
+        if {*pair} <= {*codes}:
+            raise parts.refusal(f"has {pair[0]} and {pair[1]}; write one command per line")
+    if len(codes) > 1 and not dialect.several:
+        raise parts.refusal(f"{dialect.name} runs only the first command of a line; write one command per line")
+    if takers and not codes and not dialect.modal:
+        raise parts.refusal(f"{dialect.name} may not run lines without a command; write G0 or G1")
+    if dialect.at_once:
+        mixed = owner not in ("", parts.homing) and bool(moving or "" in takers)
+    else:  # words belong to the command before them, and E is written behind all others
+        mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
+        behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
+        mixed = mixed or any(code[0] == "G" for code in behind) or ("E" in parts.given and not owner and bool(behind))
+    if mixed:
+        raise parts.refusal("has words of several commands; write one command per line")

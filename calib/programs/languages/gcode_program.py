@@ -1,0 +1,135 @@
+"""G-code programs as written: their straight moves, and the same program with other points in it.
+
+E is shared along a move that is cut, absolute (M82) or relative (M83); other words (F, S ...) stay on its first piece,
+since they hold from there on. Comments stay, and all lines that are no moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError
+from calib.core.base.units import PER_SI
+
+ROUNDING = 1e-7
+"""By how much written points may be off, their decimals being limited [m]."""
+MILLIMETRE, INCH = 1 / PER_SI["length"]["mm"], 25.4 / PER_SI["length"]["mm"]
+"""Units of programs [m]."""
+_DECIMALS = {MILLIMETRE: 4, INCH: 6}
+_E_DECIMALS = 5
+
+
+@dataclass(frozen=True)
+class Move:
+    """A straight move.
+
+    Attributes:
+        line: Its index in the lines of the program.
+        start: Where it begins, in the program's coordinates [m]; None where that is not known.
+        end: Where it ends [m].
+        known: Whether the move before led to `start`; not so at the beginning, and after homing.
+        unit: What its numbers are in [m].
+        relative: Whether they count from where the machine stands.
+        lead: Its words up to G0 or G1; of a line without a G, its number.
+        tail: Its other words, E not among them.
+        comments: As they stand on the line.
+        e: E at the beginning and at the end; None without E, or where only one piece can be written.
+        e_text: E as written; empty without.
+        e_relative: Whether E counts from where it stands.
+    """
+
+    line: int
+    start: tuple[float, ...] | None
+    end: tuple[float, ...]
+    known: bool
+    unit: float
+    relative: bool
+    lead: tuple[str, ...]
+    tail: tuple[str, ...]
+    comments: str
+    e: tuple[float, float] | None = None
+    e_text: str = ""
+    e_relative: bool = False
+
+    @property
+    def motion(self) -> tuple[str, ...]:
+        """G0 or G1 as written; nothing on a line without."""
+        return tuple(word for word in self.lead[-1:] if word.startswith("G"))
+
+
+@dataclass(frozen=True)
+class GcodeProgram:
+    """A program.
+
+    Attributes:
+        path: Where it came from.
+        lines: Its lines.
+        moves: Its straight moves, in order.
+    """
+
+    path: str
+    lines: tuple[str, ...]
+    moves: tuple[Move, ...]
+
+    def label(self, move: Move) -> str:
+        """Return what to call a move in messages."""
+        return f"{self.path}, line {move.line + 1}"
+
+    def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
+        """Return the program with other points.
+
+        Args:
+            ways: Of each move the points that it shall go through in straight lines, the last of them its end,
+                (n_pieces, 3) [m]; None: all lines stay as they are.
+            comments: Lines to put first, behind what starts a tape (`%`).
+
+        Raises:
+            DataError: A move with E is cut where the program does not say what E means.
+        """
+        lines = [[line] for line in self.lines]
+        stands: FloatArray = np.zeros(3)
+        for move, way in zip(self.moves, ways, strict=True) if ways is not None else ():
+            if not move.known and move.start is not None:
+                stands = np.array(move.start, dtype=np.float64)
+            lines[move.line], stands = self._pieces(move, way, stands)
+        first = 1 if self.lines and self.lines[0].strip() == "%" else 0
+        lines.insert(first, [f"; {comment}" for comment in comments])
+        return "\n".join(line for piece in lines for line in piece) + "\n"
+
+    def _pieces(self, move: Move, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
+        """The lines of one move, and where the machine then stands [m]."""
+        decimals, lines = _DECIMALS[move.unit], []
+        for k, point in enumerate(way):
+            numbers = np.round((point - stands if move.relative else point) / move.unit, decimals) + 0.0
+            stands = stands + numbers * move.unit if move.relative else numbers * move.unit
+            axes = [f"{axis}{_shown(number, decimals)}" for axis, number in zip("XYZ", numbers, strict=True)]
+            words = [*move.lead, *axes, *move.tail] if k == 0 else [*move.motion, *axes]
+            if move.e_text:
+                words.append(f"E{self._share(move, k, len(way))}")
+            lines.append(" ".join(words))
+        lines[0] += f" {move.comments}" if move.comments else ""
+        return lines, stands
+
+    def _share(self, move: Move, k: int, n: int) -> str:
+        """E of piece k of n."""
+        if n == 1:
+            return move.e_text
+        if move.e is None:
+            raise DataError(
+                f"{self.label(move)}: is cut into {n} pieces, and nothing says what its E means; write M82 and G92 E0,"
+                " or M83, before it and after every G90 and G91"
+            )
+        decimals = max(_E_DECIMALS, len(move.e_text.partition(".")[2]))
+        start, end = move.e
+        before, after = (round(start + (end - start) * share / n, decimals) for share in (k, k + 1))
+        return _shown(after - before if move.e_relative else after, decimals)
+
+
+def _shown(number: float, decimals: int) -> str:
+    """A number with at most so many decimals, never with an exponent."""
+    text = f"{number:.{decimals}f}".rstrip("0").rstrip(".") if decimals else f"{number:.0f}"
+    return "0" if text in ("-0", "") else text

@@ -251,14 +251,15 @@ class RepRapFirmware(Machine):
     """Commands of a line one after the other; comments in parentheses; M120 and M121 push and pop modes."""
 
     def read(self, line):
-        line = re.sub(r"\([^()]*\)|;.*", " ", line).strip().upper()
+        line = re.sub(r'("[^"]*")|\([^()]*\)|;.*', lambda match: match[1] or " ", line).strip().upper()
         line = re.sub(r"^N\s*\d+\s*", "", line)
-        if line.startswith(("M117", "M118")):
+        if line.startswith("M117"):
             self.others.append(line)
             return
         if re.match(r"[A-Z_]{2}", line):
             self.call(line.split()[0])
             return
+        line = re.sub(r'"[^"]*"', "0", line)  # a text
         for letter, number, rest in re.findall(r"([GMT])\s*(\d+(?:\.\d+)?)([^GM]*)", line):
             self.command(f"{letter}{float(number):g}", rest)
 

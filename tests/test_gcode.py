@@ -1,7 +1,9 @@
 """A machine that runs a compensated G-code program goes straight where the program says, within the tolerance."""
 
+import contextlib
 import json
 import re
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -299,7 +301,16 @@ def test_what_is_no_program_of_straight_moves_is_refused_in_one_line(tmp_path, c
     assert not (tmp_path / "out.gcode").exists()
 
 
-@pytest.mark.parametrize("option", [("--zero", "0,0,0"), ("--start", "0,0,0"), ("--tolerance-mm", "0.1")])
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--zero", "0,0,0"),
+        ("--start", "0,0,0"),
+        ("--tolerance-mm", "0.1"),
+        ("--dialect", "rrf"),
+        ("--harmless", "PARK"),
+    ],
+)
 def test_options_of_programs_do_not_belong_to_tables(tmp_path, calibrated, option):
     done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", *option, name="part.csv")
     assert (done.exit_code, "are for G-code" in done.output) == (2, True)
@@ -328,6 +339,226 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
         calib.ComputationError, match=r"line 1: off by 0.0.* between points, and pieces of 0.05 mm do not"
     ):
         compensate_moves(rough, moves, 5e-7)
+
+
+HERE = "G90\nG21\nG1 X100 Y100 Z10\n"
+LOST = "where the machine stands along"
+PERHAPS = "may have moved zero or axes, or changed the tool"
+CHANGED = "changes the meaning of X, Y and Z"
+SEVERAL = "has words of several commands"
+
+
+def written(folder, text, dialect=None, start=(0.0, 0.0, 0.0), harmless=(), name="any.gcode"):
+    """The lines of a program behind three first ones, its points 10, 20 and 30 mm further; or why it is refused."""
+    (folder / name).write_text(HERE + text + "\n")
+    try:
+        program = read_gcode(folder / name, start, dialect, harmless)
+        ways = [np.array([move.end]) + np.array([0.01, 0.02, 0.03]) for move in program.moves]
+        return program.rewritten(ways).splitlines()[3:]
+    except calib.DataError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        # homing and probing: of one axis, by all spellings, and what homes perhaps
+        *(
+            (f"{homing}\nG1 Z50", LOST)
+            for homing in ("G28 Z", "G28 X0 Y0", "G28 XY", "g28 z", "N9 G028 Z ; up", "G28 O")
+        ),
+        *((f"{homing}\nG1 X5", LOST) for homing in ("G28 X", "G28 R5", "G29", "G29 P1", "M420 S1", "G91 G28 Z0\nG90")),
+        *((f"{probing}\nG1 X5 Y5 Z5", PERHAPS) for probing in ("G30", "G28.1", "G28.3 X5", "G30.1")),
+        ("G28 Z (and X)\nG1 Z5", "'(and X)' is code for some firmwares"),
+        # modes that are restored, by whom and from where is not known
+        ("G91\nRESTORE_GCODE_STATE NAME=other\nG1 Y5", PERHAPS),
+        ("SAVE_GCODE_STATE NAME=a\nPARK\nRESTORE_GCODE_STATE NAME=a\nG1 Y5", PERHAPS),
+        ("SAVE_GCODE_STATE NAME=a\nRESTORE_GCODE_STATE NAME=a MOVE=1\nG1 Y5", LOST),
+        *((f"{word}\nG1 Y5", PERHAPS) for word in ("M120", "M121", "M72", "RESUME", "CANCEL_PRINT")),
+        # what X, Y and Z mean
+        *((f"{word}\nG1 Y5", CHANGED) for word in ("SET_GCODE_OFFSET Z=1", "set_gcode_offset Z_ADJUST=.1 MOVE=1")),
+        *(
+            (f"{word}\nG1 Y5", CHANGED)
+            for word in ("SET_KINEMATIC_POSITION Z=0", "SKEW_PROFILE LOAD=a", "SET_SKEW XY=1")
+        ),
+        *(
+            (f"{word}\nG1 Y5", CHANGED)
+            for word in ("M852 I.1", "M556 S100 X1", "M579 X1.01", "M428", "M666 X1", "M92 X8")
+        ),
+        *((f"{word}\nG1 Y5", PERHAPS) for word in ("M851 Z1", "M501", "M425 F1", "M605 S1", "FORCE_MOVE STEPPER=x")),
+        *(
+            (f"{word}\nG1 Y5", "is not read")
+            for word in ("G53", "G59.1", "G68 R9", "G51 X2", "G52 X3", "G90.1", "G92.1")
+        ),
+        # macros, tools, lines run elsewhere, again or perhaps
+        *(
+            (f"{word}\nG1 Y5", PERHAPS)
+            for word in ("PARK", "_clean A=1", "T1", "T0", "M6", "M600", "M701", "M1234", "XY5")
+        ),
+        *(
+            (f"{word}\nG1 Y5", "or lines again")
+            for word in ('M98 P"a.g"', "M99", "M808 L5", "M32 !a#", "SDCARD_LOOP_BEGIN")
+        ),
+        *((f"{word}\nG1 Y5", "not known here; write") for word in ("if x = 1", "while true", "  else", "elif{x}")[:3]),
+        *(
+            (f"{word}\nG1 Y5", "is not read")
+            for word in ("O100 CALL", "#1=5", "FOO=1", "@pause", "$H", "%G1 X5", "G12")
+        ),
+        # lines that firmwares read differently
+        *(
+            (line + "\nG1 Y5", SEVERAL)
+            for line in ("G1 X5 G91", "G91 X5", "X5 M104 S1", "G1 X5 G4 P1", "M104 S1 G1 X5")
+        ),
+        *((line, "take for an exponent") for line in ("G1 X1E1", "G1X10Y5E3", "G1 X1.e-1")),
+        *((line, "is code for some firmwares") for line in ("G1 X5 (to Y7)", "G1 X5 (a ; b) Y7", "(box z) G28")),
+        *((line, "does not belong") for line in ("G1 H2 X5", "G1 R1 X5", "G1 X5 P1", "G1 X5 T1")),
+        *((line, "is not read") for line in ("G1 X[5]", "G1 X{var.a}", "N10 G1 X5*71", 'M118 S"a" G91', "G1 X5\u017f")),
+    ],
+)
+def test_what_a_move_depends_on_is_known_or_the_move_is_refused(tmp_path, text, why):
+    assert why in written(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("dialect", "text", "last"),
+    [
+        ("klipper", "SAVE_GCODE_STATE NAME=a\nG91\nG1 X5\nRESTORE_GCODE_STATE NAME=a\nG1 Y5", "G1 X115 Y25 Z40"),
+        (None, "SAVE_GCODE_STATE\nG91\nRESTORE_GCODE_STATE MOVE=0\nG1 Y5", "G1 X110 Y25 Z40"),
+        ("rrf", "M120\nG91\nG20\nM121\nG1 Y5", "G1 X110 Y25 Z40"),
+        ("rrf", "G91 G1 X5 F900 M8", "G91 G1 X5 Y0 Z0 F900 M8"),  # run in this order
+        ("rrf", "G1 X5 (not Y7)", "G1 X15 Y120 Z40 (not Y7)"),
+        ("cnc", "G0 X5 G91", "G0 X5 Y0 Z0 G91"),  # run at once
+        ("cnc", "T1\nG30\nG0 X1 Y2 Z3", "G0 X11 Y22 Z33"),
+        ("marlin", "M600\nM121\nG1 Y5", "G1 X110 Y25 Z40"),
+        (None, "G28 W\nG1 Z5", "G1 X10 Y20 Z35"),
+        (None, "G28\nG1 Z5", "G1 X10 Y20 Z35"),
+        (None, "PARK", "PARK"),  # no move depends on it
+        (None, "G1 X5 ; (a\nG1 Y5", "G1 X15 Y25 Z40"),
+    ],
+)
+def test_what_firmwares_restore_and_run_is_read_by_their_rules(tmp_path, dialect, text, last):
+    lines = written(tmp_path, text, dialect)
+    assert isinstance(lines, list), lines
+    assert lines[-1] == last
+
+
+@pytest.mark.parametrize(
+    ("dialect", "text", "why"),
+    [
+        ("klipper", "G91 G1 X5", "klipper runs only the first command of a line"),
+        ("marlin", "X5", "marlin may not run lines without a command"),
+        ("klipper", "G20", "klipper does not know inches"),
+        ("rrf", "G1 X5 S1", "'S' does not belong"),
+        ("rrf", "M121\nG1 X5", PERHAPS),
+        ("klipper", "M600\nG1 X5", PERHAPS),
+        ("marlin", "G61\nG1 X5", LOST),
+        ("cnc", "M6\nG0 X5", PERHAPS),
+        ("cnc", "X5 G4 P1", SEVERAL),
+    ],
+)
+def test_a_dialect_refuses_what_its_firmware_would_not_do(tmp_path, dialect, text, why):
+    assert why in written(tmp_path, text, dialect)
+
+
+def test_the_dialect_is_found_in_the_file(tmp_path):
+    restored = "SAVE_GCODE_STATE\nG91\nRESTORE_GCODE_STATE\nG1 Y5"
+    pushed = "M120\nG91\nM121\nG1 Y5"
+    assert written(tmp_path, restored)[-1] == "G1 X110 Y25 Z40"
+    assert PERHAPS in written(tmp_path, restored, "rrf")
+    assert written(tmp_path, pushed + "\n; gcode_flavor = reprapfirmware")[-2] == "G1 X110 Y25 Z40"
+    assert PERHAPS in written(tmp_path, pushed + "\n; gcode_flavor = klipper")
+    assert PERHAPS in written(tmp_path, "M600\nG1 Y5\n; gcode_flavor = marlin")  # many run it with Klipper
+    assert written(tmp_path, "G80\nG0 X5", name="any.nc")[-1] == "G0 X15 Y120 Z40"
+    assert LOST in written(tmp_path, "G80\nG1 X5")  # levels the bed of some printers
+    with pytest.raises(calib.InputError, match="--dialect grbl: must be one of cnc, klipper, marlin, rrf"):
+        written(tmp_path, "", "grbl")
+
+
+def test_a_word_that_the_user_calls_harmless_is(tmp_path, calibrated):
+    assert written(tmp_path, "photo\nG1 Y5", harmless=["Photo"])[-1] == "G1 X110 Y25 Z40"
+    assert CHANGED in written(tmp_path, "M206 X1\nG1 Y5", harmless=["M206"])
+    text = "PHOTO\nG90\nG21\nG1 X1 Y2 Z3\nPHOTO\nG1 X2\n"
+    done = run(tmp_path, calibrated, text)
+    assert (done.exit_code, "PHOTO (line 5) may have moved" in done.output) == (2, True)
+    done = run(tmp_path, calibrated, text, "--harmless", "PHOTO", "--dialect", "klipper")
+    assert done.exit_code == 0, done.output
+
+
+def test_a_macro_before_the_first_move_leaves_modes_to_be_set(tmp_path):
+    for text, why in (
+        ("START\nG1 X1 Y2 Z3\n", "START (line 1) may have changed modes; write G90 or G91, and G20 or G21, behind it"),
+        ("START\nG90\nG1 X1 Y2 Z3\n", "may have changed modes"),
+        ("START\nG90\nG21\nG1 X1\n", "along Y is not known here after START (line 1)"),
+        ("START\nG90\nG21\nG1 X1 Y2 Z3\nG28\nG1 X1 Y2 Z3\n", PERHAPS),  # homing may take back its zero
+    ):
+        (tmp_path / "a.gcode").write_text(text)
+        with pytest.raises(calib.DataError, match=re.escape(why)):
+            read_gcode(tmp_path / "a.gcode", (0.0, 0.0, 0.0))
+    (tmp_path / "a.gcode").write_text("START\nG90\nG21\nG1 X1 Y2 Z3\nG1 X5\n")
+    assert read_gcode(tmp_path / "a.gcode").moves[1].end == (0.005, 0.002, 0.003)
+
+
+@pytest.mark.parametrize("between", ["M83\nG1 E-20\nM82", "M82\nG92 E0\nG20"])
+def test_e_that_counts_from_what_is_not_known_is_not_shared(tmp_path, between):
+    (tmp_path / "a.gcode").write_text(f"G1 X0 Y0 Z0\n{between}\nG1 X1 E17\n")
+    program = read_gcode(tmp_path / "a.gcode")
+    ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
+    with pytest.raises(calib.DataError, match="nothing says what its E means"):
+        program.rewritten(ways)
+
+
+@pytest.mark.parametrize(
+    "piece",
+    [
+        *(
+            "(",
+            "()",
+            "(a",
+            '"',
+            '"a',
+            "1",
+            ".",
+            ".1",
+            " ",
+            "X ",
+            "A",
+            "A_",
+            "=",
+            "a=b ",
+            "N",
+            "N1",
+            "G17 ",
+            "G1",
+            "M3 ",
+            "G80 ",
+        ),
+        *(
+            "X1",
+            "1E1",
+            "G28 ",
+            "T1 ",
+            "T1\n",
+            "\n",
+            "AB\n",
+            "%",
+            "-",
+            "((",
+            ";",
+            "\t",
+            "G1 X1\n",
+            "M104 S1 !G",
+            "*",
+            "\u0661",
+        ),
+    ],
+)
+def test_reading_takes_a_time_in_proportion_to_the_length(tmp_path, piece):
+    """No piece is gone back over: what takes the square of the length takes minutes here."""
+    (tmp_path / "a.gcode").write_text("G1 X0 Y0 Z0\nG1 X" + 200_000 // len(piece) * piece + "\n")
+    began = time.process_time()
+    with contextlib.suppress(calib.DataError):
+        read_gcode(tmp_path / "a.gcode")
+    assert time.process_time() - began < 20
 
 
 NOISE = st.sampled_from(

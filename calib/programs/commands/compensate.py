@@ -85,7 +85,7 @@ _OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")
 @click.option(
     "--dialect",
     type=click.Choice(tuple(DIALECTS)),
-    help="G-code: whose rules hold; cnc: milling machines (LinuxCNC, grbl).  [default: as the file says, .nc, .ngc: cnc]",
+    help="G-code: whose rules hold; cnc: milling machines.  [default: what the file says; .nc, .ngc: cnc]",
 )
 @click.option(
     "--harmless",

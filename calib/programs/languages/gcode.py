@@ -103,7 +103,7 @@ class _Reader:
     def read(self, number: int, text: str) -> None:
         """Take in a line."""
         line = read_line(text, f"{self.path}, line {number + 1}", self.dialect)
-        if line is None or TEXT & {*line.codes[:1]}:
+        if line is None or line.codes[:1] == [TEXT]:
             return
         if line.name:
             self._name(line)
@@ -241,9 +241,10 @@ class _Reader:
         given, end = line.given, list[float]()
         for axis, at in zip(AXES, self.at, strict=True):
             if at is None and (relative or axis not in given):
+                say = "" if self.home else "say so with --start X,Y,Z, or "
                 raise line.refusal(
                     f"where the machine stands along {axis} is not known here{self.since and f' after {self.since}'};"
-                    " say so with --start X,Y,Z, or give X, Y and Z in the first move and in the first after homing"
+                    f" {say}give X, Y and Z in the first move and in the first after homing"
                 )
             value = float(given[axis]) * unit if axis in given else 0.0
             end.append(value if axis in given and not relative else (at or 0.0) + value)
@@ -270,8 +271,9 @@ class _Reader:
         if wrong is not None:
             raise line.refusal(f"'{wrong}' does not belong to a straight move of X, Y and Z")
         if self.shifted:
+            options = "--harmless" if self.dialect.name else "--dialect or --harmless"
             raise line.refusal(
-                f"{self.shifted} may have moved zero or axes, or changed the tool; say --harmless if it does not, or"
+                f"{self.shifted} may have moved zero or axes, or changed the tool; if not, say so with {options}; else"
                 " compensate what is behind it by itself"
             )
         if self.relative is None or self.unit is None:

@@ -81,8 +81,8 @@ CALLING = named("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_
 """... and lines that are run elsewhere, again, ..."""
 CONDITIONAL = named("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 """... or under a condition."""
-TEXT = named("M117 M118")
-"""Words that a text follows which is no code in any firmware."""
+TEXT = "M117"
+"""The word that a text follows which is no code in any firmware."""
 
 _EVERYWHERE = named(
     "G4 G17 G40 G49 G64 G94 M0-5 M7-11 M17-18 M20-22 M25 M27 M30-31 M42 M73 M75-78 M80-81 M84-87 M104-119 M122-123"

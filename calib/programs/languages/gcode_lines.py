@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.gcode_dialects import Dialect, named
+from calib.programs.languages.gcode_dialects import TEXT, Dialect, named
 
 AXES = "XYZ"
 _LARGEST = 1e6  # of numbers in a program
@@ -47,32 +48,32 @@ class Line:
     rest: str
     comments: str
 
-    @property
+    @cached_property
     def codes(self) -> list[str]:
         """Its commands, such as G1."""
         return [_code(*word) for word in self.words if word[0] in "GM"]
 
-    @property
+    @cached_property
     def tool(self) -> str:
         """The tool that it begins with; empty without."""
         return _code(*self.words[0]) if self.words and self.words[0][0] == "T" else ""
 
-    @property
+    @cached_property
     def given(self) -> dict[str, str]:
         """The numbers of letters that are no commands."""
         return {letter: number for letter, number in self.words if letter not in "GM"}
 
-    @property
+    @cached_property
     def moving(self) -> list[str]:
         """G0 and G1."""
         return [code for code in self.codes if code in ("G0", "G1")]
 
-    @property
+    @cached_property
     def homing(self) -> str:
         """The command that homes or probes; empty without."""
         return next((code for code in self.codes if code.split(".")[0] in _HOMING), "")
 
-    @property
+    @cached_property
     def takers(self) -> set[str]:
         """Commands with X, Y, Z or E behind them; empty text where these stand before all commands."""
         takers, command = set(), ""
@@ -125,7 +126,7 @@ def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
     match = None if words else _NAME.match(code, end)
     name, end = (match.group().upper(), match.end()) if match else ("", end)
     parts = Line(where, tuple(counter), name, tuple(words), code[end:], " ".join(comments))
-    if "E" in parts.given and dialect.exponents and _EXPONENT.search(code) and parts.codes[:1] != ["M117"]:
+    if "E" in parts.given and dialect.exponents and _EXPONENT.search(code) and parts.codes[:1] != [TEXT]:
         raise parts.refusal("has an E that some firmwares take for an exponent; put a space before it")
     return parts
 

@@ -498,10 +498,13 @@ def test_a_macro_before_the_first_move_leaves_modes_to_be_set(tmp_path):
     assert read_gcode(tmp_path / "a.gcode").moves[1].end == (0.005, 0.002, 0.003)
 
 
-@pytest.mark.parametrize("between", ["M83\nG1 E-20\nM82", "M82\nG92 E0\nG20"])
-def test_e_that_counts_from_what_is_not_known_is_not_shared(tmp_path, between):
+@pytest.mark.parametrize(
+    ("between", "dialect"),
+    [("M83\nG1 E-20\nM82", None), ("M82\nG92 E0\nG20", None), ("G92 E0\nG91\nM82\nG90", "klipper")],
+)
+def test_e_that_counts_from_what_is_not_known_is_not_shared(tmp_path, between, dialect):
     (tmp_path / "a.gcode").write_text(f"G1 X0 Y0 Z0\n{between}\nG1 X1 E17\n")
-    program = read_gcode(tmp_path / "a.gcode")
+    program = read_gcode(tmp_path / "a.gcode", dialect=dialect)
     ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
     with pytest.raises(calib.DataError, match="nothing says what its E means"):
         program.rewritten(ways)

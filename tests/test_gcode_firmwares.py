@@ -28,7 +28,21 @@ HARMLESS = {
     "rrf": ["M117 G91 now", "M203 X6000 Y6000", "G60 S1", "M226", 'M118 P0 S"x ; G91"', "(G91)", "G10 P0 S200 R150"],
     "cnc": ["(G91 here)", "G17 G40", "G64 P0.01", "M3 S900", "M8", "G94", "G54", "M62 P1", "%"],
 }
-COMMON = ["", "; G91 X5", "M104 S200", "G92 E0", "G4 P10", "M82", "M83", "G90", "G91", "G21", "G1 F1200", "M106 S99"]
+COMMON = [
+    "",
+    "; G91 X5",
+    "M104 S200",
+    "G92 E0",
+    "G4 P10",
+    "M82",
+    "M83",
+    "G90",
+    "G91",
+    "G21",
+    "G1 F1200",
+    "M106 S99",
+    "M107",
+]
 RISKY = {
     "klipper": [
         *("G28", "G28 Z", "G28 X0 Y0", "G29", "SAVE_GCODE_STATE NAME=a", "SAVE_GCODE_STATE", "M120", "M121", "G30"),
@@ -139,7 +153,9 @@ def motion(rng, dialect):
         space = " "
     line = space.join(words)
     line = line.lower() if rng.random() < 0.1 else line
-    return line + rng.choice(["", "", "", " ; note X5", " (over the corner)"])
+    line = f"N{rng.randrange(99)} {line}" if rng.random() < 0.1 else line
+    comments = ["", "", " ; note X5", "" if dialect == "klipper" else " (over the corner)"]  # an error of Klipper
+    return line + rng.choice(comments)
 
 
 def program(rng, dialect):
@@ -160,6 +176,8 @@ def program(rng, dialect):
             lines.append(rng.choice(COMMON + HARMLESS[dialect]))
         else:
             lines.append(motion(rng, dialect))
+        if rng.random() < 0.1 and dialect != "cnc":
+            lines.append(f"G1 E{rng.randrange(-9, 9)} F1800")
     return lines
 
 
@@ -175,7 +193,8 @@ def judge(rng, dialect, folder):
     whole = [
         line for line in lines if re.match(r"X|G9[01] ?[GX]|M83 G|.*S1", line)
     ]  # not every firmware runs these whole
-    said = dialect if whole or rng.random() < 0.7 else None
+    follows = dialect == "klipper" and {"G91", "M82"} <= {*lines}  # where its E stays relative
+    said = dialect if whole or follows or rng.random() < 0.7 else None
     text = "\n".join(lines)
     path = folder / ("part.nc" if dialect == "cnc" else "part.gcode")
     path.write_text(text)

@@ -169,7 +169,7 @@ class _Reader:
         require_words(line, self.dialect)
         for word in line.codes:
             if word in ("M82", "M83"):
-                self.e_relative = word == "M83"
+                self.e_relative = word == "M83" or (self.dialect.e_follows and self.relative)
             elif word[0] == "M":
                 self._other(word, line)
             elif word != line.homing:

@@ -38,6 +38,7 @@ class Dialect:
         modal: Whether X, Y, Z without a G go on with the motion before.
         parentheses: Whether a text in parentheses is certainly a comment.
         inches: Whether numbers can be in inches.
+        e_follows: Whether G91 makes E relative, whatever M82 says.
         exponents: Whether E behind a digit may be an exponent.
         same_tool: Whether calling the tool that is in place certainly does nothing.
         move_words: Letters that leave G0 and G1 a straight move.
@@ -55,6 +56,7 @@ class Dialect:
     modal: bool = True
     parentheses: bool = False
     inches: bool = True
+    e_follows: bool = False
     exponents: bool = False
     same_tool: bool = False
     move_words: str = "XYZEFS"
@@ -121,6 +123,7 @@ DIALECTS = {
             several=False,
             modal=False,
             inches=False,
+            e_follows=True,
             saving=_SAVING,
             restoring=_RESTORING,
         ),

@@ -10,8 +10,8 @@ it, and position and modes are unknown until the program sets them again. Zero a
 first move such a word ends what can be compensated; before it, the word prepares the machine, and the program's zero is
 the one that it leaves. Homing of all axes leads to where the user says; homing of one may move the others. Words that
 certainly change what X, Y and Z mean, lines that are run elsewhere, again or under a condition, and moves that are not
-straight are refused wherever they stand. Where firmwares read a line differently, it is refused unless the firmware is
-known.
+straight are refused wherever they stand. If the firmware is not known, a line is taken to be run whole, and refused
+where firmwares would read other numbers or commands in it.
 
 G90 and G91 change what E means on some machines and on others not; a program that has E behind them must say so (M82,
 M83).

@@ -121,7 +121,7 @@ class Klipper(Machine):
         if not parts or line.startswith(("(", "%")):
             return  # nothing, or an unknown command
         given = {letter: value.strip() for letter, value in parts[1:]}
-        name = re.sub(r"^([A-Z])0+(?=\d)", r"\1", "".join(parts[0]).strip())
+        name = "".join(parts[0]).strip()
         rest = line.partition(" ")[2]
         try:
             tight = {axis: float(given[axis]) for axis in "XYZEF" if axis in given}
@@ -260,7 +260,7 @@ class RepRapFirmware(Machine):
             self.call(line.split()[0])
             return
         line = re.sub(r'"[^"]*"', "0", line)  # a text
-        for letter, number, rest in re.findall(r"([GMT])\s*(\d+(?:\.\d+)?)([^GM]*)", line):
+        for letter, number, rest in re.findall(r"([GMT])(\d+(?:\.\d+)?)([^GM]*)", line):
             self.command(f"{letter}{float(number):g}", rest)
 
     def command(self, name, rest):

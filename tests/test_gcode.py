@@ -447,6 +447,10 @@ def test_what_firmwares_restore_and_run_is_read_by_their_rules(tmp_path, dialect
     [
         ("klipper", "G91 G1 X5", "klipper runs only the first command of a line"),
         ("marlin", "X5", "marlin may not run lines without a command"),
+        ("klipper", "G01 X5", "'G01 ' is no command of klipper"),
+        ("klipper", "G1.0 X5", "is no command of klipper"),
+        ("rrf", "G 1 X5", "'G 1 ' is no command of rrf"),
+        ("rrf", "M104 S2 M117 G91", SEVERAL),
         ("klipper", "G20", "klipper does not know inches"),
         ("rrf", "G1 X5 S1", "'S' does not belong"),
         ("rrf", "M121\nG1 X5", PERHAPS),

@@ -38,6 +38,7 @@ class Dialect:
         modal: Whether X, Y, Z without a G go on with the motion before.
         parentheses: Whether a text in parentheses is certainly a comment.
         inches: Whether numbers can be in inches.
+        spelling: An expression for commands as they must be spelled.
         e_follows: Whether G91 makes E relative, whatever M82 says.
         exponents: Whether E behind a digit may be an exponent.
         same_tool: Whether calling the tool that is in place certainly does nothing.
@@ -56,6 +57,7 @@ class Dialect:
     modal: bool = True
     parentheses: bool = False
     inches: bool = True
+    spelling: str = ".*"
     e_follows: bool = False
     exponents: bool = False
     same_tool: bool = False
@@ -123,6 +125,7 @@ DIALECTS = {
             several=False,
             modal=False,
             inches=False,
+            spelling=r"[GMT](0|[1-9]\d*)(\.\d*[1-9])?",  # not G01
             e_follows=True,
             saving=_SAVING,
             restoring=_RESTORING,
@@ -141,6 +144,7 @@ DIALECTS = {
             _PROBING,
             modal=False,
             parentheses=True,
+            spelling=r"[GMT]-?\d+(\.\d)?",  # not G 1
             exponents=True,
             same_tool=True,
             move_words="XYZEF",  # S is the power of a laser, or homing, by the version

@@ -118,6 +118,8 @@ def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
     words, end = [], 0
     while match := _WORD.match(code, end):
         words.append((match[1].upper(), match[2]))
+        if words[-1][0] in "GM" and not re.fullmatch(dialect.spelling, match.group().strip().upper()):
+            raise DataError(f"{where}: '{match.group():.40}' is no command of {dialect.name}; write G1, not G01 or G 1")
         end = match.end()
     counter = [f"N{words.pop(0)[1]}"] if words and words[0][0] == "N" else []
     large = next((word for word in words if abs(float(word[1])) > _LARGEST), None)
@@ -160,5 +162,5 @@ def require_order(parts: Line, owner: str, dialect: Dialect) -> None:
         mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
         behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
         mixed = mixed or any(code[0] == "G" for code in behind) or ("E" in parts.given and not owner and bool(behind))
-    if mixed:
+    if mixed or TEXT in codes:
         raise parts.refusal("has words of several commands; write one command per line")

@@ -81,6 +81,11 @@ class KrlStatements(ABC):
         self.declared: dict[str, Aggregate] = {}
         self.forms: dict[str, tuple[int, Span]] = {}
         self.foreign = ""
+        self._selecting = {
+            self.code.tokens[at].text
+            for at in self.code.names(1, len(self.code.tokens))
+            if self.code.is_mark(at - 1, "=")
+        } | {*_SELECTED, "FDAT_ACT", "DATA", "TOOL_DATA", "BASE_DATA"}
         self.by_reference = self._routines()
         self._keywords = self._keyword_table()
 
@@ -360,7 +365,9 @@ class KrlStatements(ABC):
         self._select(name, None, why)
 
     def _select(self, name: str, value: Callable[[State], Hashable] | None, why: str = "is set in part") -> None:
-        """Note that a frame, or another name, becomes a value."""
+        """Note that a frame, or another name that something is set to, becomes a value."""
+        if name.partition("[")[0] not in self._selecting:
+            return
         self.flow.change([name], lambda state: {**state, name: Unknown(why) if value is None else value(state)})
 
     def _statement(self, at: int, stop: int) -> None:

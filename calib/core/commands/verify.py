@@ -67,7 +67,7 @@ def command(
     if again:
         output.note(
             f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used;"
-            " if these are the readings that it used, they prove nothing; measure at other joint values"
+            " readings taken anew there show whether the robot has changed; those that it used prove nothing"
         )
     with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)

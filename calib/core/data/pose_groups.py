@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics.chances import UNLIKELY
 
 APART = 0.05
 """Part of poses drawn like others that lie apart from these, by `apart`."""
@@ -107,6 +108,31 @@ def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
     near = scipy.spatial.cKDTree(used[first] / unit)
     limit = np.sort(near.query(used[first] / unit, k=2)[0][:, 1])[k - 1]
     return np.asarray(near.query(joints / unit)[0] > limit)
+
+
+def drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
+    """Return whether poses lie among the poses used as if both were drawn together.
+
+    Of poses drawn alike, m of them among n used, the nearest other pose of one is among the m with a chance of
+    (m - 1) / (m + n - 1). Where more have it there than chance explains, the poses are somewhere else, or crowd
+    together. In joint space, in units of each joint's standard deviation over the poses used; repeats of a pose count
+    once. Poses that were used count as drawn alike.
+
+    Args:
+        joints: The poses, (m, n_actuated) [m or rad].
+        used: Those used, (n, n_actuated) [m or rad].
+
+    Reference: schilling1986.
+    """
+    new, old = (poses[np.unique(pose_labels(poses), return_index=True)[1]] for poses in (joints, used))
+    if len(new) < 2 or len(old) == 0:
+        return True
+    unit = np.maximum(np.std(used, axis=0), SAME_JOINTS)
+    to_old = scipy.spatial.cKDTree(old / unit).query(new / unit)[0]
+    to_new = scipy.spatial.cKDTree(new / unit).query(new / unit, k=2)[0][:, 1]
+    crowded = int(np.sum(to_new < to_old))
+    by_chance = (len(new) - 1) / (len(new) + len(old) - 1)
+    return crowded == 0 or bool(scipy.special.bdtrc(crowded - 1, len(new), by_chance) >= UNLIKELY)
 
 
 def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> list[IntArray]:

@@ -27,6 +27,16 @@ explain them, the robot needs a new calibration. The level of either test is hal
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
 chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
 
+Unlike poses. The noise that a calibration finds is, for the most part, what its model leaves out. At poses drawn as
+those that were used it is another error at each pose, as noise is. Elsewhere, or where poses crowd together
+(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger: n rows then tell as much as k, the
+number of parameters that the calibration decided, so that rho^2 is 1 + n / k. If the readings agree by this, nothing
+says that the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has
+drifted.
+
+Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
+variance, at a chance of 0.1 %, so that no verdict contradicts the distances beside it.
+
 Noise. Readings that repeat a pose show noise without model. Where they scatter more than promised, and with that
 scatter as noise the readings agree, the instrument or the robot's repeatability is worse, and no calibration helps.
 
@@ -48,9 +58,11 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.promise import Change, HasPromise, Promise, System, candidates, six_digits, without_outliers
 from calib.core.judging.repeatability import repeatability
-from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.judging.settling import poses_that_settle
+from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.rows.simulate import simulate
 
+_LEVEL = FALSE_ALARM / 2  # of either test
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
@@ -59,7 +71,7 @@ class Acceptance:
     """What new measurements say about a calibrated robot.
 
     Attributes:
-        verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
+        verdict: `agrees`, `drifted`, `noisier`, `unlike poses` or `calibrate again`.
         ratio: Root mean square whitened residual, expected: 1; it decides the verdict. It weights each direction by
             its uncertainty.
         low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as calibrated.
@@ -74,6 +86,10 @@ class Acceptance:
         errors: Prediction minus read, without the outliers, after placing base and targets where they are unknown.
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+        limit: What the distance exceeds in one of a thousand cases, if the robot is as calibrated [m].
+        coverage_factor: How many standard deviations of a change make half its 95 % interval.
+        unlike: Whether the poses lie otherwise than those of the calibration, and that counted.
+        again: Poses of the calibration that settle it if they are measured again; none if nothing is left to settle.
     """
 
     verdict: str
@@ -91,6 +107,10 @@ class Acceptance:
     errors: ErrorSet
     promised: float
     left_open: float
+    limit: float
+    coverage_factor: float
+    unlike: bool
+    again: tuple[str, ...]
 
     def __repr__(self) -> str:
         return (
@@ -131,38 +151,87 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     outliers = tuple(data.labels[system.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
         system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
-    independent = system.freedom / promise.shared**2
-    p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
-    changes = system.changes()
-    p_drift = p_rest = 1.0
-    if changes:
-        p_drift = changes[0].p_value
-        rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
-        p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
-    level = FALSE_ALARM / 2
-    verdict = "agrees"
-    if p_value < level or p_drift < level:
-        explained = "drifted" if p_drift < level <= p_rest else "calibrate again"
-        verdict = "noisier" if p_drift >= level and _is_noise(promise, system, level) else explained
-    low, high = scipy.special.fdtri(independent, promise.freedom, [0.025, 0.975])
-    alike = tuple(c.name for c in changes if c.significant and c.z**2 > changes[0].z ** 2 - _SUPPORT)
+    tests = _Tests.of(system, promise.shared)
+    verdict, unlike = "agrees", False
+    if tests.fail:
+        verdict = tests.explained
+        if tests.p_drift >= _LEVEL and _is_noise(promise, system):
+            verdict = "noisier"
+        elif system.unlike:
+            unlike, tests = True, _Tests.of(system, system.shared_elsewhere)
+            verdict = tests.explained if tests.fail else "unlike poses"
+    low, high = scipy.special.fdtri(tests.independent, promise.freedom, [0.025, 0.975])
+    changes = tests.changes
+    again = () if verdict in ("agrees", "noisier") or not changes else poses_that_settle(promise, changes[0])
     return Acceptance(
         verdict,
         float(np.sqrt(system.square / system.freedom)),
         float(np.sqrt(low)),
         float(np.sqrt(high)),
-        p_value,
-        p_drift,
-        p_rest,
+        tests.p_value,
+        tests.p_drift,
+        tests.p_rest,
         system.freedom,
         system.placed,
         changes,
-        alike,
+        tuple(c.name for c in changes if c.significant and c.z**2 > changes[0].z ** 2 - _SUPPORT),
         outliers,
         system.errors,
-        system.promised,
-        system.left_open,
+        system.expected.rms,
+        system.expected.left_open,
+        system.expected.limit(UNLIKELY, promise.freedom),
+        float(scipy.special.stdtrit(promise.freedom, 0.975)),
+        unlike,
+        again,
     )
+
+
+@dataclass(frozen=True)
+class _Tests:
+    """Chances of what new readings show, if the robot is as calibrated.
+
+    Attributes:
+        p_value, p_drift, p_rest, changes: As of `Acceptance`.
+        independent: How many independent squares stand behind the ratio.
+        far: Whether distances are larger than in one of a thousand cases.
+    """
+
+    p_value: float
+    p_drift: float
+    p_rest: float
+    changes: tuple[Change, ...]
+    independent: float
+    far: bool
+
+    @staticmethod
+    def of(system: System, shared: float) -> _Tests:
+        """Make them, where readings scatter together so many times as much as independent ones."""
+        promise, independent, changes = system.promise, system.freedom / shared**2, system.changes(shared)
+        p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
+        p_drift = p_rest = 1.0
+        if changes:
+            p_drift = changes[0].p_value
+            rest = max(system.square - (shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
+            p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
+        limit = system.expected.limit(UNLIKELY, promise.freedom)
+        far = np.isfinite(limit) and shared == promise.shared and _single_rms(system) > limit
+        return _Tests(p_value, p_drift, p_rest, changes, independent, bool(far))
+
+    @property
+    def fail(self) -> bool:
+        """Whether chance does not explain the readings."""
+        return self.p_value < _LEVEL or self.p_drift < _LEVEL or self.far
+
+    @property
+    def explained(self) -> str:
+        """The verdict of readings that chance does not explain."""
+        return "drifted" if self.p_drift < _LEVEL <= self.p_rest else "calibrate again"
+
+
+def _single_rms(system: System) -> float:
+    """Root mean square distance of single readings from predicted positions [m]."""
+    lengths = system.errors.errors("after", single=True)
+    return float(np.sqrt(np.mean(np.nansum(lengths**2, axis=1))))
 
 
 @one_blas_thread
@@ -181,7 +250,8 @@ def visible_changes(
     promise = Promise.of(calibrated)
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    changes = System.of(promise, data, same_setup).changes()
+    system = System.of(promise, data, same_setup)
+    changes = system.changes(system.shared_elsewhere if system.unlike else promise.shared)
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 
@@ -226,7 +296,7 @@ def poses_needed(
     return high
 
 
-def _is_noise(promise: Promise, system: System, level: float) -> bool:
+def _is_noise(promise: Promise, system: System) -> bool:
     """Whether repeats scatter more than expected, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
     instruments = promise.robot.instruments
@@ -237,7 +307,7 @@ def _is_noise(promise: Promise, system: System, level: float) -> bool:
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False
     more = (scatter / sigma[0]) ** 2
-    if scipy.special.fdtrc(freedom, promise.freedom, more) >= level:
+    if scipy.special.fdtrc(freedom, promise.freedom, more) >= _LEVEL:
         return False
     independent = system.freedom / promise.shared**2
-    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= level)
+    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= _LEVEL)

@@ -17,6 +17,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements
+from calib.core.data.pose_groups import drawn_alike
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
@@ -48,6 +49,9 @@ class Promise:
         freedom: Degrees of freedom that the noise was found with.
         sigma: Noise of one component by group and part of the instruments [SI].
         shared: How many times as much as independent readings those of a pose scatter together (`Scatter.ratio`).
+        decided: How many parameters the readings decided.
+        joints: At which poses it was measured, (n, n_actuated) [m or rad]; none where that is not stored.
+        names: Of these poses, (n,).
     """
 
     robot: Robot
@@ -55,6 +59,9 @@ class Promise:
     freedom: float
     sigma: Mapping[tuple[str, str], float]
     shared: float
+    decided: float
+    joints: FloatArray
+    names: tuple[str, ...]
 
     @staticmethod
     def of(calibrated: Fit | Promise | HasPromise) -> Promise:
@@ -69,7 +76,9 @@ class Promise:
             sigma = {(noise.group.name, noise.group.part.name): noise.sigma for noise in calibrated.noise}
             statistics = calibrated.statistics
             shared = 1.0 if statistics.shared is None else statistics.shared.ratio
-            return Promise(calibrated.robot, calibrated.covariance.values, statistics.freedom, sigma, shared)
+            data, covariance = calibrated.identification.data, calibrated.covariance.values
+            decided, names = statistics.effective_parameters, tuple(map(str, data.names))
+            return Promise(calibrated.robot, covariance, statistics.freedom, sigma, shared, decided, data.joints, names)
         if isinstance(calibrated, HasPromise):
             return calibrated.promise
         raise InputError(
@@ -149,6 +158,30 @@ def candidates(robot: Robot) -> list[Changeable]:
     ]
 
 
+@dataclass(frozen=True)
+class Expected:
+    """What a calibration expects of the distances between measured and predicted positions.
+
+    Attributes:
+        rms: Their root mean square [m]; NaN without positions.
+        left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
+        freedom: Degrees of freedom of `rms`: few where few directions that the calibration leaves uncertain decide it.
+    """
+
+    rms: float
+    left_open: float
+    freedom: float
+
+    def limit(self, chance: float, noise_freedom: float) -> float:
+        """Return what their root mean square exceeds with a chance [m].
+
+        Args:
+            chance: The chance.
+            noise_freedom: Degrees of freedom that the noise was found with.
+        """
+        return self.rms * float(np.sqrt(scipy.special.fdtri(self.freedom, noise_freedom, 1.0 - chance)))
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """The least-squares problem.
@@ -161,7 +194,7 @@ class System:
         layout: Which row is what.
         counts: Which rows were read, (n_rows,).
         errors: As of `Acceptance`.
-        promised, left_open: As of `Acceptance`.
+        expected: Of the distances between measured and predicted positions.
     """
 
     promise: Promise
@@ -171,8 +204,7 @@ class System:
     layout: Layout
     counts: BoolArray
     errors: ErrorSet = field(repr=False)
-    promised: float
-    left_open: float
+    expected: Expected
 
     @staticmethod
     def of(promise: Promise, data: Measurements, same_setup: bool) -> System:
@@ -207,7 +239,7 @@ class System:
             layout,
             layout.group >= 0,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            *_promised(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
+            _expected(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
         ).checked(data)
 
     @property
@@ -249,8 +281,7 @@ class System:
             self.layout,
             self.counts & kept,
             self.errors,
-            self.promised,
-            self.left_open,
+            self.expected,
         )
 
     @cached_property
@@ -302,8 +333,26 @@ class System:
                 best, smallest = int(reading), chance
         return best, min(1.0, smallest * len(np.unique(self.reading[order])))
 
-    def changes(self) -> tuple[Change, ...]:
-        """Return candidates that the readings see, those with the largest z first."""
+    @cached_property
+    def unlike(self) -> bool:
+        """Whether the poses lie otherwise than those that were used."""
+        return len(self.promise.joints) > 0 and not drawn_alike(self.errors.data.joints, self.promise.joints)
+
+    @property
+    def shared_elsewhere(self) -> float:
+        """As `Promise.shared`, where what the calibration left unexplained may be one error of all readings.
+
+        They then tell as much as so many readings as parameters were decided.
+        """
+        as_many = float(np.sum(self.counts)) / max(self.promise.decided, 1.0)
+        return max(self.promise.shared, float(np.sqrt(1.0 + as_many)))
+
+    def changes(self, shared: float) -> tuple[Change, ...]:
+        """Return candidates that the readings see, those with the largest z first.
+
+        Args:
+            shared: How many times as much as independent readings these scatter together.
+        """
         left, listed = self._left(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
         visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
@@ -314,7 +363,7 @@ class System:
         for j in range(len(visible)):
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
-        z, spread = unit[: len(self.residuals)].T @ self.residuals, self.promise.shared
+        z, spread = unit[: len(self.residuals)].T @ self.residuals, shared
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
         changes = [
             Change(
@@ -371,10 +420,10 @@ def _noncentrality(level: float, freedom: float) -> float:
     return float(scipy.optimize.brentq(lambda d: 1.0 - scipy.special.nctdtr(freedom, d, limit) - POWER, 0.0, most))
 
 
-def _promised(
+def _expected(
     promise: Promise, robot: Robot, observed: Mapping[str, Observed], kept: BoolArray, root: FloatArray
-) -> tuple[float, float]:
-    """Root mean square distance of measured from predicted positions as promised, and what is no noise of it [m].
+) -> Expected:
+    """Return what is expected of the distances between measured and predicted positions.
 
     Args:
         promise: Says noise and shared errors.
@@ -395,12 +444,16 @@ def _promised(
             slopes.append(derivatives.by(free)[:, rows].reshape(-1, len(free)))
             square += len(rows) * n_readings * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
     if not n:
-        return float("nan"), float("nan")
+        return Expected(float("nan"), float("nan"), float("nan"))
     slope = np.concatenate(slopes)
     placed = linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
     basis = placed[0][:, placed[1] > RANK_TOLERANCE]
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)
-    square *= 1.0 - basis.shape[1] / len(slope)  # what placing them takes up
-    left_open = float(np.sum(spread**2))
-    return float(np.sqrt((square + left_open) / n)), float(np.sqrt(left_open / n))
+    left = len(slope) - basis.shape[1]
+    square *= left / len(slope)  # what placing them takes up
+    along = spread.T @ spread
+    left_open, total = float(np.trace(along)), square + float(np.trace(along))
+    # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction
+    variance = square**2 / max(left, 1) + float(np.sum(along**2)) + 2.0 * square * left_open / max(left, 1)
+    return Expected(float(np.sqrt(total / n)), float(np.sqrt(left_open / n)), total**2 / max(variance, 1e-300))

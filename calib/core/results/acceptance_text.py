@@ -21,6 +21,8 @@ _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
+    "unlike poses": "UNLIKE POSES: errors are larger than at the poses of the calibration, but these are other poses;"
+    " what the calibration left unexplained there may be as large here, so the robot need not have changed",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
 }
 
@@ -35,6 +37,12 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     """
     data = acceptance.errors.data
     parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    if acceptance.again:
+        parts.append(
+            f"To settle it, measure {counted(len(acceptance.again), 'pose')} of the calibration again:"
+            f" {listed(acceptance.again, ', ', len(acceptance.again))}. There the model is off as it was, so that what"
+            " differs is the robot"
+        )
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
     parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
@@ -75,6 +83,10 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "p_rest": acceptance.p_rest,
             "promised_rms_mm": millimetres(acceptance.promised),
             "promised_left_open_mm": millimetres(acceptance.left_open),
+            "promised_limit_mm": millimetres(acceptance.limit),
+            "coverage_factor": acceptance.coverage_factor,
+            "unlike_poses": acceptance.unlike,
+            "measure_again": list(acceptance.again),
             "errors": error_table(
                 acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
             ),
@@ -136,7 +148,7 @@ def _errors(acceptance: Acceptance) -> list[str]:
         lines.append(
             f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
             f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
-            f" uncertainty of the calibration {left_open:.4f} mm)"
+            f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
             lines.append(
@@ -151,7 +163,12 @@ def _drift(acceptance: Acceptance) -> list[str]:
         return []
     first = acceptance.changes[0]
     unit, scale = _unit(first)
-    size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
+    half = acceptance.coverage_factor * first.std
+    low, high = ((first.value + side * half) * scale for side in (-1.0, 1.0))
+    size = (
+        f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f}, 95 %: {low:+.4f} to"
+        f" {high:+.4f})"
+    )
     if acceptance.p_drift >= FALSE_ALARM / 2:
         largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
         return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]

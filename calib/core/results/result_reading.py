@@ -71,12 +71,17 @@ def load(path: Path | str) -> Robot:
 
 def joints_used(folder: Path | str, robot: Robot) -> FloatArray:
     """Return the joint values from which a result was identified, (n, n_actuated) [m or rad]; none if not stored."""
+    return poses_used(folder, robot)[0]
+
+
+def poses_used(folder: Path | str, robot: Robot) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return what `joints_used` does, and the names of the poses, (n,)."""
     if not (Path(folder) / "residuals.csv").is_file():
-        return np.zeros((0, len(robot.joint_names)))
+        return np.zeros((0, len(robot.joint_names))), ()
     table = read_table(unchanged(folder, "residuals.csv", read_result(folder)))
     used = np.array(table.text("set")) == "identification"
     joints = [table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names]
-    return np.stack(joints, axis=1)[used]
+    return np.stack(joints, axis=1)[used], tuple(np.array(table.text("pose"))[used].tolist())
 
 
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:
@@ -266,10 +271,10 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
                 if part["sigma"] is not None:
                     sigma[instrument.group, part["name"]] = float(part["sigma"]) / scale
         shared = 1.0 if content["shared"] is None else float(content["shared"])
-        freedom = float(content["degrees_of_freedom"])
+        freedom, decided = float(content["degrees_of_freedom"]), float(content["effective_parameters"])
     except (KeyError, TypeError, ValueError):
         raise DataError(f"{folder}: does not say the noise of each instrument; run the fit again") from None
-    return Promise(calibrated, known.covariance, freedom, sigma, shared)
+    return Promise(calibrated, known.covariance, freedom, sigma, shared, decided, *poses_used(folder, robot))
 
 
 def read_result(folder: Path | str) -> dict[str, Any]:

@@ -1,0 +1,73 @@
+"""Poses of a calibration that settle whether a robot has changed, if they are measured again.
+
+At a pose that was used the model is off now as it was then: what differs there is the robot, whatever the model leaves
+out. Of all poses used, those are chosen one by one that make the information on the change beside base and targets,
+which are placed anew, grow most (its determinant: `calib.core.numerics.observability`, O1); and so many of them that the
+change shows with the chance `POWER`.
+
+When it fails. Of more poses than `MOST`, evenly chosen ones are looked at. The change is taken as large as it was
+found: a smaller one takes more poses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import CalibrationError
+from calib.core.data.pose_groups import pose_labels
+from calib.core.judging.promise import Change, Promise, System, candidates
+from calib.core.numerics.identifiability import unit_columns
+from calib.core.rows.simulate import simulate
+
+MOST = 300
+"""Poses that are looked at."""
+_COUNTS = (8, 12, 16, 24, 32)  # of poses to measure again
+_NOTHING = 1e-6  # information before any pose was chosen, of columns of length 1
+
+
+def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
+    """Return the names of poses of the calibration that show a change, best first; none where none do.
+
+    Args:
+        promise: What the calibration promises.
+        change: The change, as it was found.
+    """
+    first = np.unique(pose_labels(promise.joints), return_index=True)[1] if len(promise.joints) else np.zeros(0, int)
+    some = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, min(MOST, len(first))).astype(np.intp))]
+    try:
+        order = some[_order(promise, promise.joints[some], change)] if len(some) else some
+        for count in _COUNTS:
+            shown = _visible(promise, promise.joints[order[:count]], change)
+            if shown <= abs(change.value) or count >= len(order):
+                break
+    except CalibrationError:  # its poses cannot be looked at again, such as those of setups
+        return ()
+    return tuple(promise.names[k] for k in order[:count])
+
+
+def _system(promise: Promise, joints: FloatArray) -> System:
+    return System.of(promise, simulate(promise.robot, joints, 0.0, np.random.default_rng(0)), same_setup=False)
+
+
+def _visible(promise: Promise, joints: FloatArray, change: Change) -> float:
+    """Smallest size of the change that readings at poses (n, n_actuated) show [m or rad]; infinite where none."""
+    changes = _system(promise, joints).changes(promise.shared)
+    return next((known.visible for known in changes if known.name == change.name), np.inf)
+
+
+def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
+    """Numbers of the poses (n, n_actuated) that tell most of a change, best first."""
+    system = _system(promise, joints)
+    number = [known.name for known in candidates(promise.robot)].index(change.name)
+    columns = unit_columns(np.column_stack([system.columns[1], system.candidate_columns[:, number]]))[0]
+    visit = system.visit[system.reading]
+    rows = [columns[visit == k] for k in range(len(joints))]
+    information, chosen = _NOTHING * np.eye(columns.shape[1]), list[int]()
+    for _ in range(min(_COUNTS[-1], len(rows))):
+        inverse = np.linalg.inv(information)
+        gain = [np.linalg.slogdet(np.eye(len(own)) + own @ inverse @ own.T)[1] for own in rows]
+        gain = [-np.inf if k in chosen else round(float(size), 9) for k, size in enumerate(gain)]
+        chosen.append(int(np.argmax(gain)))
+        information = information + rows[chosen[-1]].T @ rows[chosen[-1]]
+    return np.array(chosen, dtype=np.intp)

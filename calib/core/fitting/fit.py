@@ -190,7 +190,7 @@ def fit_at(
     rows, scales, uncertainty = uncertainty_at(solved, second_order)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
-        placed, calibrated = (_placed_by(validation, state.free(*later), later) for state in (placed, calibrated))
+        placed, calibrated = (placed_by(validation, state.free(*later), later) for state in (placed, calibrated))
     fit = Fit(
         nominal=robot,
         placed=placed,
@@ -266,7 +266,7 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)
 
 
-def _placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
+def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
     """Return a robot with these places where some measurements alone show them, all else as it is.
 
     Args:

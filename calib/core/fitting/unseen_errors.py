@@ -5,7 +5,7 @@ with joint zeros alone, that is the least part: it leaves out what it cannot hol
 from errors that were seen, at poses that had no part in the fit. They count both: what the robot leaves out, and that
 its parameters are known only so well. The noise of the readings there counts, too. The poses are
 
-* those of the validation, if there are any; else
+* those of the validation, if there are any (with their frame placed anew where it moved); else
 * those left out in turn (cross-validation), each predicted by the fit of the other folds; else
 * all that were used, each predicted by the fit of all others, by the linear model: with the whitened rows J_k and
   residuals r_k of a pose, H_k = J_k C J_k^T and C the inverse of what all rows and priors know, the parameters without
@@ -40,6 +40,7 @@ from calib.core.base.remembered import remembered
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
 from calib.core.numerics.clusters import moved_without
 from calib.core.numerics.tall import Span
@@ -54,8 +55,9 @@ _DECIDES = 1.0 - 1e-6
 
 def accuracy(fit: Fit) -> Accuracy:
     """Return how far off the robot of a fit is at poses that it has not seen; at those used if there are no others."""
-    if fit.validation is not None:
-        return of_errors(fit.validation, SeenAt.VALIDATION)
+    validation = validation_errors(fit)
+    if validation is not None:
+        return of_errors(validation, SeenAt.VALIDATION)
     if fit.folds is not None:
         return of_errors(fit.folds.errors, SeenAt.FOLDS)
     foretold = left_out_one_by_one(fit)
@@ -95,7 +97,7 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     foretold = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
     whole = replace(fit.identification, after=after)
-    return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
+    return at_visits(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
 
 
 @remembered
@@ -115,14 +117,14 @@ def moved_left_out(fit: Fit) -> float:
         return math.nan
     used = whole
     if len(foretold.data) < len(whole.data):
-        used = _at(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
+        used = at_visits(whole, np.flatnonzero(np.isin(whole.data.names, foretold.data.names)))
     part = foretold.main_part.name
     moved = foretold.errors("after", part) - used.errors("after", part)
     return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))
 
 
-def _at(errors: ErrorSet, visits: IntArray) -> ErrorSet:
-    """Errors at some of the visits (n,)."""
+def at_visits(errors: ErrorSet, visits: IntArray) -> ErrorSet:
+    """Return errors at some of the visits (n,)."""
     if len(visits) == len(errors.data):
         return errors
     kept = {name: readings_at(readings, visits) for name, readings in errors.data.readings.items()}

@@ -16,6 +16,8 @@ normal distribution. In the place of e, which is not known, stand the errors of 
 than the noise: that is what the model leaves out. Where poses scatter by more than independent readings would
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 
+Validation poses whose frame moved are compared with that placed anew (`calib.core.fitting.moved_frame`).
+
 This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
 used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
 `HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
@@ -40,6 +42,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.moved_frame import validation_errors
 from calib.core.numerics.chances import FEWEST, UNLIKELY
 
 HARM = 1.25
@@ -76,8 +79,10 @@ def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
     """Compare before and after on the validation poses and on poses left out in turn, as far as there are any."""
     if fit.computed:
         return
-    if fit.validation is not None:
-        yield _compare(fit, "the validation poses", fit.validation, 1.0)
+    validation = validation_errors(fit)
+    if validation is not None:
+        anew = "" if validation is fit.validation else ", their frame placed anew"
+        yield _compare(fit, f"the validation poses{anew}", validation, 1.0)
     if fit.folds is not None:
         fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
         left_out = "setups" if fit.folds.setups else "poses"

@@ -8,6 +8,10 @@ Whether it holds. At n poses that had no part in the fit, such as validation pos
 `MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
 as many degrees of freedom as coordinates were read, or as poses where the readings of a pose share errors).
 
+A few wild readings decide a root mean square, and no claim speaks of 5 poses in 100. So where outliers are 5 in 100
+or fewer, the claim also holds if the other poses are no more than `MORE` times as far off, and the number of poses
+beyond `MORE` times `limit95` is none that chance excludes (binomial). The outliers are named by a reason of their own.
+
 Whether the robot gets better. On poses that were not used, if there are any, by `calib.core.judging.better_or_worse`;
 else by Student's t of what each pose's squared error, left out, is above that of the nominal robot.
 
@@ -36,7 +40,7 @@ it. Poses that are copies of others foretell each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Self
@@ -50,7 +54,10 @@ from calib.core.base.words import listed
 from calib.core.data.pose_groups import APART, apart
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.unseen_errors import left_out_one_by_one, moved_left_out, of_errors
+from calib.core.fitting.moved_frame import validation_errors
+from calib.core.fitting.outliers import Outlier
+from calib.core.fitting.unseen_errors import COVERED, at_visits, left_out_one_by_one, moved_left_out, of_errors
+from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons
 from calib.core.numerics.chances import FEWEST, UNLIKELY
 from calib.core.robots.held import Accuracy, SeenAt
@@ -103,6 +110,7 @@ class Claim:
             the robot before has by all poses, those left out among them.
         shown: The same as seen at poses that had no part in the fit.
         broken: Those of them that the claim does not hold for.
+        but_for: Of each of `shown`, the same without a few outliers, by which the claim is judged; else None.
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
         narrow: Joints that moved through less than half of their range at these poses, and how far.
@@ -113,6 +121,7 @@ class Claim:
     told: Accuracy
     shown: tuple[Accuracy, ...]
     broken: tuple[Accuracy, ...]
+    but_for: tuple[Accuracy | None, ...]
     gain: Benefit
     region: str
     narrow: tuple[str, ...]
@@ -139,7 +148,11 @@ class Claim:
             off = f"off by {told.shown(told.rms)} RMS, {self.region}"
         if np.isfinite(told.before):
             off += f"{'; before' if np.isfinite(told.limit95) else '. Before'}: {told.shown(told.before)}"
-        shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
+        shown = "".join(
+            f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}"
+            + (f", {kept.shown(kept.rms)} without outliers." if kept else ".")
+            for accuracy, kept in zip(self.shown, self.but_for, strict=True)
+        )
         narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
         return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
 
@@ -164,9 +177,10 @@ class Claim:
                     "poses": accuracy.poses.name.lower(),
                     "n_poses": accuracy.n_poses,
                     "rms": scale * accuracy.rms,
+                    "rms_without_outliers": scale * kept.rms if kept else None,
                     "holds": accuracy not in self.broken,
                 }
-                for accuracy in self.shown
+                for accuracy, kept in zip(self.shown, self.but_for, strict=True)
             ],
             "holds": self.holds,
             "gain": self.gain.value,
@@ -196,6 +210,10 @@ class Claim:
             seen(entry, SeenAt.ONE_BY_ONE),
             tuple(accuracy for accuracy, _ in shown),
             tuple(accuracy for accuracy, holds in shown if not holds),
+            tuple(
+                None if np.isnan(kept := error(other.get("rms_without_outliers"))) else replace(accuracy, rms=kept)
+                for other, (accuracy, _) in zip(entry["not_used"], shown, strict=True)
+            ),
             Benefit(entry["gain"]),
             str(entry["region"]),
             tuple(entry["joints_moved_little"]),
@@ -212,15 +230,39 @@ def claim_of(fit: Fit) -> Claim | None:
     if np.all(fit.unknowns.placement):
         told = replace(told, before=float("nan"))
     unused = []
-    if fit.validation is not None:
-        unused.append(of_errors(fit.validation, SeenAt.VALIDATION))
+    validation = validation_errors(fit)
+    if validation is not None:
+        unused.append((validation, SeenAt.VALIDATION, findings.validation_outliers(fit)))
     if fit.folds is not None:
-        unused.append(of_errors(fit.folds.errors, SeenAt.FOLDS))
-    shown = tuple(accuracy for accuracy in unused if (accuracy.part, accuracy.dimension) == (told.part, told.dimension))
-    broken = tuple(accuracy for accuracy in shown if accuracy.rms > _most(fit, told, accuracy) * told.rms)
+        unused.append((fit.folds.errors, SeenAt.FOLDS, findings.outliers(fit)))
+    shown, broken, but_for = list[Accuracy](), list[Accuracy](), list[Accuracy | None]()
+    for errors, where, outliers in unused:
+        accuracy = of_errors(errors, where)
+        if (accuracy.part, accuracy.dimension) == (told.part, told.dimension):
+            kept = None
+            if accuracy.rms > _most(fit, told, accuracy) * told.rms:
+                kept = _but_for_few(fit, told, errors, where, outliers)
+                broken += [] if kept else [accuracy]
+            shown.append(accuracy)
+            but_for.append(kept)
     n = fit.identification.data.n_poses
     region = f"at poses like the {n} measured"
-    return Claim(told, shown, broken, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+    own = tuple(shown), tuple(broken), tuple(but_for)
+    return Claim(told, *own, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+
+
+def _but_for_few(
+    fit: Fit, told: Accuracy, errors: ErrorSet, where: SeenAt, outliers: Sequence[Outlier]
+) -> Accuracy | None:
+    """Return how far off unused poses are without a few outliers, if the claim holds for them; else None."""
+    gone = {outlier.pose for outlier in outliers}
+    if not 0 < len(gone) <= (1.0 - COVERED) * len(errors.data):
+        return None
+    accuracy = of_errors(at_visits(errors, np.setdiff1d(np.arange(len(errors.data)), list(gone))), where)
+    lengths = np.sqrt(np.nansum(errors.errors("after", told.part) ** 2, axis=1))
+    beyond = int(np.sum(lengths > MORE * told.limit95))
+    few = beyond == 0 or scipy.special.bdtrc(beyond - 1, len(lengths), 1.0 - COVERED) >= UNLIKELY
+    return accuracy if few and accuracy.rms <= _most(fit, told, accuracy) * told.rms else None
 
 
 def unlike_measured(fit: Fit) -> BoolArray:

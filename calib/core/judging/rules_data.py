@@ -14,13 +14,13 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
+from calib.core.fitting.moved_frame import moved_frame
 from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import beyond_repeatability
 from calib.core.judging.rounded_joint_values import rounding
-from calib.core.judging.rules_model import frame_moved
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE, studentised
 from calib.core.rows.rows import Rows
@@ -33,6 +33,8 @@ RIGID = 1e-6
 """Scatter of the distance of two targets below which no instrument read both [m]."""
 COSTLY = 0.36
 """Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
+FEW_OF = 0.01
+"""Part of the readings that were not used, up to which outliers do not decide the grade."""
 EXCLUDED = 0.1
 """Part of the poses, or of the readings, that may be outliers."""
 BEYOND_REPEATS = 1.5
@@ -131,13 +133,15 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         ("", findings.outliers(fit)),
         (" among the poses that were not used", findings.validation_outliers(fit)),
     ):
-        if outlying and not (where and any(frame_moved(fit))):
+        if outlying and not (where and moved_frame(fit)):
+            rows = fit.validation_rows if where else fit.rows
+            n = rows.layout.n_readings if rows else 0
             words = listed(outliers_in_words(outlying), "; ")
             yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
-                counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
+                counted=_share(outlying, rows) < COSTLY or (bool(where) and len(outlying) <= FEW_OF * n),
                 answer=Answer.LOOK if where else None,
             )
     if fit.with_all is not None:

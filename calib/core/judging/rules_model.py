@@ -8,12 +8,11 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.core.base.words import counted, joints_named, listed
-from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
@@ -22,7 +21,6 @@ from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.residual_patterns import describe
 from calib.core.judging.rules_noise import impossible, in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
-from calib.core.numerics.rigid import best_transform
 from calib.core.robots.held import Accuracy, Holds, SeenAt
 from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
@@ -31,12 +29,6 @@ ELSEWHERE = 0.2
 """Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
-FEW_POSES = 6
-"""Validation poses from which a rigid motion explains errors only if there is one."""
-CLOSE = 0.3
-"""Spread of validation points, over that of the points used, up to which errors of the robot move them as one."""
-EXPLAINED = 0.3
-"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
 AT_END = 0.55
 """What looks like a change in the course of the measurement, over all that is left, up to which a claim holds at its
 end: what grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of
@@ -99,12 +91,13 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
-    moved = any(frame_moved(fit))
+    moved = moved_frame(fit)
+    misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     for comparison in comparisons(fit):
         if comparison.worse:
             yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * UNLIKELY:g} %){'' if moved else _NOT_THE_ROBOT}",
+                f" {100 * UNLIKELY:g} %){'' if misplaced else _NOT_THE_ROBOT}",
                 answer=Answer.HOLD_OUT if moved else None,
             )
 
@@ -151,21 +144,23 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
         claim: Its claim.
         needless: Whether the robot needs no correction.
     """
-    moved = any(frame_moved(fit))
-    worse, further = ("", "") if moved else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
+    moved = moved_frame(fit)
+    misplaced = moved is not None and moved.errors is None  # errors are those of the frame
+    worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
+    anew = "" if moved is None or misplaced else ", their frame placed anew,"
     for accuracy in claim.broken:
         times, claimed = accuracy.rms / claim.told.rms, claim.told
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
-                f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
-                f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
+                f"the calibration makes the robot worse at {accuracy.where}{anew}: {accuracy.shown(accuracy.rms)} RMS"
+                f" after, {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
                 f" ({claimed.shown(claimed.rms)}){worse}",
                 answer=Answer.HOLD_OUT if moved else None,
             )
         else:
             yield Code.VALIDATION.says(
-                f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS;"
-                f" claimed: {claimed.shown(claimed.rms)}){'' if moved else _where(fit, accuracy)}{further}"
+                f"{accuracy.where}{anew} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)}"
+                f" RMS; claimed: {claimed.shown(claimed.rms)}){'' if misplaced else _where(fit, accuracy)}{further}"
             )
 
 
@@ -204,26 +199,19 @@ def base_elsewhere(fit: Fit) -> str:
 
 def frame_moved(fit: Fit) -> Iterator[Reason]:
     """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
-    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
+    moved = moved_frame(fit)
+    if moved is None or fit.validation is None:
         return
-    measured, errors = _points(fit.validation)
-    if len(measured) < FEW_POSES:
-        return
-    spread, used = (np.std(points - np.mean(points, axis=0)) for points in (measured, _points(fit.identification)[0]))
-    if spread < CLOSE * used:
-        return
-    predicted = measured + errors
-    rotation, translation = best_transform(measured, predicted)
-    left = _rms(predicted - measured @ rotation.T - translation)
-    if left < EXPLAINED * _rms(errors):
-        centre = measured.mean(axis=0)
-        shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
-        angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
-        yield Code.FRAME_MOVED.says(
-            "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
-            f" {shift:.3g} mm and {angle:.2g} deg: such a motion explains all but {millimetres(left):.3g} mm RMS;"
-            " measure both from one place, or hold out poses of one file (--validate 0.25)"
-        )
+    placed = ""
+    if moved.errors is not None:
+        before, after = (millimetres(errors.rms("after")) for errors in (fit.validation, moved.errors))
+        placed = f". Placed anew, its error falls from {before:.3g} to {after:.3g} mm RMS, by which it is judged here"
+    yield Code.FRAME_MOVED.says(
+        "the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
+        f" {millimetres(moved.shift):.3g} mm and {np.degrees(moved.angle):.2g} deg: such a motion explains all but"
+        f" {millimetres(moved.left):.3g} mm RMS{placed}. Measure both from one place, or hold out poses of one file"
+        " (--validate 0.25)"
+    )
 
 
 def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
@@ -333,26 +321,3 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
             f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the measurements do not show"
             " which of them is the robot; measure poses that differ more"
         )
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
-
-
-def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
-    """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
-    measured: list[FloatArray] = [np.zeros((0, 3))]
-    errors: list[FloatArray] = [np.zeros((0, 3))]
-    for instrument, part, rows in error_set.parts():
-        points = instrument.points(error_set.data.readings[instrument.name].values)
-        if points is not None and part.is_position:
-            measured_rows = np.isfinite(points).all(axis=1)
-            measured.append(points[measured_rows])
-            errors.append(error_set.after[instrument.name][measured_rows][:, rows])
-    return np.concatenate(measured), np.concatenate(errors)
-
-
-def _from_one_file(fit: Fit) -> bool:
-    """Whether the validation poses were held out of the file that was fitted."""
-    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
-    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None

@@ -1,0 +1,118 @@
+"""Validation poses that were read from elsewhere: a frame that moved, and what the robot is off beside that.
+
+Where one rigid motion explains most of the errors at validation poses that are far apart, the tracker, the base or its
+frame stands elsewhere than when the robot was calibrated. Where it stands says nothing about the robot. So the frames
+from which these poses were read are placed anew by them, before and after calibration: what is left is what the robot
+itself is off.
+
+When it fails. A base that is called known is not placed. Errors of the robot that look like a motion of its frame are
+taken for one, where they are most of all errors; the verdict says that a frame moved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import ComputationError, UnreachablePoseError
+from calib.core.base.remembered import remembered
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fit import errors_on, placed_by
+from calib.core.fitting.fitted import Fit
+from calib.core.numerics.rigid import best_transform
+
+FEW_POSES = 6
+"""Validation poses from which a rigid motion explains errors only if there is one."""
+CLOSE = 0.3
+"""Spread of validation points, over that of the points used, up to which errors of the robot move them as one."""
+EXPLAINED = 0.3
+"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovedFrame:
+    """How the frame of validation poses moved.
+
+    Attributes:
+        shift: How far, at the centre of their points [m].
+        angle: By which angle [rad].
+        left: Root mean square error that the motion leaves [m].
+        errors: At these poses, with their frame placed anew; None where it cannot be placed.
+    """
+
+    shift: float
+    angle: float
+    left: float
+    errors: ErrorSet | None
+
+
+@remembered
+def moved_frame(fit: Fit) -> MovedFrame | None:
+    """Return how the frame of the validation poses moved; None where it did not."""
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
+        return None
+    measured, errors = _points(fit.validation)
+    if len(measured) < FEW_POSES:
+        return None
+    spread, used = (np.std(points - np.mean(points, axis=0)) for points in (measured, _points(fit.identification)[0]))
+    if spread < CLOSE * used:
+        return None
+    predicted = measured + errors
+    rotation, translation = best_transform(measured, predicted)
+    left = _rms(predicted - measured @ rotation.T - translation)
+    if left >= EXPLAINED * _rms(errors):
+        return None
+    centre = measured.mean(axis=0)
+    shift = float(np.linalg.norm(rotation @ centre + translation - centre))
+    angle = float(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
+    return MovedFrame(shift, angle, left, _placed_anew(fit))
+
+
+def validation_errors(fit: Fit) -> ErrorSet | None:
+    """Return the errors at the validation poses that judge the robot: with their frame placed anew where it moved."""
+    moved = moved_frame(fit)
+    return fit.validation if moved is None or moved.errors is None else moved.errors
+
+
+def _placed_anew(fit: Fit) -> ErrorSet | None:
+    """Errors at the validation poses, with the frames that they were read from placed by them."""
+    assert fit.validation is not None
+    robot, data = fit.robot, fit.validation.data
+    origins = ("", *robot.mechanism.origin_names)
+    frames = set()
+    for name, readings in data.readings.items():
+        pairs = robot.pairs(robot.instrument(name))
+        frames |= {origins[pairs[number].a] for number in {int(k) for k in readings.pairs}} if pairs else set()
+    free = zip(robot.parameters, robot.is_free, strict=True)
+    names = tuple(p.name for p, is_free in free if is_free and p.placement and p.name.rpartition(".")[0] in frames)
+    if not names:
+        return None
+    try:
+        return errors_on(placed_by(data, fit.placed, names), placed_by(data, robot, names), data)
+    except (ComputationError, UnreachablePoseError):
+        return None
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
+    """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
+    measured: list[FloatArray] = [np.zeros((0, 3))]
+    errors: list[FloatArray] = [np.zeros((0, 3))]
+    for instrument, part, rows in error_set.parts():
+        points = instrument.points(error_set.data.readings[instrument.name].values)
+        if points is not None and part.is_position:
+            measured_rows = np.isfinite(points).all(axis=1)
+            measured.append(points[measured_rows])
+            errors.append(error_set.after[instrument.name][measured_rows][:, rows])
+    return np.concatenate(measured), np.concatenate(errors)
+
+
+def _from_one_file(fit: Fit) -> bool:
+    """Whether the validation poses were held out of the file that was fitted."""
+    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
+    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None

@@ -110,7 +110,7 @@ def judge(fit: Fit) -> Verdict:
             reasons.insert(0, Code.LIKELY_MISTAKE.says(text))
     if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or needless):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
-    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code is not Code.FRAME_MOVED))
+    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))

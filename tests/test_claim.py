@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.core.judging.claim import Benefit
+from calib.core.data.measurements import with_points
+from calib.core.judging.claim import Benefit, Claim
 
 SIGMA = 4e-5
 
@@ -104,3 +106,57 @@ def test_what_goes_on_changing_is_a_doubt_where_it_is_large(arm, truth, shift, g
     drift = np.linspace(-0.5, 0.5, 80)[:, None, None] * shift * np.array([1.0, 0.0, 0.0])
     fit = calib.fit(arm, measurements(arm, joints(80), data.points(arm) + drift))
     assert fit.verdict.grade == grade
+
+
+@pytest.fixture(scope="module")
+def unknown_base(tmp_path_factory):
+    text = YAML.replace("{frame: l0}", "{frame: l0, pose: unknown}")
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("unknown"), text + FREE))
+
+
+def put_up_anew(robot, data):
+    """The tracker stands metres away, turned by a radian."""
+    points = data.points(robot)
+    return with_points(robot, data, points @ Rotation.from_euler("z", 1.0).as_matrix().T + [2.0, -1.0, 0.3])
+
+
+def test_poses_read_from_elsewhere_are_judged_with_their_frame_placed_anew(unknown_base, truth):
+    robot, true = unknown_base, unknown_base.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3})
+    used, other = noisy(true, joints(80), SIGMA, 1), noisy(true, joints(30, 5), SIGMA, 2)
+    moved = calib.fit(robot, used, validation=put_up_anew(robot, other))
+    assert moved.validation.rms("after") > 1.0  # m
+    verdict = moved.verdict
+    assert (verdict.grade, verdict.to_dict()["codes"][0]) == ("CHECK", "frame_moved")
+    assert "Placed anew, its error falls from" in verdict.reasons[0].text
+    assert not {"validation", "worse_on_validation"} & set(verdict.to_dict()["codes"])
+    assert verdict.claim.gain is Benefit.BETTER
+    assert verdict.claim.shown[0].rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.25)
+
+
+def test_another_robot_fails_wherever_the_tracker_stands(unknown_base):
+    robot = unknown_base
+    one, another = (robot.with_parameters({"j2.x": 0.05 + x, "j3.z": 0.6 + x, "j4.ry": x}) for x in (2e-3, -2e-3))
+    used, other = noisy(one, joints(80), SIGMA, 1), noisy(another, joints(30, 5), SIGMA, 2)
+    moved = calib.fit(robot, used, validation=put_up_anew(robot, other)).verdict
+    assert moved.grade == "FAIL"
+    assert "the validation poses, their frame placed anew: RMS" in str(moved)
+    assert "frame_moved" in moved.to_dict()["codes"]
+
+
+@pytest.mark.parametrize(("n_bad", "holds"), [(2, True), (20, False)])
+def test_a_few_bad_rows_of_many_decide_nothing_and_are_named(arm, truth, n_bad, holds):
+    """Two rows of 300 are 3 mm off, and so the root mean square; the claim is about 95 of 100 poses."""
+    other = noisy(truth, joints(300, 5), SIGMA, 2)
+    points = other.points(arm).copy()
+    points[:: 300 // n_bad, :, 2][:n_bad] += 3e-3
+    fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=with_points(arm, other, points))
+    claim = fit.verdict.claim
+    assert claim.shown[0].rms > 2.0 * claim.told.rms
+    assert claim.holds == holds
+    assert fit.verdict.grade == ("PASS" if holds else "CHECK")
+    named = [reason.text for reason in fit.verdict.reasons if reason.code == "outliers"]
+    assert any("among the poses that were not used" in text for text in named)
+    if holds:
+        assert claim.but_for[0].rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.15)
+        assert "without outliers" in claim.words
+        assert Claim.from_dict(claim.to_dict()).words == claim.words

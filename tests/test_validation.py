@@ -7,7 +7,7 @@ from six_axis_arm import joints, noisy, six_axis_arm
 import calib
 from calib.core.data.in_memory import measurements as from_readings
 from calib.core.data.in_memory import plain_readings
-from calib.core.data.pose_groups import apart, pose_labels
+from calib.core.data.pose_groups import apart, drawn_alike, pose_labels
 from calib.core.fitting.validation import deal
 from calib.core.judging.claim import elsewhere, unlike_measured
 
@@ -147,6 +147,17 @@ def test_apart_is_beyond_the_nearest_other_pose_whatever_repeats_say():
     others = np.array([[0.55, 0.5], [2.98, 0.5], [3.05, 0.5], [0.5, 0.6]])
     assert apart(others, used).tolist() == [False, False, True, True]
     assert not np.any(apart(others, used[:54]))  # 18 poses
+
+
+def test_poses_drawn_as_those_used_are_told_from_poses_elsewhere_and_from_crowded_ones():
+    rng = np.random.default_rng(3)
+    used = rng.uniform(-1, 1, (200, 6))
+    alike = [drawn_alike(rng.uniform(-1, 1, (60, 6)), used) for _ in range(200)]
+    assert np.sum(alike) >= 197  # 0.1 % by chance
+    assert not drawn_alike(rng.uniform(0.8, 1.5, (60, 6)), used)
+    assert not drawn_alike(rng.uniform(0.0, 0.3, (60, 6)), used)
+    assert drawn_alike(used[:30], used)
+    assert drawn_alike(np.repeat(rng.uniform(-1, 1, (12, 6)), 30, axis=0), used)  # a repeat is no new pose
 
 
 def test_poses_of_a_setup_that_was_not_used_are_unlike_those_measured(arm):

@@ -29,10 +29,10 @@ chance of 90 %, or the number of poses that a given change takes, are known befo
 
 Unlike poses. The noise that a calibration finds is, for the most part, what its model leaves out. At poses drawn as
 those that were used it is another error at each pose, as noise is. Elsewhere, or where poses crowd together
-(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger: n rows then tell as much as k, the
-number of parameters that the calibration decided, so that rho^2 is 1 + n / k. If the readings agree by this, nothing
-says that the robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has
-drifted.
+(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger. Then the n rows read there tell as
+much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off there as
+if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that the robot has
+changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
 Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
 variance, at a chance of 0.1 %, so that no verdict contradicts the distances beside it.
@@ -151,14 +151,15 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     outliers = tuple(data.labels[system.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
         system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
-    tests = _Tests.of(system, promise.shared)
+    tests = _Tests.of(system)
     verdict, unlike = "agrees", False
     if tests.fail:
         verdict = tests.explained
         if tests.p_drift >= _LEVEL and _is_noise(promise, system):
             verdict = "noisier"
         elif system.unlike:
-            unlike, tests = True, _Tests.of(system, system.shared_elsewhere)
+            unlike, system = True, system.elsewhere(system.errors.data, same_setup)
+            tests = _Tests.of(system)
             verdict = tests.explained if tests.fail else "unlike poses"
     low, high = scipy.special.fdtri(tests.independent, promise.freedom, [0.025, 0.975])
     changes = tests.changes
@@ -204,18 +205,18 @@ class _Tests:
     far: bool
 
     @staticmethod
-    def of(system: System, shared: float) -> _Tests:
-        """Make them, where readings scatter together so many times as much as independent ones."""
-        promise, independent, changes = system.promise, system.freedom / shared**2, system.changes(shared)
+    def of(system: System) -> _Tests:
+        """Make them."""
+        promise, changes = system.promise, system.changes()
+        independent = system.freedom / promise.shared**2
         p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
         p_drift = p_rest = 1.0
         if changes:
             p_drift = changes[0].p_value
-            rest = max(system.square - (shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
+            rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
             p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
-        limit = system.expected.limit(UNLIKELY, promise.freedom)
-        far = np.isfinite(limit) and shared == promise.shared and _single_rms(system) > limit
-        return _Tests(p_value, p_drift, p_rest, changes, independent, bool(far))
+        far = _single_rms(system) > system.expected.limit(UNLIKELY, promise.freedom)  # no: NaN without positions
+        return _Tests(p_value, p_drift, p_rest, changes, independent, far)
 
     @property
     def fail(self) -> bool:
@@ -231,6 +232,8 @@ class _Tests:
 def _single_rms(system: System) -> float:
     """Root mean square distance of single readings from predicted positions [m]."""
     lengths = system.errors.errors("after", single=True)
+    if not len(lengths):
+        return float("nan")
     return float(np.sqrt(np.mean(np.nansum(lengths**2, axis=1))))
 
 
@@ -251,7 +254,7 @@ def visible_changes(
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     system = System.of(promise, data, same_setup)
-    changes = system.changes(system.shared_elsewhere if system.unlike else promise.shared)
+    changes = (system.elsewhere(data, same_setup) if system.unlike else system).changes()
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 

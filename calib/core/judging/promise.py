@@ -6,7 +6,7 @@ Symbols are those of that module: r residuals, J L what is known only so well, P
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -85,6 +85,17 @@ class Promise:
             f"calibrated: expected a fit, or a result as calib.load_result(folder) loads it, not"
             f" {type(calibrated).__name__}"
         )
+
+    def elsewhere(self, n_rows: int) -> Promise:
+        """Return what it promises where errors that it left unexplained may be one error of n rows, though no larger.
+
+        In a region of its own, such errors move parameters as if only as few rows as parameters had decided them; and
+        the rows tell as much as so few. The equations are in `calib.core.judging.acceptance`.
+        """
+        decided = max(self.decided, 1.0)
+        wider = max((self.freedom + self.decided) / decided, 1.0)
+        together = max(self.shared, float(np.sqrt(1.0 + n_rows / decided)))
+        return replace(self, covariance=wider * self.covariance, shared=together)
 
 
 @runtime_checkable
@@ -338,21 +349,16 @@ class System:
         """Whether the poses lie otherwise than those that were used."""
         return len(self.promise.joints) > 0 and not drawn_alike(self.errors.data.joints, self.promise.joints)
 
-    @property
-    def shared_elsewhere(self) -> float:
-        """As `Promise.shared`, where what the calibration left unexplained may be one error of all readings.
-
-        They then tell as much as so many readings as parameters were decided.
-        """
-        as_many = float(np.sum(self.counts)) / max(self.promise.decided, 1.0)
-        return max(self.promise.shared, float(np.sqrt(1.0 + as_many)))
-
-    def changes(self, shared: float) -> tuple[Change, ...]:
-        """Return candidates that the readings see, those with the largest z first.
+    def elsewhere(self, data: Measurements, same_setup: bool) -> System:
+        """Return it as it is where what the calibration left unexplained may be one error of all readings.
 
         Args:
-            shared: How many times as much as independent readings these scatter together.
+            data, same_setup: Of which it was made.
         """
+        return System.of(self.promise.elsewhere(int(np.sum(self.counts))), data, same_setup)
+
+    def changes(self) -> tuple[Change, ...]:
+        """Return candidates that the readings see, those with the largest z first."""
         left, listed = self._left(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
         visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
@@ -363,7 +369,7 @@ class System:
         for j in range(len(visible)):
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
-        z, spread = unit[: len(self.residuals)].T @ self.residuals, shared
+        z, spread = unit[: len(self.residuals)].T @ self.residuals, self.promise.shared
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
         changes = [
             Change(
@@ -455,5 +461,5 @@ def _expected(
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction
-    variance = square**2 / max(left, 1) + float(np.sum(along**2)) + 2.0 * square * left_open / max(left, 1)
+    variance = square * (promise.shared**2 * square + 2.0 * left_open) / max(left, 1) + float(np.sum(along**2))
     return Expected(float(np.sqrt(total / n)), float(np.sqrt(left_open / n)), total**2 / max(variance, 1e-300))

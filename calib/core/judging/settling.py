@@ -52,7 +52,7 @@ def _system(promise: Promise, joints: FloatArray) -> System:
 
 def _visible(promise: Promise, joints: FloatArray, change: Change) -> float:
     """Smallest size of the change that readings at poses (n, n_actuated) show [m or rad]; infinite where none."""
-    changes = _system(promise, joints).changes(promise.shared)
+    changes = _system(promise, joints).changes()
     return next((known.visible for known in changes if known.name == change.name), np.inf)
 
 

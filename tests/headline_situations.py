@@ -118,7 +118,7 @@ class Commands:
         names = [f"P{k % 3}" for k in range(90)]
         rng = np.random.default_rng(54)
         elsewhere = rng.uniform([-2, 0.1, -1.5], [2, 0.9, 1.5], (25, 3))
-        stretched = self.changed(flange_z=1e-4)
+        stretched = self.changed(flange_z=3e-4)
         hidden = calib.as_measurements(stretched, elsewhere, stretched.positions(elsewhere) + noise_of(rng, 25))
         return {
             "agrees": verify(self.fit, measured(self.truth, q, 2)),

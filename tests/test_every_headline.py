@@ -25,6 +25,7 @@ ALWAYS = {
         "mm at worst; expected:",
         "mm RMS (noise",
         "mm, uncertainty of the calibration",
+        "mm), at most",
         "Changes that were looked for, by size over standard deviation;",
     ],
     "check": [

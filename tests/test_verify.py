@@ -18,7 +18,7 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.table_writing import format_table
 from calib.core.judging.acceptance import poses_needed, verify, visible_changes
-from calib.core.judging.promise import Change, Promise, without_outliers
+from calib.core.judging.promise import Change, Promise, System, without_outliers
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import plan_report, text_report
 from calib.core.results.result_reading import load_promise
@@ -229,6 +229,86 @@ def test_a_result_folder_promises_what_its_fit_did(arm, folder):
     assert read.freedom == pytest.approx(own.freedom)
     assert read.sigma.keys() == own.sigma.keys()
     assert list(read.sigma.values()) == pytest.approx(list(own.sigma.values()))
+    assert (read.names, read.decided) == (own.names, pytest.approx(own.decided))
+    assert np.allclose(read.joints, own.joints, rtol=0, atol=1e-7)
+
+
+@pytest.fixture(scope="module")
+def worn(arm):
+    """The arm with joints that follow waves, which no parameter describes, calibrated in a part of joint space."""
+    robot, truth, _ = arm
+
+    def read(q, rng, moved=0.0):
+        actual = q + 4e-4 * np.sin(np.array([2, 3, 2, 3, 2, 3]) * q + np.arange(6)) + moved * np.eye(6)[2]
+        return calib.as_measurements(robot, q, truth.positions(actual) + SIGMA * rng.standard_normal((len(q), 1, 3)))
+
+    rng = np.random.default_rng(2)
+    return calib.fit(robot, read(rng.uniform(-1.2, 0.2, (80, 6)), rng)), read
+
+
+@pytest.mark.parametrize("place", [(-0.2, 1.2), (-0.3, 0.2)], ids=["elsewhere", "crowded"])
+def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(worn, place):
+    """Taken for noise, what the model leaves out makes a change of some parameter stand out far beyond chance."""
+    fit, read = worn
+    results = []
+    for seed in range(4):
+        rng = np.random.default_rng(100 + seed)
+        data = read(rng.uniform(*place, (40, 6)), rng)
+        results.append(verify(fit, data))
+        by_noise = System.of(Promise.of(fit), data, same_setup=False).changes()[0].p_value
+        assert (results[-1].verdict == "agrees") == (not results[-1].unlike)
+        assert results[-1].unlike or by_noise >= 0.005
+    assert {item.verdict for item in results} <= {"agrees", "unlike poses"}
+    if place == (-0.2, 1.2):
+        assert all(item.verdict == "unlike poses" for item in results)
+    for item in results:
+        assert 1e-3 * item.errors.table()["after"]["rms"] < item.limit
+        assert item.ratio < item.high95
+
+
+@pytest.mark.parametrize(("moved", "verdict"), [(0.0, "agrees"), (1.5e-3, "drifted")])
+def test_poses_of_the_calibration_settle_whether_the_robot_has_changed(worn, moved, verdict):
+    """At poses that crowd together a joint zero of 1.5 mrad may be the model's error; at poses of the calibration not.
+
+    The example arm's joint 3 turns about its own y axis, as origin joint_3 does.
+    """
+    fit, read = worn
+    rng = np.random.default_rng(104)
+    unsure = verify(
+        fit, read(rng.uniform(-0.2, 1.2, (40, 6)) if not moved else rng.uniform(-0.3, 0.2, (40, 6)), rng, moved)
+    )
+    assert unsure.verdict == "unlike poses"
+    assert 8 <= len(unsure.again) <= 32
+    names = list(fit.identification.data.names)
+    again = verify(fit, read(fit.identification.data.joints[[names.index(name) for name in unsure.again]], rng, moved))
+    assert again.verdict == verdict
+    if moved:
+        assert "zero of joint_3" in again.alike
+        zero = next(change for change in again.changes if change.name == "zero of joint_3")
+        assert abs(zero.value - moved) < 4 * zero.std
+
+
+def test_a_change_at_poses_like_those_measured_is_found_though_the_model_is_wrong(worn):
+    fit, read = worn
+    rng = np.random.default_rng(101)
+    q = rng.uniform(-1.2, 0.2, (40, 6))
+    assert verify(fit, read(q, rng)).verdict == "agrees"
+    changed = verify(fit, read(q, rng, 1e-3))
+    assert (changed.verdict, changed.unlike) == ("drifted", False)
+    assert "zero of joint_3" in changed.alike
+    assert "95 %: " in text_report(changed, (), ())
+    assert "To settle it, measure" in text_report(changed, (), ())
+
+
+def test_no_verdict_agrees_while_errors_exceed_their_limit(arm):
+    """Along the one direction that a calibration in a corner leaves uncertain, its limit is far above its noise."""
+    robot, truth, _ = arm
+    rng = np.random.default_rng(21)
+    fit = calib.fit(robot, measured(truth, rng.uniform(-0.25, 0.25, (40, 6)), rng))
+    for _ in range(6):
+        item = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (20, 6)), rng))
+        assert item.limit > item.promised
+        assert item.verdict != "agrees" or 1e-3 * item.errors.table()["after"]["rms"] <= item.limit
 
 
 def iso_data(robot, q, approach=None, time=None, comments=()):

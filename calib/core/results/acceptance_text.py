@@ -165,10 +165,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
     unit, scale = _unit(first)
     half = acceptance.coverage_factor * first.std
     low, high = ((first.value + side * half) * scale for side in (-1.0, 1.0))
-    size = (
-        f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f}, 95 %: {low:+.4f} to"
-        f" {high:+.4f})"
-    )
+    size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
+    interval = f"95 %: {low:+.4f} to {high:+.4f}"
     if acceptance.p_drift >= FALSE_ALARM / 2:
         largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
         return [f"No change stands out: {largest} (significant below {FALSE_ALARM / 2:g})"]
@@ -176,7 +174,9 @@ def _drift(acceptance: Acceptance) -> list[str]:
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
     others = [name for name in acceptance.alike if name != first.name]
-    lines = [f"{first.name} has changed by {size}; p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"]
+    lines = [
+        f"{first.name} has changed by {size}, {interval}; p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
+    ]
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines

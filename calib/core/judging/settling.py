@@ -33,10 +33,12 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
         promise: What the calibration promises.
         change: The change, as it was found.
     """
-    first = np.unique(pose_labels(promise.joints), return_index=True)[1] if len(promise.joints) else np.zeros(0, int)
+    if not len(promise.joints):
+        return ()
+    first = np.unique(pose_labels(promise.joints), return_index=True)[1]
     some = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, min(MOST, len(first))).astype(np.intp))]
     try:
-        order = some[_order(promise, promise.joints[some], change)] if len(some) else some
+        order = some[_order(promise, promise.joints[some], change)]
         for count in _COUNTS:
             shown = _visible(promise, promise.joints[order[:count]], change)
             if shown <= abs(change.value) or count >= len(order):

@@ -174,9 +174,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
         rest = f"the rest has p = {acceptance.p_rest:.2g}"
         return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
     others = [name for name in acceptance.alike if name != first.name]
-    lines = [
-        f"{first.name} has changed by {size}, {interval}; p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
-    ]
+    chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
+    lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines

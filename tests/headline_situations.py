@@ -134,6 +134,7 @@ class Commands:
             "same setup": verify(self.fit, measured(self.truth, often, 5, SIGMA, names), same_setup=True),
             "hidden": verify(self.in_a_corner, hidden),
             "seen": verify(self.fit, hidden),
+            "faint": verify(self.fit, measured(self.changed(flange_z=3e-5), joints(100, 2), 3, 0.8 * SIGMA)),
         }
 
     @cached_property

@@ -209,6 +209,14 @@ def test_the_ratio_is_said_to_count_where_uncertain_directions_hide_a_change(com
     assert seen.errors.table()["after"]["rms"] > 1e3 * seen.promised
 
 
+def test_a_change_among_residuals_that_are_no_larger_than_expected_is_explained(commands):
+    faint, alone = (commands.verified[name] for name in ("faint", "alone"))
+    assert faint.ratio < faint.high95
+    assert "what they have in common is this change" in commands.verify_texts["faint"]
+    assert alone.ratio > alone.high95
+    assert "in common" not in commands.verify_texts["alone"]
+
+
 def test_base_and_target_are_said_to_take_degrees_of_freedom_where_they_do(commands):
     assert "so AP has 6 degrees of freedom less" in commands.verify_texts["often"]
     assert "degrees of freedom less" not in commands.verify_texts["same setup"]

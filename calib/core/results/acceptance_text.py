@@ -176,6 +176,8 @@ def _drift(acceptance: Acceptance) -> list[str]:
     others = [name for name in acceptance.alike if name != first.name]
     chances = f"p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"
     lines = [f"{first.name} has changed by {size}, {interval}; {chances}"]
+    if acceptance.ratio <= acceptance.high95:
+        lines.append("Residuals are no larger than chance explains, but what they have in common is this change")
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines

@@ -2,15 +2,15 @@
 
 Each usual mistake is undone in turn, and the nominal robot compared.
 
-Tried are: joints counted the other way, or from a zero that is a quarter or half of a turn off, several at once; the
-columns of two joints swapped; joint values one row above or below their measurements; angles that are degrees read as
-radians or radians read as degrees; positions that are a thousand times too large or too small; an axis of the
-measurement frame mirrored; two of its axes swapped. Readings of exactly 0, 0, 0 are left out before, and named with the
-rest. Base and targets are placed by a rigid fit where they are not known. What brings the nominal robot much closer to
-the data than they stand, and to within a part of what was measured, is named. Columns that are copies of each other are
-named without a trial.
+Tried are: columns of joint values in another order; joints counted the other way, from a zero that is a quarter or half
+of a turn off, or on another scale, several at once (`calib.core.fitting.column_maps`); values mapped to a range such as -100
+to 100; joint values up to five rows above or below their measurements; angles that are degrees read as radians or
+radians read as degrees; positions in another unit, which their size tells; axes of the measurement frame mirrored, or
+in another order. Readings of exactly 0, 0, 0 are left out before, and named with the rest. Base and targets are placed
+by a rigid fit where they are not known. What brings the nominal robot much closer to the data than they stand, and to
+within a part of what was measured, is named. Columns that are copies of each other are named without a trial.
 
-When it fails. Mistakes of two kinds at once are not found. A robot whose base pose is given wrong, and not called
+When it fails. Mistakes of two kinds at once are not found. A robot whose base or tool is given wrong, and not called
 unknown, is far off whatever is tried; the verdict looks for that first. Only instruments that measure points are
 looked at.
 """
@@ -18,35 +18,63 @@ looked at.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations, product
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.words import counted, joints_named, listed
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Measurements, with_points
-from calib.core.fitting.joint_conventions import joint_changes
+from calib.core.fitting.column_maps import ColumnMap, likely_maps
+from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
 _CLOSER = 0.2  # miss of the nominal robot with the mistake undone, over that with the data as they are
 _NEAR = 0.2  # the same over the spread of the measured positions
+_HALF = 0.5  # noise of a fit with other scales of joints, over that without
 _AS_GOOD = 1.5  # miss over that of the best, up to which another mistake explains the data as well
 _POSES = 20  # of many poses, so many are enough to see a gross mistake
-_FIRST = 2
-_FEW = 3  # rows that may agree by chance
+_GLANCE = 4  # one in so many of these shows whether the loops close at all
+_FEW = 3  # rows that may agree by chance, or that a shift must leave
+_SHIFTS = 5
+_RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
+_ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
+_READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
+"""Units that positions may have been written in, and that they may have been read as [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A mistake that is undone.
+
+    Attributes:
+        words: The mistake.
+        data: Some of the measurements without it.
+        changes: How many joints it takes; 0 where it is one mistake.
+        at: Of which map of the columns of joint values it is.
+    """
+
+    words: str
+    data: Measurements
+    changes: int = 0
+    at: ColumnMap | None = None
 
 
 @one_blas_thread
-def likely_mistake(robot: Robot, data: Measurements) -> str:
+def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, gross: bool = True) -> str:
     """Return the mistake that explains the measurements in words; empty where none does.
 
     Args:
         robot: The nominal robot.
         data: Measurements that do not fit it.
+        noise: What a fit to them leaves, per axis [m]; infinite where there is none.
+        gross: Whether nothing fits; if not, only the scales of joints are looked at.
     """
     copied = equal_columns(data, robot)
     if copied:
@@ -54,34 +82,53 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
     data = data.subset(np.flatnonzero(np.isfinite(data.points(robot)).all(axis=(1, 2))))
     zeros = zero_visits(data, robot)
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))
-    if len(sound) < _FIRST:
+    if len(sound) <= _FEW:
         return ""
-    some = _some(sound)
-    now = min(_miss(robot, _some(data) if len(zeros) == 0 else data), 1.0)
+    said = _nominal_fits(robot, data, sound, zeros) if gross else ""
+    if said or not np.isfinite(noise):
+        return said
+    scales = joint_scales(robot, sound)
+    if scales is None or not scales.map.scaled or scales.noise > _HALF * noise:
+        return ""
+    left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
+    return f"it looks as if {scales.map.words(robot, scales.std)}: if this is corrected, {left}"
+
+
+def _nominal_fits(robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray) -> str:
+    """Say without which mistake the nominal robot fits; nothing where there is none.
+
+    Args:
+        robot: The nominal robot.
+        data: The measurements.
+        sound: Those that are no readings of zero.
+        zeros: Visits that are.
+    """
+    now = min(_misses(robot, [_some(data) if len(zeros) == 0 else data])[0], 1.0)
     where = listed([data.labels[k] for k in zeros])
     empty = f"{counted(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
-    tried = [(_miss(robot, some), 0, empty)] if len(zeros) else []
+    trials = [Trial(empty, _some(sound))] if len(zeros) else []
+    misses = _misses(robot, [trial.data for trial in trials])
     prefix = f"{empty}, and " if len(zeros) else ""
-    if not tried or tried[0][0] > _CLOSER * now:
+    if not trials or misses[0] > _CLOSER * now:
         undone = list(_undone(robot, sound))
-        misses = _misses(robot, [changed for _, _, changed in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
-        tried += [(miss, joints, prefix + words) for miss, (joints, words, _) in zip(misses, undone, strict=True)]
-    best = max(min(miss for miss, _, _ in tried), 1e-6)
+        misses += _misses(robot, [trial.data for trial in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
+        trials += [replace(trial, words=prefix + trial.words) for trial in undone]
+    best = max(min(misses), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
         return ""
-    good = sorted(trial for trial in tried if trial[0] <= _AS_GOOD * best)
-    fewest = min((joints for _, joints, _ in good if joints), default=0)
-    likely = [words for _, joints, words in good if joints in (0, fewest)]
+    good = [trials[k] for k in np.argsort(misses) if misses[k] <= _AS_GOOD * best]
+    fewest = min((trial.changes for trial in good if trial.changes), default=0)
+    likely = [trial for trial in good if trial.changes in (0, fewest)]
+    first, words = likely[0].at, [trial.words for trial in likely]
+    if first is not None and first.scaled:
+        scales = joint_scales(robot, sound, first)
+        words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
     closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
-    return f"it looks as if {', or '.join(likely[:3])}: {closer}"
+    return f"it looks as if {', or '.join(words[:3])}: {closer}"
 
 
 def _some(data: Measurements) -> Measurements:
     return data.subset(np.unique(np.linspace(0, len(data) - 1, _POSES).astype(np.intp)))
-
-
-def _miss(robot: Robot, data: Measurements) -> float:
-    return _misses(robot, [data])[0]
 
 
 def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
@@ -89,15 +136,32 @@ def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> 
 
     Where they are larger than `most`, they may be a little too small, but not smaller than that.
     """
-    closed = robot.close(np.vstack([data.joints for data in changed]), thorough=False)
-    starts = np.cumsum([len(data) for data in changed])[:-1]
-    each = zip(changed, np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True)
-    return [_miss_of(robot, data, ok, passive, most) for data, ok, passive in each]
+    result = np.full(len(changed), np.inf)
+    glances = [data.joints[::_GLANCE] for data in changed]
+    some = _closed(robot, glances) if robot.mechanism.loops else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
+    left = [k for k, (ok, _) in enumerate(some) if _closes(ok)]
+    for k, (ok, passive) in zip(left, _closed(robot, [changed[k].joints for k in left]), strict=True):
+        result[k] = _miss_of(robot, changed[k], ok, passive, most)
+    return [float(miss) for miss in result]
+
+
+def _closed(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
+    """Which poses of each list close, and how."""
+    if not joints:
+        return []
+    closed = robot.close(np.vstack(joints), thorough=False)
+    starts = np.cumsum([len(q) for q in joints])[:-1]
+    return list(zip(np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True))
+
+
+def _closes(ok: BoolArray) -> bool:
+    """Whether so many poses close that it is worth to look for ways to the others."""
+    return bool(2 * np.sum(ok) >= len(ok))
 
 
 def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray, most: float) -> float:
     """Error of the robot, placed where that is needed, by which of its poses close, and how."""
-    if 2 * np.sum(ok) < len(data):  # no need to look for ways to the others
+    if not _closes(ok):
         return float("inf")
     points = data.points(robot)
     spread = np.sum((points - points.mean(axis=0)) ** 2)
@@ -113,43 +177,90 @@ def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArra
     return float(np.sqrt(np.sum(errors**2) / spread)) if spread > 0 else float("inf")
 
 
-def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[int, str, Measurements]]:
-    """Yield each mistake: of how many joints' signs and zeros, in words, and some of the measurements without it."""
+def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
+    """Yield each mistake, undone in some of the measurements."""
     data = _some(measured)
-    names, q, points = robot.joint_names, data.joints, data.points(robot)
-    dimensions = [robot.mechanism.dimensions[name] for name in names]
-    yield from joint_changes(robot, data)
-    first, second = np.arange(len(measured) - 1), np.arange(1, len(measured))
-    for joints, measured_rows, side in ((first, second, "above"), (second, first, "below")):
-        shifted = replace(measured.subset(measured_rows), joints=measured.joints[joints])
-        yield 0, f"all joint values stood one row {side} their measurements", _some(shifted)
-    for a, b in combinations(range(len(names)), 2):
-        if dimensions[a] == dimensions[b]:
-            words = f"the columns of {joints_named(names[a], names[b], separator=' and ')} were swapped"
-            yield 0, words, replace(data, joints=q[:, _swapped(len(names), a, b)])
-    angles = np.array([dimension == "angle" for dimension in dimensions])
+    q, points = data.joints, data.points(robot)
+    for at in likely_maps(robot, data):
+        yield Trial(at.words(robot), replace(data, joints=at.joints(q)), at.changes, at)
+    yield from _shifted(measured)
+    yield from _mapped(robot, measured)
+    angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     if np.any(angles):
-        yield 0, "degrees were read as radians", replace(data, joints=np.where(angles, np.radians(q), q))
-        yield 0, "radians were read as degrees", replace(data, joints=np.where(angles, np.degrees(q), q))
-    yield 0, "positions in mm were read as m", with_points(robot, data, 1e-3 * points)
-    yield 0, "positions in m were read as mm", with_points(robot, data, 1e3 * points)
-    mirror = np.array([1.0, 1.0, -1.0])
-    if robot.description.base.pose == "unknown":  # all reflections of an unknown frame are one
-        words = "the measurement frame were left-handed (an axis with the wrong sign, or two axes swapped)"
-        yield 0, words, with_points(robot, data, points * mirror)
+        yield Trial("degrees were read as radians", replace(data, joints=np.where(angles, np.radians(q), q)))
+        yield Trial("radians were read as degrees", replace(data, joints=np.where(angles, np.degrees(q), q)))
+    yield from ((Trial(words, with_points(robot, data, size * points))) for words, size in _units(robot, data))
+    for order, sign in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        words = _axes_in_words(order, sign)
+        if robot.description.base.pose == "unknown":  # all reflections of an unknown frame are one
+            if order != (0, 1, 2) or sign != (1.0, 1.0, -1.0):
+                continue
+            words = "the measurement frame were left-handed (an axis with the wrong sign, or two axes swapped)"
+        if words:
+            yield Trial(words, with_points(robot, data, points[..., list(order)] * sign))
+
+
+def _shifted(measured: Measurements) -> Iterator[Trial]:
+    """Joint values beside other rows, as they were measured: rows between may be held out, or left out."""
+    places = measured.places
+    for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
+        _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)
+        if len(of_joints) > _FEW:
+            joints = measured.joints[of_joints]
+            side = f"{'one row' if rows == 1 else f'{rows} rows'} {'above' if sign > 0 else 'below'}"
+            shifted = replace(measured.subset(of_points), joints=joints)
+            yield Trial(f"all joint values stood {side} their measurements", _some(shifted))
+
+
+def _mapped(robot: Robot, measured: Measurements) -> Iterator[Trial]:
+    """Joint values that are parts of the joints' ranges: numbers of a file, whatever unit they were read as."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    if not np.all(np.isfinite(upper - lower)):
         return
-    for axis, name in enumerate("xyz"):
-        flipped = points * np.roll(mirror, axis + 1)
-        yield 0, f"{name} of the measured positions had the wrong sign", with_points(robot, data, flipped)
-    for a, b in combinations(range(3), 2):
-        words = f"{'xyz'[a]} and {'xyz'[b]} of the measured positions were swapped"
-        yield 0, words, with_points(robot, data, points[..., _swapped(3, a, b)])
+    angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    si = measured.joints
+    for numbers, (low, high) in product((np.where(angles, np.degrees(si), 1e3 * si), si), _RANGES):
+        reach = high - low
+        if np.all((numbers > low - 0.1 * reach) & (numbers < high + 0.1 * reach)):
+            whole = replace(measured, joints=lower + (numbers - low) / reach * (upper - lower))
+            words = f"all joint values were mapped from the joints' limits to the range {low} to {high}"
+            yield Trial(words, _some(whole))
 
 
-def _swapped(n: int, a: int, b: int) -> IntArray:
-    order = np.arange(n)
-    order[[a, b]] = b, a
-    return order
+def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
+    """Which units the size of what was measured speaks for, and what makes lengths right."""
+    closed = robot.close(data.joints, thorough=False)
+    if not _closes(closed.ok):
+        return
+    reached = robot.positions(data.joints[closed.ok], seed=closed.passive[closed.ok])
+    measured = data.points(robot)[closed.ok]
+    size = float(np.sqrt(np.sum(np.var(reached, axis=0)) / max(np.sum(np.var(measured, axis=0)), 1e-300)))
+    if abs(np.log(size)) < _ANOTHER_UNIT:
+        return
+    ratios: dict[float, str] = {}
+    for (read, of_read), (written, of_written) in product(_READ.items(), _WRITTEN.items()):
+        if abs(np.log(of_written / of_read / size)) < _ANOTHER_UNIT:
+            ratios.setdefault(of_written / of_read, f"positions in {written} were read as {read}")
+    yield from ((words, ratio) for ratio, words in ratios.items())
+    if not ratios:
+        times = f"{1 / size:.3g} times as long as the robot's, which no usual unit explains"
+        yield f"measured lengths were {times}", size
+
+
+def _axes_in_words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:
+    """What is wrong with measured columns that stand in another order, and with other signs; empty if nothing is."""
+    columns = ["xyz"[k] for k in order]
+    moved = [axis for axis, column in zip("xyz", columns, strict=True) if axis != column]
+    turned = " and ".join(column for column, of in zip(columns, sign, strict=True) if of < 0)
+    parts = []
+    if len(moved) == 2:
+        parts.append(f"{' and '.join(moved)} of the measured positions were swapped")
+    elif moved:
+        where = ", ".join(f"{axis} in the column of {column}" for axis, column in zip("xyz", columns, strict=True))
+        parts.append(f"the columns of the measured positions were in another order ({where})")
+    if turned:
+        parts.append(f"{turned}{'' if moved else ' of the measured positions'} had the wrong sign")
+    return " and ".join(parts)
 
 
 def zero_visits(data: Measurements, robot: Robot) -> IntArray:

@@ -58,6 +58,7 @@ class Code(StrEnum):
 
     # the fit as a whole
     BASE_ELSEWHERE = "base_elsewhere", "CHECK", False, Answer.CORRECT
+    TARGET_ELSEWHERE = "target_elsewhere", "CHECK", False, Answer.CORRECT
     LIKELY_MISTAKE = "likely_mistake", "FAIL", False, Answer.CORRECT
     NOT_CONVERGED = "not_converged", "FAIL", False, Answer.TRY_STARTS
     NOT_ASSEMBLED = "not_assembled", "FAIL"

@@ -18,6 +18,7 @@ from calib.core.fitting.moved_frame import moved_frame
 from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
+from calib.core.judging.copied_readings import copied_visits, reading_keys
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import beyond_repeatability
 from calib.core.judging.rounded_joint_values import rounding
@@ -43,8 +44,8 @@ ROUNDED = 0.2
 """Part of the noise, squared, that steps of the joint values must be able to make to be named."""
 ALL_ROUNDED = 2.0
 """The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
-COPIED = 0.1
-"""Part of the readings that may equal another one; coarse readings may do so by chance."""
+COPIED = 0.03
+"""Part of the readings that may be copies of others."""
 FAR = 3.0
 """Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
@@ -163,8 +164,8 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     used, other = fit.identification.data, fit.validation.data
     label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
     same_pose = np.isin(label[len(used) :], label[: len(used)])
-    known = {key for keys in _reading_keys(used, np.arange(len(used))) for key in keys}
-    same_reading = [bool(keys & known) for keys in _reading_keys(other, np.flatnonzero(same_pose))]
+    known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
+    same_reading = [bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose))]
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
         overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Code.USED_FOR_BOTH.says(
@@ -200,16 +201,11 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
 def copied(fit: Fit) -> Iterator[Reason]:
     """Look for readings that are in the data more than once, to the last digit."""
     data = fit.identification.data
-    if fit.computed:
-        return
-    repeated = _same_joints(data.joints)
-    read = zip(data.joints[repeated], _reading_keys(data, repeated), strict=True)
-    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in read]
-    copies = len(rows) - len(set(rows))
-    if copies > COPIED * len(data):
+    copies = np.zeros(0, dtype=np.intp) if fit.computed else copied_visits(fit.nominal, data)
+    if len(copies) >= COPIED * len(data) and len(copies):
         yield Code.COPIED.says(
-            f"{copies} of {counted(len(data), 'reading')} are copies of others to the last digit, so intervals are too"
-            " narrow. Leave the copies out"
+            f"{len(copies)} of {counted(len(data), 'reading')} are copies of others to the last digit, so intervals are"
+            f" too narrow: {listed([data.labels[k] for k in copies])}. Leave the copies out"
         )
 
 
@@ -221,28 +217,6 @@ def _conditions(used: Measurements, other: Measurements) -> FloatArray:
         values = [np.nan_to_num(visits.context.get(name, np.zeros(len(visits)))) for visits in both]
         columns.append(SAME_JOINTS / size * np.concatenate(values))
     return np.column_stack(columns)
-
-
-def _same_joints(joints: FloatArray) -> IntArray:
-    """Visits whose joint values (n_visits, n_actuated) may be those of another one, (n,)."""
-    left = np.arange(len(joints))
-    for column in joints.T:
-        _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
-        left = left[count[number] > 1]
-    return left
-
-
-def _reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:
-    """What was read at some visits (n,), to the last digit."""
-    place = np.full(len(data), -1)
-    place[visits] = np.arange(len(visits))
-    keys: list[set[bytes]] = [set() for _ in range(len(visits))]
-    for name, readings in data.readings.items():
-        of_these = place[readings.visits] >= 0
-        parts = (readings.visits, readings.values, readings.details)
-        for visit, values, details in zip(*(part[of_these] for part in parts), strict=True):
-            keys[place[visit]].add(name.encode() + values.tobytes() + details.tobytes())
-    return keys
 
 
 def dead_readings(fit: Fit) -> Iterator[Reason]:

@@ -21,12 +21,15 @@ from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.residual_patterns import describe
 from calib.core.judging.rules_noise import impossible, in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
+from calib.core.numerics.placement import Placement
 from calib.core.robots.held import Accuracy, Holds, SeenAt
+from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by
 from calib.core.rows.registration import registration
 
 ELSEWHERE = 0.2
-"""Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
+"""Errors of the nominal robot with base or targets placed by the data, over those where they are stated, if they are
+elsewhere."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55
@@ -175,26 +178,49 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     return f". {np.sum(unlike)} of them are farther from the poses used for the fit than those are from each other"
 
 
-def base_elsewhere(fit: Fit) -> str:
-    """Return what to do if the nominal robot fits with its base anywhere but where it is stated; else nothing."""
+def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
+    """Return what to do if the nominal robot fits with its base or its targets anywhere but where they are stated."""
     robot, data = fit.nominal, fit.identification.data
-    if robot.description.base.pose == "unknown":
-        return ""
+    frame_known = robot.description.base.pose == "known"
+    targets_known = any(section.position == "known" for section in robot.description.targets.values())
     try:
-        stated, placed = (registration(robot, data, frame_known=known) for known in (True, False))
+        stated, _ = registration(robot, data, frame_known=frame_known)
+        for base, targets in ((True, False), (False, True), (True, True)):
+            if (frame_known or not base) and (targets_known or not targets):
+                known = {"frame_known": frame_known and not base, "targets_known": not targets}
+                placed, seen = registration(robot, data, **known)
+                if placed.rms <= ELSEWHERE * stated.rms:
+                    break
+        else:
+            return None
     except DataError:  # no points were measured
-        return ""
-    if placed.rms > ELSEWHERE * stated.rms:
-        return ""
+        return None
+    code, places = (
+        (Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE),
+        _base_in_words(robot, placed) if base else "",
+    )
+    if targets:
+        wrong = [k for k, name in enumerate(seen) if robot.description.targets[name].position == "known"]
+        places += " and " if places else "targets: "
+        places += listed([f"{seen[k]}: set position: unknown, or xyz: [{_xyz(placed.points[k])}]" for k in wrong], "; ")
+    what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
+    return code, (
+        f"{what} does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the"
+        f" data: {millimetres(placed.rms):.4g} mm): {places}"
+    )
+
+
+def _base_in_words(robot: Robot, placed: Placement) -> str:
+    """Say how the base of a description is to be corrected."""
     pose = placed.T_base_measurement.inverse()
-    xyz = ", ".join(f"{millimetres(value):.2f} mm" for value in pose.translation)
     rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
     has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
     unknown = "" if has_own_base else "set base: pose: unknown, or "
-    return (
-        f"base: pose: known does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the data:"
-        f" {millimetres(placed.rms):.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
-    )
+    return f"{unknown}correct it to about xyz: [{_xyz(pose.translation)}], rpy: [{rpy}]"
+
+
+def _xyz(point: FloatArray) -> str:
+    return ", ".join(f"{millimetres(value):.2f} mm" for value in point)
 
 
 def frame_moved(fit: Fit) -> Iterator[Reason]:

@@ -171,6 +171,11 @@ def _first_answer(fit: Fit) -> Answer:
     return Answer.LEAVE_OUT if findings.outliers(fit) else Answer.CORRECT
 
 
+def left_too_much(fit: Fit) -> bool:
+    """Whether the noise of positions, stated or not, is more than the model of a healthy robot leaves."""
+    return not fit.computed and fit.sigma > LEFT_OUT * _spread(fit)
+
+
 def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
     """Whether a noise may be what the model leaves out of a healthy robot."""
     return estimate.group.part.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)

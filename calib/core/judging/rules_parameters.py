@@ -8,9 +8,12 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.parameter import Parameter
+from calib.core.base.remembered import remembered
 from calib.core.base.units import PER_SI
-from calib.core.base.words import listed
+from calib.core.base.words import joints_named, listed
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.scaled_joints import SCALED as SCALED_JOINT
+from calib.core.fitting.scaled_joints import SURE
 from calib.core.judging import findings
 from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
@@ -18,6 +21,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import reduced_with
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import in_parts
+from calib.core.robots.terms.one_coefficient import Gain
 
 PLAUSIBLE = 4.0
 """Expected errors (sigmas) that a parameter may be away from nominal."""
@@ -83,11 +87,11 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     the noise found, so that without a scale the squares add up to about the rows less the places. Joints that turn too
     far draw larger arcs, which look like longer links: no scale is the cause where gains of all joints explain as much.
     """
-    setting = findings.setting(fit)
-    lengths = scale(setting)
-    if fit.computed or not np.any(lengths):
+    if fit.computed:
         return
-    left, n_measured = _left_by_parameters(fit, np.hstack([lengths, gains(setting)]))
+    left, n_measured = _left_of_scales(fit)
+    if not np.any(left[:, 0]):
+        return
     scaled, part = _cost_with(left[:, :1], left[:, -1], n_measured, is_scale=True)
     if abs(part) <= SCALED:
         return
@@ -99,6 +103,29 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
             f"all measured lengths are {_scaled(part)} in the description: no robot is that far off. Look at the unit"
             " of the measurements, the scale of the instrument and the size of the artefact"
         )
+
+
+def joints_scaled(fit: Fit) -> bool:
+    """Whether gains of joints, larger than any gear's, explain most of what the fit leaves: in the linear model."""
+    if fit.computed:
+        return False
+    left, n_measured = _left_of_scales(fit)
+    gained, right = left[:, 1:-1], left[:, -1]
+    size = np.linalg.norm(gained, axis=0)
+    size[size == 0] = 1.0
+    alone, _ = _cost_with(left[:, :0], right, n_measured)
+    geared, _ = _cost_with(gained, right, n_measured)
+    if geared > MOST * alone:
+        return False
+    inverse = np.linalg.pinv(gained / size) / size[:, None]
+    return bool(np.any(np.abs(inverse @ right) > np.maximum(SCALED_JOINT, SURE * np.linalg.norm(inverse, axis=1))))
+
+
+@remembered
+def _left_of_scales(fit: Fit) -> tuple[FloatArray, int]:
+    """What `_left_by_parameters` says of one scale of all lengths, and of a gain of each joint."""
+    setting = findings.setting(fit)
+    return _left_by_parameters(fit, np.hstack([scale(setting), gains(setting)]))
 
 
 def _scaled(part: float) -> str:
@@ -154,11 +181,23 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
     """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
     tried = () if fit.terms is None else fit.terms.tried
     words = listed([f"{term.term} ({term.size:.0f} times)" for term in tried if term.added and term.size > UNUSUAL])
+    scaled = [name for name in _own_gains(fit) if tried]
     if words:
         yield Code.LARGE_TERMS.says(
-            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
-            " ratio, unit, mass or load that is wrong in the description or the data"
+            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}"
+            + (f" ({listed(scaled)})" if scaled else "")
+            + "; look for a ratio, unit, mass or load that is wrong in the description or the data",
+            counted=not scaled,
         )
+
+
+def _own_gains(fit: Fit) -> Iterator[str]:
+    """Say of which joints a fit says that they are on another scale than any gear, belt or screw makes them."""
+    value = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    for term in fit.robot.terms:
+        gain = value[term.parameters[0].name] if isinstance(term, Gain) else 0.0
+        if abs(gain) > SCALED_JOINT:
+            yield f"{joints_named(term.joint)} turns {1.0 + gain:.4g} times as far as its values say"
 
 
 def unlike_fleet(fit: Fit) -> Iterator[Reason]:

@@ -60,13 +60,16 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
     return robot
 
 
-def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Placement:
-    """Return where the measurements show the measurement frame and the unknown targets, in the first setup.
+def registration(
+    robot: Robot, data: Measurements, *, frame_known: bool, targets_known: bool = True
+) -> tuple[Placement, tuple[str, ...]]:
+    """Return where the measurements show the measurement frame and targets, in the first setup, and which targets.
 
     Args:
         robot: The robot; its current values are what an open place stays near.
         data: Measurements.
         frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+        targets_known: Whether targets that the description calls known are where the robot has them.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -75,7 +78,8 @@ def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Plac
     groups = _seen_together(robot, data, 0)
     if not groups:
         raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
-    return _registration(robot, data, groups[0], _Frames(robot, 0), frame_known=frame_known)
+    known = {"frame_known": frame_known, "targets_known": targets_known}
+    return _registration(robot, data, groups[0], _Frames(robot, 0), **known), groups[0][1]
 
 
 class _Frames:
@@ -150,6 +154,7 @@ def _registration(
     frames: _Frames,
     *,
     frame_known: bool,
+    targets_known: bool = True,
     rough_beyond: float = np.inf,
 ) -> Placement:
     chosen = np.flatnonzero(seen[0])
@@ -157,7 +162,9 @@ def _registration(
     carriers = _carriers(robot, data, chosen, [frames.pairs[target] for target in seen[1]])
     moving = [
         MovingPoint(
-            poses, points[:, robot.target_names.index(target)], *_expected(robot, target, frames.origin(robot, target))
+            poses,
+            points[:, robot.target_names.index(target)],
+            *_expected(robot, target, frames.origin(robot, target), known=targets_known),
         )
         for target, poses in zip(seen[1], carriers, strict=True)
     ]
@@ -262,11 +269,11 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
     return values
 
 
-def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, FloatArray]:
+def _expected(robot: Robot, target: str, origin: str, *, known: bool) -> tuple[FloatArray, FloatArray]:
     """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
     point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
     if robot.description.targets[target].position == "known":
-        return point, sigma
+        return point, sigma if known else np.full(3, np.inf)
     for k, axis in enumerate("xyz"):
         parameter = robot.parameters[f"{origin}.{axis}"]
         if parameter.name not in robot.description.held:

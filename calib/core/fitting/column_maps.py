@@ -1,0 +1,280 @@
+"""What the columns of joint values may mean: which column is which joint, and its sign, zero and scale.
+
+Every joint value is an affine map of one column of the file, q = a x + b. Wrong may be which column (any order of the
+columns), the sign, the zero (quarter turns) and the scale (any factor from 0.4 to 2.5, and units). Several may be wrong
+at once, and one put right among three wrong ones need not help: all orders, all patterns of signs, and any two other
+changes are tried; from the best few the joints are changed one by one, as long as that halves the miss. Maps are
+compared by a lower bound of the miss that needs no iteration: where the base is unknown, its rotation may be any
+matrix, so that base and target follow from one linear system.
+
+When it fails. Robots with loops, whose poses are expensive to close: there one order, one or two signs, one zero or one
+scale are tried; what takes joints out of their limits is left out. Scales are found to some percent:
+`calib.core.fitting.scaled_joints` has them from a fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, islice, permutations, product
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.words import joints_named
+from calib.core.data.measurements import Measurements
+from calib.core.robots.robot import Robot
+
+USUAL_FACTORS = {
+    0.9: "gon read as degrees",
+    math.radians(1): "degrees read as radians",
+    math.degrees(1): "radians read as degrees",
+    360.0: "turns read as degrees",
+    360.0 / 4096: "counts of 4096 a turn read as degrees",
+    1e-3: "thousandths of the unit",
+    1e3: "a thousand times the unit",
+    25.4: "inches read as mm",
+}
+"""What makes a column wrong that is right once it is multiplied by this."""
+_STEP = 0.06  # from one scale to the next that is tried
+_USUAL = 2e-3  # part by which a factor may be beside a usual one
+_FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k) + tuple(USUAL_FACTORS)
+_ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
+_ALL_ORDERS = 5040  # orders of columns up to which all are tried, and not those of three columns alone
+_BEAM = 6  # best maps that are changed further
+_ROUNDS = 4
+_HALVED = 0.5
+_SAME = 1e-6
+_MIRRORED = 0.1  # size of a negative determinant that no noise explains
+_MARGIN = 0.1  # beyond a joint's limit, of a robot with loops [m or rad]
+
+
+@dataclass(frozen=True, order=True)
+class ColumnMap:
+    """What the motors' values are, where the file has the columns x: factor x[column] + quarters of a turn.
+
+    Attributes:
+        columns: Of which column, for every motor.
+        factors: Times which factor.
+        quarters: Plus how many quarter turns.
+    """
+
+    columns: tuple[int, ...]
+    factors: tuple[float, ...]
+    quarters: tuple[int, ...]
+
+    @classmethod
+    def plain(cls, n: int) -> ColumnMap:
+        """Return the map of a file in which nothing is wrong."""
+        return cls(tuple(range(n)), (1.0,) * n, (0,) * n)
+
+    def joints(self, x: FloatArray) -> FloatArray:
+        """Return joint values of the robot where the file has x, (n_poses, n_actuated) each."""
+        return x[:, self.columns] * np.array(self.factors) + np.array(self.quarters) * (np.pi / 2)
+
+    @property
+    def changes(self) -> int:
+        """Number of joints' signs, zeros and scales that are wrong, and of columns in the wrong place less one."""
+        moved = sum(k != column for k, column in enumerate(self.columns))
+        of_joints = sum((f < 0) + (abs(f) != 1) + (z != 0) for f, z in zip(self.factors, self.quarters, strict=True))
+        return of_joints + max(moved - 1, 0)
+
+    @property
+    def scaled(self) -> bool:
+        """Whether a factor is not one."""
+        return any(abs(factor) != 1 for factor in self.factors)
+
+    def words(self, robot: Robot, std: Sequence[float] = ()) -> str:
+        """Return what is wrong in words.
+
+        Args:
+            robot: The robot.
+            std: Standard deviations of the factors, where these are known.
+        """
+        names, turned = robot.joint_names, []
+        moved = [k for k, column in enumerate(self.columns) if k != column]
+        parts = [_order_in_words([names[k] for k in moved], [names[self.columns[k]] for k in moved])] * bool(moved)
+        for j, (name, factor, quarter) in enumerate(zip(names, self.factors, self.quarters, strict=True)):
+            if abs(factor) == 1 and not quarter:
+                turned += [name] * (factor < 0)
+                continue
+            scaled, why = abs(factor) != 1, ""
+            value = f"{abs(factor):.4g} * {name}" if scaled else name
+            if quarter:
+                value = f"{value} {90 * quarter:+d} deg" if factor > 0 else f"{90 * quarter} deg - {value}"
+            elif factor < 0:
+                value = f"-{value}"
+            how = ["counted from another zero"] * bool(quarter)
+            if scaled:
+                size = std[j] if std else _STEP * abs(factor) / 2
+                why = _usual(abs(factor), size)
+                how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
+            parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")
+        if turned:
+            parts.insert(bool(moved), f"{joints_named(*turned, shown=len(turned))} counted the other way")
+        return " and ".join(parts)
+
+
+def _usual(factor: float, size: float) -> str:
+    """What makes a column wrong that has this factor, give or take three times `size`."""
+    near = (text for usual, text in USUAL_FACTORS.items() if abs(factor / usual - 1) < _USUAL + 3 * size / usual)
+    return next((f", as of {text}" for text in near), "")
+
+
+def _order_in_words(names: Sequence[str], columns: Sequence[str]) -> str:
+    """Say that the values of joints stand in the columns of others."""
+    if len(names) == 2:
+        return f"the columns of {joints_named(*names, separator=' and ')} were swapped"
+    where = ", ".join(f"{name} in that of {column}" for name, column in zip(names, columns, strict=True))
+    return f"the columns of {joints_named(*names, shown=len(names))} were in another order ({where})"
+
+
+def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
+    """Return the likeliest mistakes in columns of joint values.
+
+    Args:
+        robot: The nominal robot.
+        data: A few measurements that do not fit it.
+    """
+    return list(_tried_with_loops(robot, data) if robot.mechanism.loops else _searched(robot, data))
+
+
+def _turning(robot: Robot) -> BoolArray:
+    return np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+
+
+def _with(values: tuple, j: int, value: object) -> tuple:  # type: ignore[type-arg]
+    return (*values[:j], value, *values[j + 1 :])
+
+
+def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
+    """The map with another sign or zero of one joint."""
+    for j, factor in enumerate(at.factors):
+        turned = _with(at.factors, j, -factor)
+        yield ColumnMap(at.columns, turned, at.quarters)
+        for quarter in (-1, 0, 1, 2) if turning[j] else ():
+            zero = _with(at.quarters, j, quarter)
+            yield ColumnMap(at.columns, at.factors, zero)
+            yield ColumnMap(at.columns, turned, zero)
+
+
+def _scales(at: ColumnMap) -> Iterator[ColumnMap]:
+    """The map with another scale of one joint."""
+    for j, factor in product(range(len(at.factors)), _FACTORS):
+        yield ColumnMap(at.columns, _with(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters)
+
+
+def _orders(robot: Robot) -> Iterator[ColumnMap]:
+    """Other orders of the columns of joints of one sort: all, or those that move two or three columns."""
+    plain, turning = ColumnMap.plain(len(robot.joint_names)), _turning(robot)
+    groups = [np.flatnonzero(turning).tolist(), np.flatnonzero(~turning).tolist()]
+    for group in groups:
+        if math.factorial(len(group)) <= _ALL_ORDERS:
+            orders: Iterator[tuple[tuple[int, ...], tuple[int, ...]]] = ((tuple(group), o) for o in permutations(group))
+        else:
+            some = [c for size in (2, 3) for c in combinations(group, size)]
+            orders = ((chosen, order) for chosen in some for order in permutations(chosen))
+        for places, order in orders:
+            if places != order:
+                columns = np.array(plain.columns)
+                columns[list(places)] = order
+                yield ColumnMap(tuple(columns.tolist()), plain.factors, plain.quarters)
+
+
+def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
+    n = len(robot.joint_names)
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    plain, turning = ColumnMap.plain(n), _turning(robot)
+    signs = [ColumnMap(plain.columns, _with(plain.factors, j, -1.0), plain.quarters) for j in range(n)]
+    yield from signs
+    pairs = [
+        ColumnMap(plain.columns, _with(_with(plain.factors, a, -1.0), b, -1.0), plain.quarters)
+        for a, b in combinations(range(n), 2)
+    ]
+    zeros = [
+        ColumnMap(plain.columns, plain.factors, _with(plain.quarters, j, quarter))
+        for j in np.flatnonzero(turning)
+        for quarter in (-2, -1, 1, 2)
+    ]
+    for tried in (*pairs, *zeros, *_orders(robot), *_scales(plain)):
+        joints = tried.joints(data.joints)
+        if np.all((joints > lower - _MARGIN) & (joints < upper + _MARGIN)):
+            yield tried
+
+
+def _searched(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
+    """The best maps that the search meets, those with fewer changes first among equals."""
+    n = len(robot.joint_names)
+    plain = ColumnMap.plain(n)
+    turning = _turning(robot) & _zero_matters(robot, data, plain)
+    once = {*_turns(plain, turning)}
+    start = {plain, *once, *_orders(robot), *_scales(plain)}
+    if n <= _ALL_SIGNS:
+        start |= {ColumnMap(plain.columns, signs, plain.quarters) for signs in product((1.0, -1.0), repeat=n)}
+        start |= {other for at in once for other in _turns(at, turning)}
+    miss = _bounds(robot, data, sorted(start))
+    for _ in range(_ROUNDS):
+        best = sorted(miss, key=lambda at: miss[at])[:_BEAM]
+        before = miss[best[0]]
+        changed = {other for at in best for other in (*_turns(at, turning), *_scales(at))} - miss.keys()
+        if not changed:
+            break
+        miss |= _bounds(robot, data, sorted(changed))
+        if min(miss.values()) > _HALVED * before:
+            break
+    scale = max(min(miss.values()), 1e-6)
+
+    def rank(at: ColumnMap) -> tuple[int, int, float]:
+        return round(np.log2(max(miss[at], scale) / scale)), at.changes, miss[at]
+
+    ranked = (at for at in sorted(miss, key=rank) if at.changes and not _mirrored(robot, data, at))
+    return islice(ranked, _BEAM)
+
+
+def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArray:
+    """Of which motors a quarter turn of the zero changes the bound; an unknown base or target takes up the others."""
+    quarters = [ColumnMap(plain.columns, plain.factors, _with(plain.quarters, j, 1)) for j in plain.columns]
+    miss, *others = _bounds(robot, data, [plain, *quarters]).values()
+    return np.array([abs(other - miss) > _SAME * miss for other in others])
+
+
+def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict[ColumnMap, float]:
+    """A lower bound of each map's miss of the first target, over the spread of its positions."""
+    factor = np.asarray(np.linalg.qr(_systems(robot, data, maps), mode="r"))
+    points = data.points(robot)[:, 0]
+    spread = float(np.linalg.norm(points - points.mean(axis=0))) or 1.0
+    return {at: float(abs(r[-1, -1])) / spread for at, r in zip(maps, factor, strict=True)}
+
+
+def _mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
+    """Whether a map's bound belongs to a left-handed measurement frame."""
+    if robot.description.base.pose != "unknown":
+        return False
+    system = _systems(robot, data, [at])[0]
+    matrix = np.linalg.lstsq(system[:, :-1], system[:, -1])[0][:9].reshape(3, 3)
+    return bool(np.linalg.det(matrix) < -_MIRRORED)
+
+
+def _systems(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> FloatArray:
+    """The linear system of each map, (n_maps, 3 n_poses, n_unknowns + 1), what they explain in the last column.
+
+    Unknowns are the nine entries of any matrix for the rotation to the base link and a translation, where the base is
+    unknown, and the point in its link, where that is.
+    """
+    section = robot.description.targets[robot.target_names[0]]
+    T = robot.forward(np.concatenate([at.joints(data.joints) for at in maps]), section.frame)
+    T = T.reshape(len(maps), len(data), 4, 4)
+    measured = data.points(robot)[:, 0]
+    explained = T[..., :3, 3].copy()
+    parts: list[FloatArray] = []
+    if robot.description.base.pose == "unknown":
+        matrix = np.einsum("rs,nj->nrsj", np.eye(3), measured - measured.mean(axis=0)).reshape(len(data), 3, 9)
+        parts += [np.broadcast_to(part, (*T.shape[:2], 3, part.shape[-1])) for part in (matrix, np.eye(3))]
+    else:
+        explained -= measured
+    if section.position == "unknown":
+        parts.append(T[..., :3, :3])
+    else:
+        explained += T[..., :3, :3] @ np.array(section.xyz)
+    return np.concatenate([*parts, explained[..., None]], axis=-1).reshape(len(maps), 3 * len(data), -1)

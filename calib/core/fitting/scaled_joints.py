@@ -1,0 +1,75 @@
+"""Joints whose values are on another scale than stated: their factors, by a fit in which each joint has a gain.
+
+A controller that counts in gon, a range that was mapped, a gear ratio that is wrong: the joint is where q = g x + b,
+and the file has x. The nominal robot is fitted with a gain of each joint that moved, beside its own parameters, which
+take up b. A factor is told where it is off by more than a part in a hundred and by more than its uncertainty allows.
+
+When it fails. The fit begins where the file stands, or where a search has brought it: of a joint that is scaled by two
+it may not find the way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from calib.core.base.errors import CalibrationError
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.column_maps import ColumnMap
+from calib.core.fitting.fit import Nearby, fit_data
+from calib.core.fitting.joint_conventions import uncounted_turns
+from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.settings import Settings
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.one_coefficient import Gain
+
+SCALED = 0.01
+"""Part by which no gear, belt or screw is off."""
+SURE = 6.0
+"""Standard deviations of a gain from which it is not chance."""
+_EXPECTED = 0.3  # size of a gain that is looked for
+
+
+@dataclass(frozen=True)
+class JointScales:
+    """What a fit with gains says of the scales of joints.
+
+    Attributes:
+        map: What makes joint values right; factors of joints whose scale is right are one.
+        std: Standard deviations of the factors, (n_actuated,).
+        noise: What the fit leaves, per axis [m].
+    """
+
+    map: ColumnMap
+    std: tuple[float, ...]
+    noise: float
+
+
+def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) -> JointScales | None:
+    """Return the scales of joints; None where no fit tells.
+
+    Args:
+        robot: The nominal robot.
+        data: Its measurements.
+        at: Which columns, signs, zeros and scales the file seems to have; nothing is wrong if not given.
+    """
+    names = robot.joint_names
+    at = at or ColumnMap.plain(len(names))
+    mapped = replace(data, joints=at.joints(data.joints))
+    apart = {*unmoved_joints(robot, mapped.joints), *uncounted_turns(robot, mapped.joints)}
+    sections = tuple(Gain.section(joint=name, term=Gain.word, sigma=_EXPECTED) for name in names if name not in apart)
+    own = tuple(section for section in robot.description.terms if section.term != Gain.word)
+    try:
+        geared = robot.with_terms((*own, *sections))
+        fit = fit_data(geared, Settings(), mapped, nearby=Nearby.no_intervals(geared))
+    except CalibrationError:
+        return None
+    found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    factors, std = list(at.factors), [0.0] * len(names)
+    for j, name in enumerate(names):
+        gain = f"{name}.{Gain.word}"
+        factor, size = abs(at.factors[j]) * (1.0 + found.get(gain, 0.0)), abs(at.factors[j]) * known.get(gain, 0.0)
+        off = abs(factor - 1.0) > max(SCALED, SURE * size)
+        factors[j], std[j] = math.copysign(factor if off else 1.0, at.factors[j]), float(size)
+    return JointScales(replace(at, factors=tuple(float(factor) for factor in factors)), tuple(std), float(fit.sigma))

@@ -1,0 +1,100 @@
+"""Readings that are in a file more than once.
+
+A copy has the joint values and the readings of another visit, to the last digit. Honest repeats may have them, too,
+where readings are written in coarse steps: with a step d and a scatter s of each reading, two of them are the same
+with a chance of about d / (2 sqrt(pi) s). The step is the largest one of which all readings are multiples; the scatter
+is that of repeats that differ, and at least that of the best instruments and robots. Visits are copies where chance
+does not explain so many.
+
+When it fails. Readings in steps as coarse as they scatter say nothing: copies of these are not seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import Dimension
+from calib.core.data.measurements import Measurements
+from calib.core.numerics.chances import UNLIKELY
+from calib.core.robots.robot import Robot
+
+_SCATTER: dict[Dimension | None, float] = {"length": 5e-6, "angle": 1e-5, "pixel": 0.02}
+"""Scatter of the readings of a robot that comes back as well as any does [m, rad, px]."""
+_DIGIT = 1e-3  # part of this scatter below which steps make no difference
+
+
+def copied_visits(robot: Robot, data: Measurements) -> IntArray:
+    """Return the visits that are copies of earlier ones, (n,); none where chance may have made them the same.
+
+    Args:
+        robot: Knows the columns of its instruments.
+        data: Measurements.
+    """
+    repeated = _same_joints(data.joints)
+    first: dict[tuple[bytes, frozenset[bytes]], int] = {}
+    copies, known, pairs = [], dict[bytes, int](), []
+    for visit, keys in zip(repeated.tolist(), reading_keys(data, repeated), strict=True):
+        joints = data.joints[visit].tobytes()
+        if (joints, frozenset(keys)) in first:
+            copies.append(visit)
+        elif joints in known:
+            pairs.append((known[joints], visit))
+        first.setdefault((joints, frozenset(keys)), visit)
+        known.setdefault(joints, visit)
+    chance = _chance_of_same(robot, data, pairs) if copies else 1.0
+    sure = bool(scipy.stats.binom.sf(len(copies) - 1, len(copies) + len(pairs), chance) < UNLIKELY)
+    return np.array(copies if sure else [], dtype=np.intp)
+
+
+def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int]]) -> float:
+    """Return the chance that a repeat has the same readings; nought where nothing was read in numbers.
+
+    Args:
+        robot: Knows the columns of its instruments.
+        data: Measurements.
+        pairs: Visits to one pose whose readings differ.
+    """
+    chances = []
+    for name, readings in data.readings.items():
+        instrument = robot.instrument(name)
+        whole = np.full((len(data), readings.values.shape[1]), np.nan)
+        whole[readings.visits] = readings.values
+        for column, numbers in zip(instrument.columns(), whole.T, strict=False):
+            least = _SCATTER.get(column.dimension, 0.0)
+            if least == 0.0:
+                continue
+            apart = np.array([numbers[a] - numbers[b] for a, b in pairs])
+            apart = apart[np.isfinite(apart)]
+            scatter = max(least, float(np.sqrt(np.mean(apart**2) / 2)) if len(apart) else 0.0)
+            chances.append(min(1.0, _step(numbers, _DIGIT * least) / (2 * np.sqrt(np.pi) * scatter)))
+    return float(np.prod(chances)) if chances else 0.0
+
+
+def _step(numbers: FloatArray, digit: float) -> float:
+    """Return the largest step of which all differences of numbers (n,) are multiples, but for rounding to `digit`."""
+    known = np.unique(numbers[np.isfinite(numbers)])
+    return digit * float(np.gcd.reduce(np.round((known - known[:1]) / digit).astype(np.int64)))
+
+
+def _same_joints(joints: FloatArray) -> IntArray:
+    """Visits whose joint values (n_visits, n_actuated) may be those of another one, (n,)."""
+    left = np.arange(len(joints))
+    for column in joints.T:
+        _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
+        left = left[count[number] > 1]
+    return left
+
+
+def reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:
+    """Return what was read at some visits (n,), to the last digit."""
+    place = np.full(len(data), -1)
+    place[visits] = np.arange(len(visits))
+    keys: list[set[bytes]] = [set() for _ in range(len(visits))]
+    for name, readings in data.readings.items():
+        of_these = place[readings.visits] >= 0
+        parts = (readings.visits, readings.values, readings.details)
+        for visit, values, details in zip(*(part[of_these] for part in parts), strict=True):
+            keys[place[visit]].add(name.encode() + values.tobytes() + details.tobytes())
+    return keys

@@ -1,0 +1,248 @@
+"""How often a usual mistake in a file is seen, and named: simulated calibrations of four robots, one mistake in each.
+
+    python docs/site/mistake_rates.py [--every N] [--robots NAMES] [--only WORDS] [--kept FILE] [--page]
+
+Mistakes are columns of joints in another order, rows that are shifted, a joint that is scaled, columns of the
+measurement in another order, another unit, a range that was mapped, rows that were copied, a tool that sits elsewhere.
+--every N tries one in N of them; --page puts the table into docs/howto/when_it_fails.md. --kept FILE collects outcomes,
+so that a run that was ended goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import permutations, product
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+from make_examples import EXAMPLES
+from numpy.typing import NDArray
+from verdict_lab import open_lab
+
+import calib
+from calib.core.base.errors import CalibrationError
+from calib.core.commands.init import command
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+
+Array = NDArray[np.float64]
+ROBOTS = ("arm", "five-bar", "UR10e", "MedRUE")
+PAGE = EXAMPLES.parent / "howto" / "when_it_fails.md"
+POSES = 70
+FACTORS = (0.5, 0.7, 0.9, 0.95, 0.97, 1.03, 1.1, 10 / 9, 1.5, 2.0)
+UNITS = {"inch": 25.4, "foot": 304.8, "tenth of an inch": 2.54, "cm": 10.0, "m": 1e3, "um": 1e-3}
+_PLACE = re.compile(r"(<!-- begin mistakes -->\n).*?(<!-- end mistakes -->)", re.DOTALL)
+_HELD_OUT = (0.0, 0.25)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake.
+
+    Attributes:
+        kind: Of which it is one.
+        words: What was done.
+        make: What the file holds in place of joint values (n, n_actuated) and positions (n, n_targets, 3) [SI].
+        named: Pattern of what names it.
+    """
+
+    kind: str
+    words: str
+    make: Callable[[Array, Array], tuple[Array, Array]]
+    named: str
+
+
+@cache
+def laboratory(name: str) -> tuple[calib.Robot, Array, Array]:
+    """Return a nominal robot, joint values (n, n_actuated), and readings of the true one (n, n_targets, 3)."""
+    rng = np.random.default_rng(7)
+    if name in ("arm", "MedRUE"):
+        lab = open_lab(name, 7)
+        return lab.nominal, lab.joints[:POSES], (lab.seen() + lab.noise())[:POSES]
+    if name == "five-bar":
+        nominal = calib.load(EXAMPLES / "five_bar.yaml")
+        q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", nominal).joints
+    else:
+        folder = Path(mkdtemp(prefix="mistakes_"))
+        with contextlib.redirect_stdout(io.StringIO()):
+            given = [
+                "--dh",
+                str(EXAMPLES / "ur10e_dh.csv"),
+                "--measure",
+                "tracker",
+                "--out",
+                str(folder / "robot.yaml"),
+            ]
+            command(given, standalone_mode=False)
+        nominal = calib.load(folder / "robot.yaml")
+        q = rng.uniform(-1.0, 1.0, (POSES, 6)) * np.radians([150, 80, 120, 150, 150, 170])
+    own = nominal.parameters[: nominal.n_origin_parameters]
+    errors = {
+        p.name: p.nominal_si + 0.7 * min(p.sigma_si, 3e-3) * rng.normal()
+        for p, use in zip(own, nominal.is_free, strict=False)
+        if use
+    }
+    seen = nominal.with_parameters(errors).positions(q)
+    return nominal, q, seen + 3e-5 * rng.standard_normal(seen.shape)
+
+
+def mistakes(name: str) -> Iterator[Mistake]:
+    """Yield every mistake in measurements of a robot."""
+    nominal, q, _ = laboratory(name)
+    names, n = nominal.joint_names, q.shape[1]
+    turning = np.array([nominal.mechanism.dimensions[joint] == "angle" for joint in names])
+    yield from _orders(names, turning)
+    for rows in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5):
+        said = f"{'1 row' if abs(rows) == 1 else f'{abs(rows)} rows'} {'below' if rows > 0 else 'above'}"
+        yield Mistake("rows shifted", f"{rows} rows", _shifted(rows), said.replace("1 row ", "(1|one) row "))
+    for j, factor in product(range(n), FACTORS):
+        yield Mistake("a joint scaled", f"{names[j]} x {factor:.3g}", _scaled(j, factor), rf"\b{names[j]}\b.* scaled")
+    for order, sign in product(permutations(range(3)), product((1, -1), repeat=3)):
+        even = np.linalg.det(np.eye(3)[list(order)] * sign) > 0
+        if (order, sign) != ((0, 1, 2), (1, 1, 1)) and not (even and nominal.description.base.pose == "unknown"):
+            words = f"measured {order} {sign}"
+            yield Mistake("measured columns", words, _measured(order, sign), "left-handed|measured positions")
+    for unit, size in UNITS.items():
+        yield Mistake("unit of lengths", unit, lambda q, p, size=size: (q, p / size), rf"\b{unit}s?\b")
+    low, high = q.min(axis=0) - 0.2, q.max(axis=0) + 0.2
+    for ends in ((-100, 100), (0, 4095), (0, 1)):
+        mapped = ends[0] + (q - low) / (high - low) * (ends[1] - ends[0])
+        as_degrees = np.where(turning, np.radians(mapped), 1e-3 * mapped)
+        yield Mistake("a range mapped", str(ends), lambda q, p, to=as_degrees: (to, p), "scaled|range")
+    for copies in (0.03, 0.05, 0.15):
+        yield Mistake("rows copied", f"{100 * copies:g} %", _copied(copies), "copies")
+    section = nominal.description.targets[nominal.target_names[0]]
+    if section.position == "known":
+        for axis in range(3):
+            yield Mistake("tool elsewhere", f"150 mm along {'xyz'[axis]}", _tool(nominal, axis), "xyz: ")
+
+
+def _orders(names: tuple[str, ...], turning: Array) -> Iterator[Mistake]:
+    """Columns of joints in another order: of six or fewer, all orders of one kind of joint."""
+    turns = np.flatnonzero(turning)
+    orders = list(permutations(turns)) if len(turns) > 1 else []
+    chosen = [order for order in orders if 0 < sum(a != b for a, b in zip(order, turns, strict=True)) <= 3]
+    others = [order for order in orders if sum(a != b for a, b in zip(order, turns, strict=True)) > 3]
+    chosen += [others[k] for k in np.random.default_rng(1).permutation(len(others))[:20]]
+    for order in chosen:
+        index = np.arange(len(names))
+        index[turns] = order
+        moved = [names[k] for k in range(len(names)) if index[k] != k]
+        pattern = "columns of .*" + "".join(rf"(?=.*\b{name}\b)" for name in moved)
+        yield Mistake("joint columns", f"order {index.tolist()}", lambda q, p, index=index: (q[:, index], p), pattern)
+
+
+def _shifted(rows: int) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """Joint values this many rows below their measurements."""
+    return lambda q, p: (q[:-rows], p[rows:]) if rows > 0 else (q[-rows:], p[:rows])
+
+
+def _scaled(j: int, factor: float) -> Callable[[Array, Array], tuple[Array, Array]]:
+    return lambda q, p: (q * np.where(np.arange(q.shape[1]) == j, factor, 1.0), p)
+
+
+def _measured(order: tuple[int, ...], sign: tuple[int, ...]) -> Callable[[Array, Array], tuple[Array, Array]]:
+    return lambda q, p: (q, p[..., list(order)] * np.array(sign))
+
+
+def _copied(part: float) -> Callable[[Array, Array], tuple[Array, Array]]:
+    def make(q: Array, p: Array) -> tuple[Array, Array]:
+        some = np.random.default_rng(2).permutation(len(q))[: int(np.ceil(part / (1 - part) * len(q)))]
+        rows = np.concatenate([np.arange(len(q)), some])
+        return q[rows], p[rows]
+
+    return make
+
+
+def _tool(nominal: calib.Robot, axis: int) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """A target this far from where the description has it."""
+
+    def make(q: Array, p: Array) -> tuple[Array, Array]:
+        turned = nominal.forward(q, nominal.description.targets[nominal.target_names[0]].frame)[:, :3, axis]
+        return q, p + 0.15 * turned[:, None]
+
+    return make
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said of one mistake."""
+
+    robot: str
+    kind: str
+    words: str
+    held_out: float
+    grade: str
+    named: bool
+    text: str
+
+
+def outcome(robot: str, mistake: Mistake, held_out: float) -> Outcome:
+    """Return what is said of one mistake."""
+    nominal, q, points = laboratory(robot)
+    data = as_measurements(nominal, *mistake.make(q, points))
+    grade, text = "refused", ""
+    try:
+        grade, text = _said(nominal, data, held_out)
+    except CalibrationError as error:
+        text = str(error)
+    named = bool(re.search(mistake.named, text, re.DOTALL))
+    return Outcome(robot, mistake.kind, mistake.words, held_out, grade, named, text)
+
+
+def _said(nominal: calib.Robot, data: Measurements, held_out: float) -> tuple[str, str]:
+    used, other = data.split(validation=held_out) if held_out else (data, None)
+    verdict = calib.fit(nominal, used, validation=other).verdict
+    return verdict.grade, "; ".join(r.text for r in verdict.reasons if r.grade == verdict.grade)[:1500]
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the Markdown table: of each kind, how many, how they ended, and how many were named."""
+    lines = ["| mistake | tried | PASS | CHECK | FAIL | refused | named rightly |", "|---|" + "---:|" * 6]
+    for kind in dict.fromkeys(outcome.kind for outcome in outcomes):
+        these = [outcome for outcome in outcomes if outcome.kind == kind]
+        grades = Counter(outcome.grade for outcome in these)
+        counts = " | ".join(str(grades[grade]) for grade in ("PASS", "CHECK", "FAIL", "refused"))
+        named = sum(outcome.named for outcome in these)
+        lines.append(f"| {kind} | {len(these)} | {counts} | {100 * named / len(these):.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--robots", default=",".join(ROBOTS))
+    parser.add_argument("--only", default="")
+    parser.add_argument("--kept", type=Path)
+    parser.add_argument("--page", action="store_true")
+    options = parser.parse_args()
+    kept = options.kept.read_text().splitlines() if options.kept and options.kept.exists() else []
+    done = {(o.robot, o.kind, o.words, o.held_out): o for o in (Outcome(**json.loads(line)) for line in kept)}
+    outcomes = []
+    for robot in options.robots.split(","):
+        chosen = [mistake for mistake in mistakes(robot) if options.only in f"{mistake.kind}: {mistake.words}"]
+        for mistake, held_out in product(chosen[:: options.every], _HELD_OUT):
+            key = (robot, mistake.kind, mistake.words, held_out)
+            found = done.get(key) or outcome(robot, mistake, held_out)
+            outcomes.append(found)
+            if options.kept and key not in done:
+                with options.kept.open("a") as file:
+                    file.write(json.dumps(found.__dict__) + "\n")
+    print(table(outcomes))
+    if options.page:
+        text = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table(outcomes)}{place[2]}", text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

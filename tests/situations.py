@@ -156,6 +156,17 @@ def _(shop):
     )
 
 
+@situation(Code.TARGET_ELSEWHERE)
+def _(shop):
+    """The ball sits 150 mm farther along x and 20 mm along z of its link than the description has it."""
+    data, section = shop.good_prior.identification.data, shop.prior.description.targets["ball"]
+    away = np.array([0.15, 0.0, 0.02])
+    moved = data.points(shop.prior) + (shop.prior.forward(joints(80), section.frame)[:, :3, :3] @ away)[:, None]
+    there = calib.fit(shop.prior, with_points(shop.prior, data, moved))
+    says = r"ball: set position: unknown, or xyz: \[([\d.-]+) mm, ([\d.-]+) mm, ([\d.-]+) mm\]"
+    return Situation(there, shop.good_prior, says, tuple(1e3 * (np.array(section.xyz) + away)), 0.05)
+
+
 @situation(Code.LIKELY_MISTAKE)
 def _(shop):
     data = shop.good_prior.identification.data

@@ -1,5 +1,6 @@
 """Usual mistakes are named, each made in good measurements of a robot with the expected errors."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,6 +56,17 @@ def test_swapped_columns_are_named(arm, data):
     assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
 
 
+@pytest.mark.parametrize(
+    ("order", "where"),
+    [
+        ([0, 2, 3, 1, 4, 5], "j2, j3, j4 were in another order (j2 in that of j4, j3 in that of j2, j4 in that of j3)"),
+        ([1, 0, 2, 3, 5, 4], "j1, j2, j5, j6 were in another order (j1 in that of j2, j2 in that of j1, j5 in"),
+    ],
+)
+def test_columns_in_another_order_are_named_with_where_each_stands(arm, data, order, where):
+    assert f"the columns of joints {where}" in likely_mistake(arm, replace(data, joints=data.joints[:, order]))
+
+
 @pytest.mark.parametrize("turned", [(1, 4), (0, 1, 4), (0, 1, 3, 5)])
 def test_several_signs_are_named_together(arm, data, turned):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
@@ -89,6 +101,49 @@ def test_joint_values_beside_the_wrong_row_are_named(arm, data):
     assert "all joint values stood one row below their measurements" in likely_mistake(arm, above)
     below = replace(data.subset(np.arange(len(data) - 1)), joints=data.joints[1:])
     assert "all joint values stood one row above their measurements" in likely_mistake(arm, below)
+
+
+@pytest.mark.parametrize("rows", [-5, -2, 3, 4])
+def test_a_shift_is_named_where_rows_are_held_out(arm, data, rows):
+    """The file is shifted, and then split: rows that were neighbours in it need not be so any more."""
+    n = np.arange(len(data) - abs(rows))
+    joints_, measured = (n, n + rows) if rows > 0 else (n - rows, n)
+    shifted = replace(data.subset(measured), joints=data.joints[joints_], order=None)
+    used, _ = shifted.split(validation=0.25)
+    side = "below" if rows > 0 else "above"
+    assert f"all joint values stood {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
+
+
+@pytest.mark.parametrize(("joint", "factor"), [(0, 1.1), (1, 2.0), (3, 0.5), (4, 10 / 9), (5, 0.7)])
+def test_a_scaled_joint_is_named_with_its_factor(arm, data, joint, factor):
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), joint), factor * q[:, joint]))
+    said = re.search(
+        r"joint (j\d) was scaled by ([\d.]+) \+- ([\de.-]+) \(([\d.]+) \* j\d", likely_mistake(arm, wrong, 0.1)
+    )
+    assert said[1] == f"j{joint + 1}"
+    assert abs(float(said[2]) - factor) < max(2 * float(said[3]), 1e-3)
+    assert float(said[4]) == pytest.approx(1 / factor, abs=2e-3)
+    assert ("gon read as degrees" in said.string) == (factor == 10 / 9)
+
+
+def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
+    """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
+    verdict = calib.fit(arm, wrong).verdict
+    assert verdict.grade != "PASS"
+    assert "joint j4 was scaled by 1.03 " in verdict.reasons[0].text
+    assert "joint j5 was scaled by 1.03 " in verdict.reasons[0].text
+    with_gains = calib.fit(arm, wrong, terms="auto").verdict
+    assert with_gains.grade != "PASS"
+    assert "joint j4 turns 0.9709 times as far as its values say" in str(with_gains)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-100, 100), (0, 4095), (0, 1)])
+def test_values_mapped_to_a_range_are_named(arm, data, low, high):
+    """Columns [deg] hold parts of the range from -3 to 3 rad."""
+    mapped = low + (data.joints + 3.0) / 6.0 * (high - low)
+    said = likely_mistake(arm, replace(data, joints=np.radians(mapped)))
+    assert f"mapped from the joints' limits to the range {low} to {high}" in said
 
 
 def with_zeros(arm, data, rows):
@@ -180,7 +235,19 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
     assert words in likely_mistake(arm, replace(data, joints=factor * data.joints))
 
 
-@pytest.mark.parametrize(("factor", "words"), [(1e3, "mm were read as m"), (1e-3, "m were read as mm")])
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1e3, "mm were read as m:"),
+        (1e-3, "m were read as mm:"),
+        (1 / 25.4, "inches were read as mm:"),
+        (1 / 0.0254, "inches were read as m:"),
+        (1 / 304.8, "feet were read as mm:"),
+        (0.1, "cm were read as mm:"),
+        (1 / 2.54, "tenths of an inch were read as mm:"),
+        (0.2, "0.2 times as long as the robot's, which no usual unit explains:"),
+    ],
+)
 def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
     assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
 
@@ -190,6 +257,10 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
     [
         (lambda p: p * [1, -1, 1], "y of the measured positions had the wrong sign"),
         (lambda p: p[..., [2, 1, 0]], "x and z of the measured positions were swapped"),
+        (
+            lambda p: p[..., [1, 2, 0]] * [1, 1, -1],
+            "(x in the column of z, y in the column of x, z in the column of y)",
+        ),
     ],
 )
 def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):

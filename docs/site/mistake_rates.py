@@ -39,7 +39,7 @@ ROBOTS = ("arm", "five-bar", "UR10e", "MedRUE")
 PAGE = EXAMPLES.parent / "howto" / "when_it_fails.md"
 POSES = 70
 FACTORS = (0.5, 0.7, 0.9, 0.95, 0.97, 1.03, 1.1, 10 / 9, 1.5, 2.0)
-UNITS = {"inch": 25.4, "foot": 304.8, "tenth of an inch": 2.54, "cm": 10.0, "m": 1e3, "um": 1e-3}
+UNITS = {"inches": 25.4, "feet": 304.8, "tenths of an inch": 2.54, "cm": 10.0, "m": 1e3, "um": 1e-3}
 _PLACE = re.compile(r"(<!-- begin mistakes -->\n).*?(<!-- end mistakes -->)", re.DOTALL)
 _HELD_OUT = (0.0, 0.25)
 
@@ -97,7 +97,7 @@ def laboratory(name: str) -> tuple[calib.Robot, Array, Array]:
 
 def mistakes(name: str) -> Iterator[Mistake]:
     """Yield every mistake in measurements of a robot."""
-    nominal, q, _ = laboratory(name)
+    nominal, q, points = laboratory(name)
     names, n = nominal.joint_names, q.shape[1]
     turning = np.array([nominal.mechanism.dimensions[joint] == "angle" for joint in names])
     yield from _orders(names, turning)
@@ -106,14 +106,21 @@ def mistakes(name: str) -> Iterator[Mistake]:
         yield Mistake("rows shifted", f"{rows} rows", _shifted(rows), said.replace("1 row ", "(1|one) row "))
     for j, factor in product(range(n), FACTORS):
         yield Mistake("a joint scaled", f"{names[j]} x {factor:.3g}", _scaled(j, factor), rf"\b{names[j]}\b.* scaled")
-    for order, sign in product(permutations(range(3)), product((1, -1), repeat=3)):
+    planar = bool(np.ptp(points[..., 2] - points[..., 2].mean()) < 1e-2)  # of these, a mirrored frame is a turned one
+    for order, sign in product(permutations(range(3)), product((1, -1), repeat=3)) if not planar else ():
         even = np.linalg.det(np.eye(3)[list(order)] * sign) > 0
         if (order, sign) != ((0, 1, 2), (1, 1, 1)) and not (even and nominal.description.base.pose == "unknown"):
             words = f"measured {order} {sign}"
             yield Mistake("measured columns", words, _measured(order, sign), "left-handed|measured positions")
     for unit, size in UNITS.items():
-        yield Mistake("unit of lengths", unit, lambda q, p, size=size: (q, p / size), rf"\b{unit}s?\b")
-    low, high = q.min(axis=0) - 0.2, q.max(axis=0) + 0.2
+        yield Mistake(
+            "unit of lengths",
+            unit,
+            lambda q, p, size=size: (q, p / size),
+            f"positions in ({unit}|mm) were read as ({unit}|mm|m)",
+        )
+    low, high = nominal.urdf.limits(names)
+    low, high = (low, high) if np.all(np.isfinite(high - low)) else (q.min(axis=0) - 0.2, q.max(axis=0) + 0.2)
     for ends in ((-100, 100), (0, 4095), (0, 1)):
         mapped = ends[0] + (q - low) / (high - low) * (ends[1] - ends[0])
         as_degrees = np.where(turning, np.radians(mapped), 1e-3 * mapped)
@@ -122,7 +129,7 @@ def mistakes(name: str) -> Iterator[Mistake]:
         yield Mistake("rows copied", f"{100 * copies:g} %", _copied(copies), "copies")
     section = nominal.description.targets[nominal.target_names[0]]
     if section.position == "known":
-        for axis in range(3):
+        for axis in range(2 if planar else 3):
             yield Mistake("tool elsewhere", f"150 mm along {'xyz'[axis]}", _tool(nominal, axis), "xyz: ")
 
 

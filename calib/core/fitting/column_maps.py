@@ -26,20 +26,22 @@ from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.robots.robot import Robot
 
-USUAL_FACTORS = {
-    0.9: "gon read as degrees",
-    math.radians(1): "degrees read as radians",
-    math.degrees(1): "radians read as degrees",
-    360.0: "turns read as degrees",
-    360.0 / 4096: "counts of 4096 a turn read as degrees",
-    1e-3: "thousandths of the unit",
-    1e3: "a thousand times the unit",
-    25.4: "inches read as mm",
+USUAL_FACTORS: dict[str, dict[float, str]] = {
+    "angle": {
+        0.9: "gon read as degrees",
+        math.radians(1): "degrees read as radians",
+        math.degrees(1): "radians read as degrees",
+        1e-3: "mrad read as rad",
+        1e3: "rad read as mrad",
+        360.0: "turns read as degrees",
+        360.0 / 4096: "counts of 4096 a turn read as degrees",
+    },
+    "length": {1e-3: "mm read as m", 1e3: "m read as mm", 25.4: "inches read as mm", 0.0254: "inches read as m"},
 }
-"""What makes a column wrong that is right once it is multiplied by this."""
+"""What makes a column wrong that is right once it is multiplied by this, by what the joint measures."""
 _STEP = 0.06  # from one scale to the next that is tried
 _USUAL = 2e-3  # part by which a factor may be beside a usual one
-_FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k) + tuple(USUAL_FACTORS)
+_FACTORS = tuple((1.0 + _STEP) ** k for k in range(-16, 17) if k)
 _ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
 _ALL_ORDERS = 5040  # orders of columns up to which all are tried, and not those of three columns alone
 _BEAM = 6  # best maps that are changed further
@@ -108,7 +110,7 @@ class ColumnMap:
             how = ["counted from another zero"] * bool(quarter)
             if scaled:
                 size = std[j] if std else _STEP * abs(factor) / 2
-                why = _usual(abs(factor), size)
+                why = _usual(abs(factor), size, robot.mechanism.dimensions[name])
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
             parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")
         if turned:
@@ -116,9 +118,11 @@ class ColumnMap:
         return " and ".join(parts)
 
 
-def _usual(factor: float, size: float) -> str:
+def _usual(factor: float, size: float, dimension: str) -> str:
     """What makes a column wrong that has this factor, give or take three times `size`."""
-    near = (text for usual, text in USUAL_FACTORS.items() if abs(factor / usual - 1) < _USUAL + 3 * size / usual)
+    near = (
+        text for usual, text in USUAL_FACTORS[dimension].items() if abs(factor / usual - 1) < _USUAL + 3 * size / usual
+    )
     return next((f", as of {text}" for text in near), "")
 
 
@@ -159,10 +163,11 @@ def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
             yield ColumnMap(at.columns, turned, zero)
 
 
-def _scales(at: ColumnMap) -> Iterator[ColumnMap]:
+def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
     """The map with another scale of one joint."""
-    for j, factor in product(range(len(at.factors)), _FACTORS):
-        yield ColumnMap(at.columns, _with(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters)
+    for j, name in enumerate(robot.joint_names):
+        for factor in (*_FACTORS, *USUAL_FACTORS[robot.mechanism.dimensions[name]]):
+            yield ColumnMap(at.columns, _with(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters)
 
 
 def _orders(robot: Robot) -> Iterator[ColumnMap]:
@@ -194,10 +199,10 @@ def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     ]
     zeros = [
         ColumnMap(plain.columns, plain.factors, _with(plain.quarters, j, quarter))
-        for j in np.flatnonzero(turning)
+        for j in np.flatnonzero(turning).tolist()
         for quarter in (-2, -1, 1, 2)
     ]
-    for tried in (*pairs, *zeros, *_orders(robot), *_scales(plain)):
+    for tried in (*pairs, *zeros, *_orders(robot), *_scales(robot, plain)):
         joints = tried.joints(data.joints)
         if np.all((joints > lower - _MARGIN) & (joints < upper + _MARGIN)):
             yield tried
@@ -209,7 +214,7 @@ def _searched(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     plain = ColumnMap.plain(n)
     turning = _turning(robot) & _zero_matters(robot, data, plain)
     once = {*_turns(plain, turning)}
-    start = {plain, *once, *_orders(robot), *_scales(plain)}
+    start = {plain, *once, *_orders(robot), *_scales(robot, plain)}
     if n <= _ALL_SIGNS:
         start |= {ColumnMap(plain.columns, signs, plain.quarters) for signs in product((1.0, -1.0), repeat=n)}
         start |= {other for at in once for other in _turns(at, turning)}
@@ -217,7 +222,7 @@ def _searched(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     for _ in range(_ROUNDS):
         best = sorted(miss, key=lambda at: miss[at])[:_BEAM]
         before = miss[best[0]]
-        changed = {other for at in best for other in (*_turns(at, turning), *_scales(at))} - miss.keys()
+        changed = {other for at in best for other in (*_turns(at, turning), *_scales(robot, at))} - miss.keys()
         if not changed:
             break
         miss |= _bounds(robot, data, sorted(changed))

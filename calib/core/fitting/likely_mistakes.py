@@ -84,18 +84,21 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))
     if len(sound) <= _FEW:
         return ""
-    said = _nominal_fits(robot, data, sound, zeros) if gross else ""
+    said, nearest = _nominal_fits(robot, data, sound, zeros) if gross else ("", None)
     if said or not np.isfinite(noise):
         return said
-    scales = joint_scales(robot, sound)
+    tried = [joint_scales(robot, sound, at) for at in ((None, nearest) if nearest else (None,))]
+    scales = min((known for known in tried if known is not None), key=lambda known: known.noise, default=None)
     if scales is None or not scales.map.scaled or scales.noise > _HALF * noise:
         return ""
     left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
     return f"it looks as if {scales.map.words(robot, scales.std)}: if this is corrected, {left}"
 
 
-def _nominal_fits(robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray) -> str:
-    """Say without which mistake the nominal robot fits; nothing where there is none.
+def _nominal_fits(
+    robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
+) -> tuple[str, ColumnMap | None]:
+    """Say without which mistake the nominal robot fits; if there is none, with which scales it comes nearest.
 
     Args:
         robot: The nominal robot.
@@ -115,7 +118,8 @@ def _nominal_fits(robot: Robot, data: Measurements, sound: Measurements, zeros: 
         trials += [replace(trial, words=prefix + trial.words) for trial in undone]
     best = max(min(misses), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
-        return ""
+        scaled = [(miss, trial.at) for miss, trial in zip(misses, trials, strict=True) if trial.at and trial.at.scaled]
+        return "", min(scaled, key=lambda entry: entry[0], default=(0.0, None))[1]
     good = [trials[k] for k in np.argsort(misses) if misses[k] <= _AS_GOOD * best]
     fewest = min((trial.changes for trial in good if trial.changes), default=0)
     likely = [trial for trial in good if trial.changes in (0, fewest)]
@@ -124,7 +128,7 @@ def _nominal_fits(robot: Robot, data: Measurements, sound: Measurements, zeros: 
         scales = joint_scales(robot, sound, first)
         words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
     closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
-    return f"it looks as if {', or '.join(words[:3])}: {closer}"
+    return f"it looks as if {', or '.join(words[:3])}: {closer}", None
 
 
 def _some(data: Measurements) -> Measurements:

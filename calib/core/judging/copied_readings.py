@@ -43,8 +43,10 @@ def copied_visits(robot: Robot, data: Measurements) -> IntArray:
             pairs.append((known[joints], visit))
         first.setdefault((joints, frozenset(keys)), visit)
         known.setdefault(joints, visit)
-    chance = _chance_of_same(robot, data, pairs) if copies else 1.0
-    sure = bool(scipy.stats.binom.sf(len(copies) - 1, len(copies) + len(pairs), chance) < UNLIKELY)
+    if not copies:
+        return np.zeros(0, dtype=np.intp)
+    chance = _chance_of_same(robot, data, pairs)
+    sure = bool(scipy.special.bdtrc(len(copies) - 1, len(copies) + len(pairs), chance) < UNLIKELY)
     return np.array(copies if sure else [], dtype=np.intp)
 
 
@@ -68,7 +70,8 @@ def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int
             apart = np.array([numbers[a] - numbers[b] for a, b in pairs])
             apart = apart[np.isfinite(apart)]
             scatter = max(least, float(np.sqrt(np.mean(apart**2) / 2)) if len(apart) else 0.0)
-            chances.append(min(1.0, _step(numbers, _DIGIT * least) / (2 * np.sqrt(np.pi) * scatter)))
+            step = _step(numbers, _DIGIT * least)
+            chances.append(step / (2 * np.sqrt(np.pi) * scatter) if step < scatter else 1.0)
     return float(np.prod(chances)) if chances else 0.0
 
 

@@ -30,6 +30,8 @@ from calib.core.rows.registration import registration
 ELSEWHERE = 0.2
 """Errors of the nominal robot with base or targets placed by the data, over those where they are stated, if they are
 elsewhere."""
+NEAR = 0.1
+"""The same errors, over the spread of the measured positions, up to which the robot fits at all."""
 BELIEVED = 0.5
 """Weight of a robust loss from which a reading counts."""
 AT_END = 0.55
@@ -185,11 +187,12 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
     targets_known = any(section.position == "known" for section in robot.description.targets.values())
     try:
         stated, _ = registration(robot, data, frame_known=frame_known)
+        spread = float(np.sqrt(np.sum(np.nanvar(data.points(robot).reshape(-1, 3), axis=0))))
         for base, targets in ((True, False), (False, True), (True, True)):
             if (frame_known or not base) and (targets_known or not targets):
                 known = {"frame_known": frame_known and not base, "targets_known": not targets}
                 placed, seen = registration(robot, data, **known)
-                if placed.rms <= ELSEWHERE * stated.rms:
+                if placed.rms <= min(ELSEWHERE * stated.rms, NEAR * spread):
                     break
         else:
             return None

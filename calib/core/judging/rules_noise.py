@@ -28,6 +28,8 @@ LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
 DOUBTFUL = 0.05
 """Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
+GROSS_RATIO = 50.0
+"""Found over stated noise from which mistakes in the data are looked for."""
 LEFT_OUT = 0.01
 """Noise, over the spread of the measured positions, that a model of a healthy robot may leave."""
 _CLOSER = 0.2  # error with another meaning over that with the present one
@@ -172,8 +174,9 @@ def _first_answer(fit: Fit) -> Answer:
 
 
 def left_too_much(fit: Fit) -> bool:
-    """Whether the noise of positions, stated or not, is more than the model of a healthy robot leaves."""
-    return not fit.computed and fit.sigma > LEFT_OUT * _spread(fit)
+    """Whether noise, stated or not, is so large that a mistake in the data may be the cause."""
+    ratios = [estimate.sigma / estimate.stated for estimate in fit.noise if estimate.stated]
+    return not fit.computed and (fit.sigma > LEFT_OUT * _spread(fit) or max(ratios, default=0.0) > GROSS_RATIO)
 
 
 def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:

@@ -1,0 +1,22 @@
+"""The table of mistakes in docs/howto/when_it_fails.md: what is tried, and that none of it ends as a PASS."""
+
+import numpy as np
+import pytest
+from mistake_rates import ROBOTS, Outcome, mistakes, outcome, table
+
+
+@pytest.mark.amount(2, 1000)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_mistake_in_a_file_ends_as_a_pass_and_most_are_named(robot, amount):
+    tried = list(mistakes(robot))
+    chosen = np.random.default_rng(3).permutation(len(tried))[:amount]
+    outcomes = [
+        outcome(robot, tried[k], held_out) for k, held_out in zip(chosen, [0.0, 0.25] * len(chosen), strict=False)
+    ]
+    assert not [o for o in outcomes if o.grade == "PASS"]
+    assert np.mean([o.named for o in outcomes]) > 0.9, [o for o in outcomes if not o.named]
+
+
+def test_the_table_counts_each_kind():
+    said = [Outcome("arm", "rows copied", "3 %", held, "CHECK", held == 0.0, "") for held in (0.0, 0.25)]
+    assert "| rows copied | 2 | 0 | 2 | 0 | 0 | 50 % |" in table(said)

@@ -243,8 +243,9 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
         return
     ratios: dict[float, str] = {}
     for (read, of_read), (written, of_written) in product(_READ.items(), _WRITTEN.items()):
-        if abs(np.log(of_written / of_read / size)) < _ANOTHER_UNIT:
-            ratios.setdefault(of_written / of_read, f"positions in {written} were read as {read}")
+        ratio = float(f"{of_written / of_read:.6g}")  # the same for pairs of units whose quotients round differently
+        if abs(np.log(ratio / size)) < _ANOTHER_UNIT:
+            ratios.setdefault(ratio, f"positions in {written} were read as {read}")
     yield from ((words, ratio) for ratio, words in ratios.items())
     if not ratios:
         times = f"{1 / size:.3g} times as long as the robot's, which no usual unit explains"

@@ -42,6 +42,11 @@ FACTORS = (0.5, 0.7, 0.9, 0.95, 0.97, 1.03, 1.1, 10 / 9, 1.5, 2.0)
 UNITS = {"inches": 25.4, "feet": 304.8, "tenths of an inch": 2.54, "cm": 10.0, "m": 1e3, "um": 1e-3}
 _PLACE = re.compile(r"(<!-- begin mistakes -->\n).*?(<!-- end mistakes -->)", re.DOTALL)
 _HELD_OUT = (0.0, 0.25)
+_INTRODUCTION = """\
+In simulated files of four robots (the arm above, a five-bar, a UR10e, MedRUE), each with one mistake, once with
+`--validate 0.25` and once without, this was said. *Refused* is an error before any verdict, such as poses at which the
+loops cannot close; it names the mistake, too.
+"""
 
 
 @dataclass(frozen=True)
@@ -248,7 +253,8 @@ def main() -> None:
     print(table(outcomes))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table(outcomes)}{place[2]}", text), encoding="utf-8")
+        said = f"{_INTRODUCTION}\n{table(outcomes)}"
+        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{said}{place[2]}", text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -101,16 +101,17 @@ def judge(fit: Fit) -> Verdict:
     nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
     gross = nothing_fits or rules_noise.left_too_much(fit)
     scaled = rules_parameters.joints_scaled(fit)
-    elsewhere = rules_model.places_elsewhere(fit) if gross or codes & _MOVED else None
+    mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
+    elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
     if elsewhere is not None:
         code, text = elsewhere
         reasons.insert(0, code.says(text, grade="FAIL" if nothing_fits else "CHECK"))
-    elif gross or scaled:
-        mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=gross)
-        if mistake:
-            text = f"{mistake}; correct the data, or the description where that is wrong"
-            reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
-            reasons.insert(0, Code.LIKELY_MISTAKE.says(text, grade="FAIL" if gross else "CHECK"))
+    elif gross and not mistake:
+        mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma)
+    if mistake:
+        text = f"{mistake}; correct the data, or the description where that is wrong"
+        reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
+        reasons.insert(0, Code.LIKELY_MISTAKE.says(text, grade="FAIL" if gross else "CHECK"))
     if claim is not None and claim.holds and (claim.gain is Benefit.BETTER or needless):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted, reason.code != Code.FRAME_MOVED))

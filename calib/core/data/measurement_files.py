@@ -25,6 +25,7 @@ from calib.core.data.on_demand import Numbered, Packed
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Source, Table, is_columns
+from calib.core.data.tolerances import stated_tolerance
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.gravity import contradicted, turned_joints
 from calib.core.robots.loading import RobotLike, as_robot
@@ -160,6 +161,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         robot=robot,
     )
     _check_gravity(poses, robot, table)
+    stated_tolerance(table.comments, table.path)
     return poses
 
 

@@ -11,6 +11,7 @@ class Trait(Enum):
 
     IN_COURSE = "changes in the course of the measurement, and goes on changing after it"
     MOVED = "is of what moved beside the robot: its base, an instrument or a target"
+    MISPLACED = "is of a target that sits elsewhere than the description says"
     FOLLOWS_JOINTS = "follows the values of joints: at poses like those measured it stays as it is"
     BY_THE_DOZEN = "is tried by the dozen for each joint or target, and the best is kept"
 
@@ -66,6 +67,14 @@ class Kind(StrEnum):
         "{pattern.detail}, target {pattern.name} sits {words.shift:.3g} mm elsewhere on its link ({words.size})",
         Trait.IN_COURSE,
         Trait.MOVED,
+        Trait.BY_THE_DOZEN,
+    )
+    LINK = (
+        "link",
+        Family.TURNS,
+        "target {pattern.name} moves with {words.other}, as if it sat on the link behind it, {words.shift:.3g} mm from"
+        " where the model has it ({words.size})",
+        Trait.MISPLACED,
         Trait.BY_THE_DOZEN,
     )
     JOINT = "joint", Family.SHIFTS, "an error that follows {words.joint} ({words.size})", Trait.FOLLOWS_JOINTS

@@ -7,6 +7,7 @@ frames that positions are measured in:
     drift, turning, growth the same, changing smoothly in the course of the measurement: a tracker or a base that moved,
                            a robot or an instrument that warms up
     slip                   a target that sits elsewhere on its link from one visit on
+    link                   a target that moves with a joint that should not move it: one described on another link
     joint                  each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over
                            the range measured): gear error, lead error, gravity sag
     wave                   each joint off by a sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
@@ -23,7 +24,7 @@ explains 86 % of a step. Nothing is put down to a joint that never moved.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -149,7 +150,7 @@ class Effect:
         kind: Which one.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: What it adds to the whitened rows, (n_rows, b).
-        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
+        detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
         visit: Visit of each row, (n_rows,).
         factors: What each column is multiplied with at each visit, one after the other, (n_visits, f); None: nothing.
     """
@@ -269,13 +270,17 @@ def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
 
 
 def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
-    """Targets that slip, at places that part the visits evenly."""
+    """Targets that slip, at places that part the visits evenly, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
     rank = np.empty(len(order), dtype=np.intp)
     rank[order] = np.arange(len(order))
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
-    for target, arrays in _moved_targets(setting).items():
-        moved = setting.whitened(arrays)
+    robot = setting.robot
+    for target in dict.fromkeys(name for _, name, _ in _seen_targets(setting)):
+        for joint in _other_joints(robot, target):
+            moved = setting.whitened(_moved_target(setting, target, joint))
+            yield Effect(Kind.LINK, target, moved, robot.mechanism.origin_names[joint - 1], setting.visit)
+        moved = setting.whitened(_moved_target(setting, target))
         for first in firsts:
             late = (rank >= first).astype(float)[:, None]
             yield Effect(Kind.SLIP, target, moved, f"from {setting.data.labels[order[first]]} on", setting.visit, late)
@@ -356,21 +361,41 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     return {name: np.nan_to_num(points - middle) for name, points in result.items()}
 
 
-def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
-    """What moving each target along the axes of its link does to all readings, (n, n_rows, 3) each."""
+def _seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
+    """Yield each instrument that measures where a target is, with its target and the rows of its position."""
+    for name in setting.data.readings:
+        instrument = setting.robot.instrument(name)
+        rows = _position_rows(instrument)
+        if len(rows) == 3 and isinstance(instrument, FrameInstrument):
+            yield name, instrument.target, rows
+
+
+def _other_joints(robot: Robot, target: str) -> list[int]:
+    """Return the joints that move, but not this target, as indices of their frames."""
+    mechanism = robot.mechanism
+    frame = mechanism.targets[robot.target_names.index(target)].b
+    moving = np.any(mechanism.select_moving, axis=1)
+    return [int(k) + 1 for k in np.flatnonzero(moving & (mechanism.support[frame] == 0))]
+
+
+def _moved_target(setting: EffectSetting, target: str, joint: int | None = None) -> dict[str, FloatArray]:
+    """What moving a target along the axes of its link does to all readings, (n, n_rows, 3) each.
+
+    Args:
+        setting: The setting.
+        target: The target.
+        joint: The joint before the link that it moves with instead; None: its own.
+    """
     robot, all_readings = setting.robot, setting.data.readings
-    none = {
+    result = {
         name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
     }
-    result: dict[str, dict[str, FloatArray]] = {}
-    for name, readings in all_readings.items():
-        instrument = robot.instrument(name)
-        rows = _position_rows(instrument)
-        if len(rows) != 3 or not isinstance(instrument, FrameInstrument):
-            continue
-        poses = relative_poses(robot.mechanism, setting.configurations, robot.pairs(instrument))
-        moved = result.setdefault(instrument.target, {other: zeros.copy() for other, zeros in none.items()})
-        moved[name][:, rows] = -poses[readings.pairs, readings.visits, :3, :3]
+    for name, seen, rows in _seen_targets(setting):
+        if seen == target:
+            readings, pairs = all_readings[name], robot.pairs(robot.instrument(name))
+            pairs = pairs if joint is None else tuple(replace(pair, b=joint) for pair in pairs)
+            poses = relative_poses(robot.mechanism, setting.configurations, pairs)
+            result[name][:, rows] = -poses[readings.pairs, readings.visits, :3, :3]
     return result
 
 

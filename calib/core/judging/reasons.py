@@ -64,6 +64,7 @@ class Code(StrEnum):
     NOT_ASSEMBLED = "not_assembled", "FAIL"
     WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.OTHER_POSES
     VALIDATION = "validation", "CHECK"
+    TOLERANCE = "tolerance", "CHECK", False, Answer.ADD_TERMS
     RESIDUALS_GREW = "residuals_grew", "FAIL", False, Answer.CORRECT
     INSTRUMENTS_DISAGREE = "instruments_disagree", "CHECK", False, Answer.CORRECT
     FRAME_MOVED = "frame_moved", "CHECK", False, Answer.HOLD_OUT
@@ -99,6 +100,7 @@ class Code(StrEnum):
     FAR_FROM_NOMINAL = "far_from_nominal", "FAIL"
     AT_BOUNDS = "at_bounds", "CHECK", True
     LENGTHS_SCALED = "lengths_scaled", "FAIL", False, Answer.CORRECT
+    JOINT_SCALED = "joint_scaled", "CHECK", False, Answer.CORRECT
     LARGE_TERMS = "large_terms", "CHECK", True
     UNLIKE_FLEET = "unlike_fleet", "CHECK"
     RANK_UNCLEAR = "rank_unclear", "CHECK", False, Answer.OTHER_POSES

@@ -78,7 +78,7 @@ class Pattern:
             are off, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
         dimension: What `size` measures.
-        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
+        detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
     """
 
     kind: Kind
@@ -131,6 +131,22 @@ class LinearFit:
             freedom=self.freedom - fewer,
             pose_freedom=self.pose_freedom - fewer,
         )
+
+    def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
+
+        Infinite deviations are of effects that were not made. What the fit absorbs is hardly known.
+        """
+        size = np.linalg.norm(effects, axis=0)
+        made = np.flatnonzero(size > 0)
+        columns = effects[:, made] / size[made]
+        left = self.after_fit(columns)
+        inverse = np.linalg.inv(columns.T @ left + _ABSORBED * np.eye(len(made)))
+        found = -inverse @ (columns.T @ self.rows.residuals)
+        scatter = np.sqrt(np.sum((self.rows.residuals + left @ found) ** 2) / max(self.freedom - len(made), 1.0))
+        sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
+        sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
+        return sizes, deviations
 
     @cached_property
     def pose(self) -> IntArray:
@@ -492,7 +508,7 @@ class PatternWords:
 
     @property
     def other(self) -> str:
-        """Its neighbour."""
+        """Its neighbour, or the joint that a target moves with."""
         return joints_named(self.pattern.detail)
 
     @property

@@ -19,7 +19,7 @@ from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
 from calib.core.judging.effect_kinds import Trait
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.residual_patterns import describe
-from calib.core.judging.rules_noise import impossible, in_words
+from calib.core.judging.rules_noise import LEFT_OUT, impossible, in_words, measured_space
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement
 from calib.core.robots.held import Accuracy, Holds, SeenAt
@@ -314,24 +314,34 @@ def why_no_origins(fit: Fit) -> str:
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:
-    """List patterns in the residuals: those that stay, and those that change in the course of the measurement."""
+    """List patterns in the residuals: those that change in the course of the measurement, misplaced targets, others.
+
+    The claim includes them, but for changes that go on. Where a pattern is more than a healthy robot leaves, or a
+    misplaced target makes most of what is left, the description is wrong, and there is doubt all the same.
+    """
     if impossible(fit):  # parts of what does not fit at all
         return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
+    misplaced = [pattern for pattern in patterns if Trait.MISPLACED in pattern.kind.traits]
+    staying = [pattern for pattern in patterns if pattern not in changing and pattern not in misplaced]
     left = fit.identification.rms("after")
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
-    for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
+    for kinds in (changing, misplaced, staying):
         if kinds:
             worst = max(kinds, key=lambda pattern: pattern.size)
             moved = Trait.MOVED in worst.kind.traits
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
+            advice = "; if something moved, use the rows before or after that, or describe setups" if moved else ""
+            advice = "; correct the target's frame in the description" if kinds is misplaced else advice
+            in_claim = worst.dimension != "length" or worst.size < LEFT_OUT * measured_space(fit)
+            if kinds is not staying:
+                in_claim &= worst.size < AT_END * left and (kinds is misplaced or grows < AFTER * left)
             yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
-                " intervals of parameters do not include it"
-                + ("; if something moved, use the rows before or after that, or describe setups" if moved else ""),
-                answer=Answer.CORRECT if moved else None,
-                counted=kinds is not changing or (worst.size < AT_END * left and grows < AFTER * left),
+                f" intervals of parameters do not include it{advice}",
+                answer=Answer.CORRECT if moved or kinds is misplaced else None,
+                counted=in_claim,
             )
 
 

@@ -1,4 +1,4 @@
-"""Rules of the verdict about single parameters: how far from nominal they are, and how loosely they are known."""
+"""Rules of the verdict about parameters: how far from nominal they are, how loosely known, and what is scaled."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from calib.core.base.remembered import remembered
 from calib.core.base.units import PER_SI
 from calib.core.base.words import joints_named, listed
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.scaled_joints import SCALED as SCALED_JOINT
-from calib.core.fitting.scaled_joints import SURE
+from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
 from calib.core.numerics import linalg
+from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduced_with
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import in_parts
+from calib.core.robots.joint_errors import columns_of_terms, driven_by
 from calib.core.robots.terms.one_coefficient import Gain
+from calib.core.robots.terms.term import Context
+from calib.core.robots.terms.terms import TERMS
 
 PLAUSIBLE = 4.0
 """Expected errors (sigmas) that a parameter may be away from nominal."""
@@ -43,6 +46,9 @@ MANIFOLD = 0.3
 """Scale of lengths beyond which their ratio is told, and not percent."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
+JOINT_SCALED = 0.01
+"""Part by which no joint moves further than its values say: gears, belts and screws are off by a thousandth."""
+_SUREST = 0.2  # of the standard deviations of the surest scale: what bends with it looks like smaller ones of others
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 
@@ -105,22 +111,6 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def joints_scaled(fit: Fit) -> bool:
-    """Whether gains of joints, larger than any gear's, explain most of what the fit leaves: in the linear model."""
-    if fit.computed:
-        return False
-    left, n_measured = _left_of_scales(fit)
-    gained, right = left[:, 1:-1], left[:, -1]
-    size = np.linalg.norm(gained, axis=0)
-    size[size == 0] = 1.0
-    alone, _ = _cost_with(left[:, :0], right, n_measured)
-    geared, _ = _cost_with(gained, right, n_measured)
-    if geared > MOST * alone:
-        return False
-    inverse = np.linalg.pinv(gained / size) / size[:, None]
-    return bool(np.any(np.abs(inverse @ right) > np.maximum(SCALED_JOINT, SURE * np.linalg.norm(inverse, axis=1))))
-
-
 @remembered
 def _left_of_scales(fit: Fit) -> tuple[FloatArray, int]:
     """What `_left_by_parameters` says of one scale of all lengths, and of a gain of each joint."""
@@ -177,27 +167,65 @@ def _cost_with(
     return float(np.sum(squares[:n_measured]) / noise + np.sum(squares[n_measured:])), first
 
 
-def large_terms(fit: Fit) -> Iterator[Reason]:
-    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
-    tried = () if fit.terms is None else fit.terms.tried
-    words = listed([f"{term.term} ({term.size:.0f} times)" for term in tried if term.added and term.size > UNUSUAL])
-    scaled = [name for name in _own_gains(fit) if tried]
-    if words:
-        yield Code.LARGE_TERMS.says(
-            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}"
-            + (f" ({listed(scaled)})" if scaled else "")
-            + "; look for a ratio, unit, mass or load that is wrong in the description or the data",
-            counted=not scaled,
+def joints_scaled(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that move by another factor than their values say, by joint terms or by what the model leaves.
+
+    Joint origins hide most of it: a robot may fit to a tenth of a millimetre although a motor turns three percent too
+    far. What is left still tells the factors of all joints, each beside all others.
+    """
+    if fit.computed:
+        return
+    names, moved = fit.nominal.joint_names, np.ones(len(fit.nominal.joint_names))
+    moved[np.isin(names, unmoved_joints(fit.nominal, fit.identification.data.joints))] = 0.0
+    scales = np.zeros(len(names))
+    left = findings.linear(fit).sizes(moved * gains(findings.setting(fit)))
+    for parts, deviations in (left, _scaled_by_terms(fit)):
+        sure = np.abs(parts) / np.maximum(deviations, EXACT)
+        scales += np.where(sure > max(SCALED_SIGMAS, _SUREST * np.max(sure)), parts, 0.0)
+    scaled = np.flatnonzero(np.abs(scales) > JOINT_SCALED)
+    if len(scaled):
+        factors = [f"{joints_named(names[j])} {1.0 + scales[j]:.4g} times as far" for j in scaled]
+        yield Code.JOINT_SCALED.says(
+            f"joints do not move as far as their values say: {listed(factors)}. No gear is off by more than"
+            f" {100 * JOINT_SCALED:g} %: look at the unit and the range of these columns, and at the gear ratios of the"
+            " controller and of the description"
         )
 
 
-def _own_gains(fit: Fit) -> Iterator[str]:
-    """Say of which joints a fit says that they are on another scale than any gear, belt or screw makes them."""
-    value = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
-    for term in fit.robot.terms:
-        gain = value[term.parameters[0].name] if isinstance(term, Gain) else 0.0
-        if abs(gain) > SCALED_JOINT:
-            yield f"{joints_named(term.joint)} turns {1.0 + gain:.4g} times as far as its values say"
+def _scaled_by_terms(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """By which part each joint moves too far by the terms of its own error, and its standard deviation, (n_actuated,).
+
+    That is the slope of the straight line through its errors at the poses used.
+    """
+    robot, q = fit.robot, fit.identification.data.joints
+    slopes = np.zeros((len(robot.joint_names), len(robot.parameters)))
+    columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
+    start = robot.coefficients.start
+    for term, phi in zip(robot.terms, columns, strict=True):
+        stop = start + len(term.parameters)
+        if term.adds and not term.depends_on:
+            for moved, j in enumerate(driven_by(term, robot.mechanism)):
+                from_middle = q[:, j] - np.mean(q[:, j])
+                slopes[j, start:stop] += from_middle @ phi[:, moved] / max(float(from_middle @ from_middle), EXACT)
+        start = stop
+    of_free = slopes[:, fit.unknowns.index]
+    variances = np.einsum("ij,jk,ik->i", of_free, fit.covariance.values, of_free)
+    return slopes @ robot.values, np.sqrt(np.maximum(variances, 0.0))
+
+
+def large_terms(fit: Fit) -> Iterator[Reason]:
+    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs.
+
+    Gains are for `joints_scaled`.
+    """
+    tried = () if fit.terms is None else fit.terms.tried
+    large = [term for term in tried if term.added and term.size > UNUSUAL and not issubclass(TERMS[term.term], Gain)]
+    words = listed([f"{term.term} ({term.size:.0f} times)" for term in large])
+    if words:
+        yield Code.LARGE_TERMS.says(
+            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
+            " ratio, unit, mass or load that is wrong in the description or the data",
+        )
 
 
 def unlike_fleet(fit: Fit) -> Iterator[Reason]:

@@ -29,7 +29,15 @@ from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake
 from calib.core.fitting.outliers import Outlier, Outliers
-from calib.core.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
+from calib.core.judging import (
+    findings,
+    rules_data,
+    rules_model,
+    rules_noise,
+    rules_parameters,
+    rules_reach,
+    rules_tolerance,
+)
 from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.claim import Benefit, ErrorElsewhere, claim_of
 from calib.core.judging.error_budget import ErrorBudget
@@ -49,6 +57,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.doubtful_readings,
     rules_model.frame_moved,
     rules_parameters.lengths_scaled,
+    rules_parameters.joints_scaled,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
     rules_reach.one_corner,
@@ -78,7 +87,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.leverage,
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
-_IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS}
+_IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
 """Reasons that the likely mistake says already."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
 _MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
@@ -97,10 +106,12 @@ def judge(fit: Fit) -> Verdict:
     needless = Code.NOTHING_TO_CORRECT in codes
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
+    if claim is not None:
+        reasons += rules_tolerance.above_tolerance(fit, claim)
     reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
     nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
     gross = nothing_fits or rules_noise.left_too_much(fit)
-    scaled = rules_parameters.joints_scaled(fit)
+    scaled = Code.JOINT_SCALED in codes
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
     elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
     if elsewhere is not None:
@@ -124,13 +135,14 @@ def judge(fit: Fit) -> Verdict:
 def _contradicted(reasons: Sequence[Reason]) -> set[Code]:
     """What others take back, or say of its cause.
 
-    No gain, where there is harm; patterns in residuals that are as large as the robot; noise as large as it, where it
-    did not move; instruments that disagree, where a column was copied over another.
+    No gain, where there is harm; patterns, and scales of joints, in residuals that are as large as the robot; noise as
+    large as it, where it did not move; instruments that disagree, where a column was copied over another.
     """
     codes = {reason.code for reason in reasons}
     pairs = (
         (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
         (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.JOINT_SCALED),
         (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),
         (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
     )

@@ -24,6 +24,7 @@ from calib.core.base.sections import (
     Component,
     FrameSection,
     PlaceSection,
+    PositiveLength,
     Quantity,
     Section,
     read_yaml,
@@ -106,6 +107,7 @@ class Description(Section):
     frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
+    `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
@@ -143,6 +145,7 @@ class Description(Section):
     priors: bool = True
     prior: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None
+    tolerance: PositiveLength | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
 

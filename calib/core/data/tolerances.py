@@ -1,0 +1,44 @@
+"""The accuracy that a file of measurements asks for, in a comment: `# tolerance: 0.1 mm`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+from calib.core.base.errors import DataError, InputError
+from calib.core.base.units import quantity
+
+_KEY = "tolerance"
+_STATED = re.compile(r"^(\w+)\s*[:=]\s*(.*\S)\s*$")
+_ALIKE = 0.8
+
+
+def stated_tolerance(comments: Iterable[str], path: str) -> float | None:
+    """Return the smallest tolerance that comments state [m]; None where none does.
+
+    Args:
+        comments: Comment lines without their #.
+        path: Their file, for messages.
+
+    Raises:
+        DataError: It is not a positive length with a unit, or its key is misspelled.
+    """
+    found = []
+    for key, text in (match.groups() for match in map(_STATED.match, comments) if match):
+        if not get_close_matches(key.casefold(), [_KEY], cutoff=_ALIKE):
+            continue
+        if key.casefold() != _KEY:
+            raise DataError(f"{path}: comment '{key}: {text}': did you mean '{_KEY}'?")
+        found.append(_length(text, f"{path}: comment '{key}: {text}'"))
+    return min(found, default=None)
+
+
+def _length(text: str, where: str) -> float:
+    try:
+        size = quantity(text, "length", where) if re.search(r"[^\d.eE+-]", text) else 0.0
+    except InputError as error:
+        raise DataError(str(error)) from None
+    if size <= 0:
+        raise DataError(f"{where}: is not a length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out")
+    return size

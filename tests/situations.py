@@ -558,15 +558,37 @@ def _(shop):
 
 @situation(Code.LARGE_TERMS)
 def _(shop):
-    """Joint 2 turns 30 times as much too far as is usual, or twice; the size told is that of all six joints."""
+    """Joint 2 is off by a wave of 60 or of 2 times what is usual; the size told is that of four waves of six joints."""
+    fits = tried_terms("harmonics", "joint_2.sin2", 60.0, 2.0)
+    return Situation(*fits, r"harmonics \((\d+) times\)", (60.0 / np.sqrt(24),), 0.1)
+
+
+@situation(Code.JOINT_SCALED)
+def _(shop):
+    """Joint 2 turns 3 % too far, 30 times as much as is usual, or 2 per mille."""
+    return Situation(*tried_terms("gain", "joint_2.gain", 30.0, 2.0), r"joint_2 ([\d.]+) times as far", (1.03,), 1e-3)
+
+
+def tried_terms(term, name, *sizes):
+    """Fits of the example arm whose joint 2 has a term of so many times its usual size."""
     robot, fits = calib.load(EXAMPLES / "arm.yaml"), []
-    with_gain = robot.with_terms(listed_terms("joint_2=gain"))
-    usual, q = with_gain.parameters[-1].sigma_si, np.random.default_rng(19).uniform(-1.5, 1.5, (40, 6))
-    for times in (30.0, 2.0):
-        true, rng = with_gain.with_parameters({"joint_2.gain": times * usual}), np.random.default_rng(20)
-        points = true.positions(q) + 2e-5 * rng.standard_normal((40, 1, 3))
+    real = robot.with_terms(listed_terms(f"joint_2={term}"))
+    usual, q = real.parameters[name].sigma_si, np.random.default_rng(19).uniform(-1.5, 1.5, (60, 6))
+    for times in sizes:
+        true, rng = real.with_parameters({name: times * usual}), np.random.default_rng(20)
+        points = true.positions(q) + 2e-5 * rng.standard_normal((60, 1, 3))
         fits.append(calib.fit(robot, measurements(robot, q, points), terms="auto"))
-    return Situation(*fits, r"gain \((\d+) times\)", (30.0 / np.sqrt(6),), 0.2)
+    return fits
+
+
+@situation(Code.TOLERANCE)
+def _(shop):
+    fits = []
+    for tolerance in (0.05, 0.5):
+        robot = shop.robot(f"{NO_PRIORS}{YAML}{FREE}tolerance: {tolerance} mm\n")
+        fits.append(calib.fit(robot, shop.used))
+    limit, says = fits[0].verdict.claim.told.limit95, r"the claim is ([\d.]+) mm .* the tolerance of ([\d.]+) mm"
+    return Situation(*fits, says, (1e3 * limit, 0.05))
 
 
 @situation(Code.UNLIKE_FLEET)

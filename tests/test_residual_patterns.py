@@ -339,6 +339,8 @@ def test_every_kind_says_its_own_sentence():
         Kind.GROWTH: "lengths that change in the course of the measurement, as if robot or instrument warmed up"
         " (0.02 mm RMS)",
         Kind.SLIP: "slide, target turn sits 0.3 mm elsewhere on its link (0.02 mm RMS)",
+        Kind.LINK: "target turn moves with joint slide, as if it sat on the link behind it, 0.3 mm from where the model"
+        " has it (0.02 mm RMS)",
         Kind.JOINT: "an error that follows joint turn (0.02 mm RMS)",
         Kind.COUPLING: "joint turn is off by +0.3 mrad for each m of joint slide (0.02 mm RMS)",
         Kind.WAVE: "an error of joint turn with slide, amplitude 0.017 deg (0.02 mm RMS)",

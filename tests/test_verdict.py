@@ -339,6 +339,9 @@ def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
     assert "on poses left out in turn RMS" in text
 
 
+STATED = (10 * SIGMA, SIGMA)
+
+
 def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_than_stated(arm, truth):
     """The joints sag with their angle, which the model leaves out: unused poses get better by a quarter or so."""
 
@@ -346,10 +349,15 @@ def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_
         sagged = q + 3e-3 * np.sin(3 * q)
         return measurements(arm, q, noisy(truth, sagged, SIGMA, seed).points(arm))
 
-    fit = calib.fit(arm, measured(joints(80), 1), sigma=SIGMA, validation=measured(joints(30, 5), 2))
-    rms = [fit.validation.table()[state]["rms"] for state in ("after", "before")]
+    fits = [calib.fit(arm, measured(joints(80), 1), sigma=s, validation=measured(joints(30, 5), 2)) for s in STATED]
+    rms = [fits[0].validation.table()[state]["rms"] for state in ("after", "before")]
     assert 0.5 < rms[0] / rms[1] < 0.9
-    assert "poses that were not used get better by more than chance explains" in remark(fit, "noise").text
+    words = "poses that were not used get better by more than chance explains"
+    assert words in remark(fits[0], "noise").text
+    beyond = reason(fits[1], "noise")  # more than 20 times what was stated
+    assert (beyond.grade, beyond.counted, fits[1].verdict.claim.holds) == ("CHECK", False, True)
+    assert words in beyond.text
+    assert "look at the targets' links" in beyond.text
 
 
 def test_more_noise_than_stated_of_a_robot_that_needs_no_correction_is_told(arm):

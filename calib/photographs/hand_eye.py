@@ -12,7 +12,7 @@ from calib.photographs.estimation import HandEyeEstimate
 from calib.photographs.images_off import OffImage, OffPoint
 from calib.photographs.left_out import LeftOut, rms
 from calib.photographs.mistakes import Mistake
-from calib.photographs.scene import Scene, on_board, residuals
+from calib.photographs.scene import Scene, in_camera, on_board, residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +61,11 @@ class HandEye(ReadOnlyArrays):
     def by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square of errors (m, 2) of each image, (n,)."""
         return np.sqrt(self.scene.sums(np.sum(errors**2, axis=1)) / self.scene.counts)
+
+    @property
+    def distance(self) -> float:
+        """Mean distance from the camera to the points that it saw [m]."""
+        return float(np.mean(np.linalg.norm(in_camera(self.scene, self.fitted.placed)[0], axis=1)))
 
     @property
     def limit(self) -> float:

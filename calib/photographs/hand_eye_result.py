@@ -20,6 +20,10 @@ _FEW = 10  # images below which a result is one to look at
 _MANY = 0.1  # part of the points left out, above which something is wrong with the photographs
 _ROBOT_SHARE = 0.5
 _MM = 1e3
+_WIDE = 0.05
+"""Half width of a 95 % interval of camera or board, over the distance between them, or in radians, from which nobody
+knows where it is: a turn by so much moves what the camera sees by as much as such a shift. Good photographs give
+less than a third of that."""
 _CLAIM_ABOVE = 0.5  # images left out over those used: where they differ more, the images are too few
 
 
@@ -77,6 +81,14 @@ def judge(result: HandEye) -> Judgement:
         advice.append(f"bring the board into more of the image (it was seen in {100 * covered:.0f} %)")
         if result.lens_found:
             reasons.append(f"the lens was found from {100 * covered:.0f} % of the image")
+    for name, (shift, turn) in result.uncertainty().items():
+        if not max(shift / result.distance, turn) < _WIDE:
+            reasons.append(
+                f"the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg (95 %), where"
+                f" camera and board are {_MM * result.distance:.0f} mm apart: only what the camera will see at poses"
+                " like these is known"
+            )
+            advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
     used, left = rms(result.board), rms(result.left.board)
     if not left * _CLAIM_ABOVE < used:
         reasons.append(
@@ -86,7 +98,7 @@ def judge(result: HandEye) -> Judgement:
     grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
     if grade == "PASS" and not advice:
         advice.append("no more photographs are needed for poses like these; for work elsewhere, take some there")
-    return Judgement(grade, tuple(failed + reasons), tuple(advice))
+    return Judgement(grade, tuple(failed + reasons), tuple(dict.fromkeys(advice)))
 
 
 def transform(pose: FloatArray) -> dict[str, float]:

@@ -330,3 +330,17 @@ def test_so_many_corners_off_are_a_reason_to_look():
     assert len(result.points_off) >= len(chosen) - 2
     assert judge(result).grade == "CHECK"
     assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)
+
+
+def test_a_place_that_is_known_to_a_twentieth_of_the_distance_is_no_pass():
+    """The same photographs, with a covariance as of poses that say little."""
+    good = calibrate(scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4), INTRINSICS, mounts=("tool",))
+    assert judge(good).grade == "PASS"
+    shift, turn = good.uncertainty()["camera"]
+    assert max(shift / good.distance, turn) < 0.01
+    for times, grade in ((0.045, "PASS"), (0.055, "CHECK")):
+        wider = (times / max(max(part[0] / good.distance, part[1]) for part in good.uncertainty().values())) ** 2
+        wide = replace(good, fitted=replace(good.fitted, covariance=wider * good.fitted.covariance))
+        assert judge(wide).grade == grade
+    assert any("is known to only" in reason for reason in judge(wide).reasons)
+    assert 0.4 < good.distance < 0.7  # where the set-up has the board

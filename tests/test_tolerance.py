@@ -1,0 +1,55 @@
+"""A tolerance that a description or a file of measurements states takes part in the grade."""
+
+import shutil
+
+import pytest
+from public_data import EXAMPLES
+
+from calib.core.base.errors import DataError
+from calib.core.data.tolerances import stated_tolerance
+
+
+def test_the_smallest_tolerance_of_the_comments_counts():
+    comments = ("written by a tracker", "Tolerance: 0.2 mm", "tolerance = 50 um", "columns: 0.1 mm")
+    assert stated_tolerance(comments, "a.csv") == pytest.approx(5e-5)
+    assert stated_tolerance(("no tolerance here: 0.1 mm",), "a.csv") is None
+
+
+@pytest.mark.parametrize(
+    ("comment", "says"),
+    [
+        ("tolerance: 0.1", "is not a length with a unit; write '# tolerance: 0.1 mm'"),
+        ("tolerance: -1 mm", "is not a length with a unit"),
+        ("tolerance: 1 deg", "unit 'deg' is for an angle"),
+        ("tolerance: fine", "is not a finite number with a unit"),
+        ("tolerence: 0.1 mm", "did you mean 'tolerance'"),
+    ],
+)
+def test_a_tolerance_that_is_not_understood_is_an_error(comment, says):
+    with pytest.raises(DataError, match=f"a.csv: comment '{comment}'.*{says}"):
+        stated_tolerance((comment,), "a.csv")
+
+
+def test_a_claim_above_the_tolerance_of_file_or_description_is_no_pass(run_calib, tmp_path):
+    for end in ("urdf", "yaml"):
+        shutil.copy(EXAMPLES / f"arm.{end}", tmp_path)
+    measured = (EXAMPLES / "arm_simulated.csv").read_text()
+    for name, comment in (("wide", "# tolerance: 0.2 mm\n"), ("narrow", "# tolerance: 0.05 mm\n"), ("free", "")):
+        (tmp_path / f"{name}.csv").write_text(comment + measured)
+    text = (tmp_path / "arm.yaml").read_text()
+    (tmp_path / "strict.yaml").write_text(text + "tolerance: 0.06 mm\n")
+
+    def verdict(robot, data):
+        run = run_calib("fit", robot, data, "--no-pages", "--out", f"{robot}_{data}".replace(".", "_"), cwd=tmp_path)
+        assert run.code == 0, run.err
+        return run.out
+
+    assert "Verdict: PASS" in verdict("arm.yaml", "free.csv")
+    assert "Verdict: PASS" in verdict("arm.yaml", "wide.csv")
+    for robot, data, words in (
+        ("arm.yaml", "narrow.csv", "CHECK: the claim is 0.0853 mm (95 % of the time), above the tolerance of 0.05 mm"),
+        ("strict.yaml", "wide.csv", "above the tolerance of 0.06 mm"),
+    ):
+        said = " ".join(verdict(robot, data).split())
+        assert "Verdict: CHECK" in said
+        assert words in said

@@ -387,7 +387,7 @@ def _moved_target(setting: EffectSetting, target: str, joint: int | None = None)
         joint: The joint before the link that it moves with instead; None: its own.
     """
     robot, all_readings = setting.robot, setting.data.readings
-    result = {
+    result: dict[str, FloatArray] = {
         name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
     }
     for name, seen, rows in _seen_targets(setting):

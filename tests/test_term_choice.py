@@ -146,7 +146,7 @@ def test_what_is_there_is_added_and_nothing_else():
 
 
 @pytest.mark.parametrize(("times", "said"), [(2.0, False), (30.0, True)])
-def test_a_term_far_larger_than_is_usual_is_a_reason_to_look(times, said):
+def test_a_gain_beyond_a_hundredth_is_a_reason_to_look(times, said):
     robot = example_arm(None)
     usual = robot.with_terms(listed_terms("joint_2=gain")).parameters[-1].sigma_si
     true = robot.with_terms(listed_terms("joint_2=gain")).with_parameters({"joint_2.gain": times * usual})
@@ -154,11 +154,12 @@ def test_a_term_far_larger_than_is_usual_is_a_reason_to_look(times, said):
     fit = calib.fit(robot, _measured(robot, true, q, np.random.default_rng(20)), terms="auto")
     assert added(fit) == {"gain"}
     gain = next(trial for trial in fit.terms.tried if trial.term == "gain")
-    results = [reason.text for reason in fit.verdict.reasons if reason.code == "large_terms"]
+    results = [reason.text for reason in fit.verdict.reasons if reason.code == "joint_scaled"]
     assert len(results) == said
     if said:  # the size is that of all six joints, of which one is off
         assert gain.size == pytest.approx(times / np.sqrt(6), rel=0.2)
-        assert f"gain ({gain.size:.0f} times)" in results[0]
+        assert "joint_2 1.03 times as far" in results[0]
+        assert fit.verdict.grade == "CHECK"
 
 
 def test_which_joint_drives_which_is_found():

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,8 +36,9 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import terms_text
 from calib.pictures import Plots
-from calib.studies.study import study
-from calib.studies.study_result import Study
+
+if TYPE_CHECKING:
+    from calib.studies.study_result import Study
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,6 +147,8 @@ class Calibration(JudgedFit, CalibratedRobot):
             InputError: The number of draws is not valid.
             CalibrationError: What `calib.study` raises.
         """
+        from calib.studies.study import study  # here: who only fits needs no studies
+
         return study(
             self.nominal,
             self.identification.data,

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from calib.core.fitting.fitted import Fit
     from calib.core.results.comparison_report import ResultComparison
     from calib.core.robots.robot import Robot
-    from calib.fleets.fleet import Fleet
-    from calib.planning.progress import Progress
 
 GROUP = "calib.pictures"
 
@@ -54,7 +52,7 @@ class Live(Protocol):
     def url(self) -> str:
         """Address to open."""
 
-    def show(self, told: Progress) -> None:
+    def show(self, told: Any) -> None:
         """Show what is known after the poses measured so far."""
 
     def close(self) -> None:
@@ -74,7 +72,7 @@ class Pictures(Protocol):
     def comparison(self, result_comparison: ResultComparison) -> bytes:
         """Return the page of results side by side."""
 
-    def fleet(self, learned: Fleet) -> bytes:
+    def fleet(self, learned: Any) -> bytes:
         """Return the page of a fleet."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
@@ -126,7 +124,7 @@ def comparison(result_comparison: ResultComparison) -> bytes:
     return _installed("--html")[0].comparison(result_comparison)
 
 
-def fleet(learned: Fleet) -> bytes:
+def fleet(learned: object) -> bytes:
     """Return the page of robots of one model side by side.
 
     Raises:

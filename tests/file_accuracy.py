@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from test_denavit_hartenberg import flange_poses
 
 import calib
+from calib.core.robots.file_formats import formats
 from calib.core.robots.held import Holds
 from calib.core.robots.robot_files import urdf_of_origins, without_terms
-from calib.exporting.held_formats import HELD
 
 ENDINGS = {
     "urdf": ".urdf",
@@ -108,7 +108,7 @@ def files_of(robot, train, test, folder):
     errors |= {"fit of origins alone": alone.validation.rms("after"), "whole model": fit.validation.rms("after")}
     whole = urdf_of_origins(without_terms(fit.robot, Holds.ORIGINS))
     errors["its origins, terms dropped"] = held_out(tip_of(urdf_links(whole), robot), robot, *points)
-    for name in (name for name, holds in HELD.items() if holds is not Holds.EVERYTHING):
+    for name in (name for name, each in formats().items() if each.holds is not Holds.EVERYTHING):
         path = folder / f"{name}{ENDINGS.get(name, '.csv')}"
         try:
             calib.export(loaded, path, name)

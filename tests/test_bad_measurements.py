@@ -9,8 +9,9 @@ from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 from small_robots import write_arm
 
 import calib
+from calib.core.robots.file_formats import formats
 from calib.exporting.formats import JOINT_TABLES
-from calib.exporting.held_formats import FIRMWARES, HELD
+from calib.printers import COMMENTS as FIRMWARES
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -174,7 +175,7 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     assert run.code == 0
     assert result["verdict"]["forced"] is True
     assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
-    for file_format in (item for item in HELD if item not in ("ur-kinematics", JOINT_TABLES, *FIRMWARES)):
+    for file_format in (item for item in formats() if item not in ("ur-kinematics", JOINT_TABLES, *FIRMWARES)):
         target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
         run = run_calib(
             "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target

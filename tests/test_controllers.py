@@ -17,9 +17,9 @@ from test_denavit_hartenberg import flange_poses
 from urdf_trees import urdf_of
 
 import calib
+from calib.core.robots.file_formats import formats
 from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
-from calib.exporting.held_formats import HELD
 from medrue.paper_tables import table1
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -164,7 +164,7 @@ def test_the_page_has_a_row_for_every_format() -> None:
     page = (ROOT / "docs" / "howto" / "controllers.md").read_text()
     section = page.partition("## What each format holds")[2].partition("\n## ")[0]
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `") and "`--format`" not in line]
-    assert sorted(name for row in rows for name in re.findall("`([^`]+)`", row)) == sorted(HELD)
+    assert sorted(name for row in rows for name in re.findall("`([^`]+)`", row)) == sorted(formats())
 
 
 def read_offsets(content: bytes) -> dict[str, tuple[float, float]]:

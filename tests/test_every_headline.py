@@ -12,8 +12,8 @@ import scipy
 from headline_situations import Commands, derivative, joints, measured, on_one_line, value
 
 import calib
-from calib.core.commands.next_steps import after_check
 from calib.core.data.in_memory import as_poses
+from calib.planning.next_steps import after_check
 
 ROOM = Path(calib.__file__).parent
 ALWAYS = {

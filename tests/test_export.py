@@ -16,12 +16,13 @@ from signed_files import plain, read_plain
 import calib
 from calib.core.base.errors import InputError
 from calib.core.results.urdf import urdf_bytes
+from calib.core.robots.file_formats import formats
 from calib.core.robots.urdf.text import parse_urdf
 from calib.exporting.closed_model import closed_model, home_values, link_poses
 from calib.exporting.command import command
 from calib.exporting.formats import JOINT_TABLES, export
-from calib.exporting.held_formats import FIRMWARES, HELD
 from calib.exporting.mjcf import mjcf
+from calib.printers import COMMENTS as FIRMWARES
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -209,7 +210,7 @@ def test_link_poses_of_the_text_are_those_of_the_engine(calibrated: calib.Robot)
 
 def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path: Path) -> None:
     before = calibrated.positions(calibrated.home)
-    for file_format in (item for item in HELD if item not in (*NOT_OURS, JOINT_TABLES)):
+    for file_format in (item for item in formats() if item not in (*NOT_OURS, JOINT_TABLES)):
         export(calibrated, tmp_path / f"out.{file_format}", file_format)
     assert np.array_equal(calibrated.positions(calibrated.home), before)
 
@@ -218,7 +219,7 @@ def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path:
 
 
 def test_command_writes_every_format(tmp_path: Path) -> None:
-    for file_format in (item for item in HELD if item not in (*NOT_OURS, JOINT_TABLES)):
+    for file_format in (item for item in formats() if item not in (*NOT_OURS, JOINT_TABLES)):
         result = run(ROBOT, "--format", file_format, "--out", tmp_path / f"{file_format}.yaml")
         assert result.exit_code == 0, result.output
         assert (tmp_path / f"{file_format}.yaml").stat().st_size > 500

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.commands.next_steps import after_check, after_fit, after_select
+from calib.core.commands.next_steps import after_fit
 from calib.core.judging.reasons import Answer, Code, Verdict
+from calib.planning.next_steps import after_check, after_select
 
 SMALLER_NOISE = Code.NOISE.says("", answer=Answer.STATE_NOISE)
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -21,10 +21,10 @@ from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
 from calib.core.robots.description import schema_text
+from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.held import Holds
 from calib.core.robots.terms.term import Context, JointTerm
 from calib.core.robots.terms.terms import TERMS, listed_terms
-from calib.exporting.held_formats import formats_that_hold
 from viz.scene import other_errors
 
 ROOT = Path(__file__).parents[1]

@@ -18,11 +18,11 @@ from calib.core.commands.common import (
     with_values,
 )
 from calib.core.results.result_reading import read_result
+from calib.core.robots.file_formats import formats
 from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.text import UrdfText
-from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export, format_of
+from calib.exporting.formats import JOINT_TABLES, export, format_of
 from calib.exporting.functions.languages import LANGUAGES
-from calib.exporting.held_formats import HELD
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 
@@ -33,7 +33,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(tuple(HELD)),
+    type=click.Choice(tuple(formats())),
     help="By the ending of FILE (.urdf, .xml, .xacro, .c) if not given. urdf: only edited origins change. mjcf:"
     " MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
@@ -101,7 +101,7 @@ def command(
     )
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:
-        if file_format in CONTROLLERS:
+        if formats()[file_format].write:
             output.say(text)
         else:
             output.note(f"note: {text}")

@@ -21,10 +21,10 @@ from calib.core.base.words import listed
 from calib.core.data.dh_files import format_dh
 from calib.core.data.table_writing import format_table
 from calib.core.results.urdf import comment, numbers, provenance_lines, source_lines
+from calib.core.robots.file_formats import FormatFile, compared
 from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
-from calib.exporting.held_formats import compared
 from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
@@ -43,17 +43,9 @@ _FITTED = 0.25  # part of the poses that judge: offsets need no more
 
 
 @dataclass(frozen=True)
-class ControllerFile:
-    """A file for a controller.
+class ControllerFile(FormatFile):
+    """A file for a controller, with what it leaves."""
 
-    Attributes:
-        content: Its bytes.
-        statement: What it holds, and what it leaves.
-        left: What it leaves; None where nothing was compared.
-    """
-
-    content: bytes
-    statement: str
     left: Remainder | None
 
 

@@ -3,40 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.files import check_file, check_folder, write_files, write_folder
 from calib.core.base.other_words import worded
 from calib.core.results.urdf import urdf_bytes, with_mesh_prefix
+from calib.core.robots.file_formats import formats, held_of, loses, robot_for, said_of
+from calib.core.robots.held import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import closed_model
-from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
-from calib.exporting.functions.languages import COMMENTS, LANGUAGES, function_file
+from calib.exporting.functions.languages import LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
-from calib.exporting.held_formats import FIRMWARES, HELD, held_of, loses, robot_for, said_of
 from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
-from calib.printers.formats import PRINTER_COMMENTS, printer_lines
 
-
-def _printer(firmware: str, robot: Robot, lines: Sequence[str]) -> ControllerFile:
-    return printer_lines(robot, firmware, lines)
-
-
-CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
-    "dh": lambda robot, lines: dh_file(robot, "standard", lines),
-    "mdh": lambda robot, lines: dh_file(robot, "modified", lines),
-    "ur-kinematics": ur_kinematics,
-    "joint-offsets": joint_offsets,
-    "xacro": xacro_origins,
-    **{name: partial(_printer, name) for name in FIRMWARES},
-}
-"""Formats for controllers and ROS, of which each says what it holds and which error it leaves."""
 _WITH_URDF = ("urdf", "drake", "toolbox")
 _UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is something to say
 JOINT_TABLES = "joint-tables"
@@ -48,7 +32,7 @@ def format_of(path: Path | str) -> str:
     """Return the format that the ending of a file's name means; an `InputError` where it means several, or none."""
     ending = Path(path).suffix.lower()
     if ending not in _ENDINGS:
-        raise InputError(f"{path}: its ending does not say the format; give it ({', '.join(HELD)})")
+        raise InputError(f"{path}: its ending does not say the format; give it ({', '.join(formats())})")
     return _ENDINGS[ending]
 
 
@@ -77,7 +61,7 @@ def export(
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error, with
             the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
-            `duet`: lines to paste into the settings of a delta printer (see `calib.printers.formats`). `numpy`, `c`,
+            `duet`: lines to paste into the settings of a delta printer. `numpy`, `c`,
             `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
@@ -102,8 +86,9 @@ def export(
     """
     robot = as_robot(robot)
     format, path = format or format_of(path), Path(path)
-    if format not in HELD:
-        raise InputError(f"format '{format}': unknown{nearest(format, HELD)}; the path comes before the format")
+    known = formats()
+    if format not in known:
+        raise InputError(f"format '{format}': unknown{nearest(format, known)}; the path comes before the format")
     if free_slide and format not in ("mjcf", "drake"):
         raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
     if meshes and format not in _WITH_URDF:
@@ -129,8 +114,8 @@ def export(
     files = _contents(held, format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, comment={**COMMENTS, **PRINTER_COMMENTS}.get(format, ""), inputs=sources, force=force)
-    return () if free_slide or format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
+    write_files(files, comment=known[format].comment, inputs=sources, force=force)
+    return () if free_slide or known[format].write or format in LANGUAGES else loop_gaps(held)
 
 
 def _write_tables(
@@ -138,10 +123,10 @@ def _write_tables(
 ) -> None:
     check_folder(path, force=force)
     require_own_terms(robot)
-    held, said = robot_for(robot, JOINT_TABLES, force=force), said_of(robot, HELD[JOINT_TABLES])
+    held, said = robot_for(robot, JOINT_TABLES, force=force), said_of(robot, Holds.TABLES)
     left = beside_tables(robot)
     files = joint_table_files(held, [*said, *left, *provenance])
-    for line in [*(said if loses(robot, HELD[JOINT_TABLES]) else ()), *left]:
+    for line in [*(said if loses(robot, Holds.TABLES) else ()), *left]:
         note(line)
     write_folder(path, files, inputs=(robot.urdf.path, robot.path), force=force)
 
@@ -158,8 +143,8 @@ def _contents(
 ) -> dict[Path, bytes]:
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
-    if file_format in CONTROLLERS:
-        made = CONTROLLERS[file_format](robot, provenance or ())
+    if write := formats()[file_format].write:
+        made = write(robot, provenance or ())
         note(made.statement)
         return {path: made.content}
     if file_format in LANGUAGES:

@@ -11,13 +11,10 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
+from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
-from calib.exporting.controllers import ControllerFile
-from calib.exporting.held_formats import FIRMWARES
+from calib.printers import COMMENTS
 from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, is_linear_delta
-
-PRINTER_COMMENTS = {"klipper": "#", "marlin": ";", "duet": ";"}
-"""How comments begin."""
 
 
 def geometry_of(robot: Robot) -> DeltaGeometry:
@@ -28,7 +25,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     """
     if not is_linear_delta(robot.description):
         raise InputError(
-            f"{robot.path}: is not a delta printer; formats {', '.join(FIRMWARES)} hold robots of the parametrisation"
+            f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} hold robots of the parametrisation"
             " linear_delta, such as calib init --klipper writes"
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
@@ -41,12 +38,12 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     )
 
 
-def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> ControllerFile:
+def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> FormatFile:
     """Return the lines to paste into a firmware's settings.
 
     Args:
         robot: The robot.
-        firmware: Of `FIRMWARES`.
+        firmware: Of `COMMENTS`.
         provenance: Lines for the comment.
 
     Raises:
@@ -54,9 +51,9 @@ def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -
     """
     geometry = geometry_of(robot)
     body, statement = {"klipper": _klipper, "marlin": _marlin, "duet": _duet}[firmware](geometry)
-    mark = PRINTER_COMMENTS[firmware]
+    mark = COMMENTS[firmware]
     head = [f"{mark} calib: {statement}", *(f"{mark} {line}" for line in provenance)]
-    return ControllerFile(("\n".join([*head, *body]) + "\n").encode(), statement, None)
+    return FormatFile(("\n".join([*head, *body]) + "\n").encode(), statement)
 
 
 def _mm(value: float) -> str:

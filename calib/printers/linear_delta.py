@@ -34,7 +34,7 @@ from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.robots.description import Description
-from calib.core.robots.parameters import Origin, twist_of_edit
+from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
 from calib.core.robots.urdf.text import robot_text
 
@@ -116,6 +116,13 @@ def around(angle_c: float) -> tuple[float, float, float]:
 
 class LinearDelta:
     """The parametrisation; see the module docstring."""
+
+    result_use = ResultUse(
+        "write the lines for the printer's settings (or --format marlin, duet)",
+        "calib export DIR --format klipper --out settings.cfg",
+        "the firmware of a delta printer holds the result itself: calib export --format klipper, marlin or duet;"
+        " after that its programs need no change",
+    )
 
     def __init__(self, origins: Mapping[str, Origin]) -> None:
         needed = [f"{part}_{tower}{end}" for tower in TOWERS for part, end in (("tower", ""), ("arm", "_end"))]

@@ -1,7 +1,8 @@
 """The rooms of the core, the capabilities beside them, and the picture of both. A test holds them against the imports.
 
 A module of the core imports, also inside functions and for type checkers, only from its own room and from rooms of
-lower floors; a capability, from the core. No modules import each other in a circle.
+lower floors; a capability, from the core. What capabilities bring to the core stands in `calib/capabilities.py`, by
+name. No modules import each other in a circle.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT = ("calibration", "pictures")
-"""Files beside the rooms, on the top floor of the core: what users hold, and who draws."""
-PROGRAM = "cli"
-"""The program, above all: it names the commands of core and capabilities."""
+FRONT = ("calibration", "capabilities", "cli")
+"""Files above core and capabilities: what users hold, what capabilities bring, and the program."""
+BESIDE = ("pictures",)
+"""A file of the core on the top floor: who draws."""
 
 _INCHES = 0.08
 """Height of a unit of the picture, in which a line of text is 1.7 high [inch]."""
@@ -46,7 +47,7 @@ class Room:
         return tuple(
             path.stem
             for module, path in modules().items()
-            if path.stem != "__init__" and module not in FRONT and module != PROGRAM and room_of(module) is self
+            if path.stem != "__init__" and module not in (*FRONT, *BESIDE) and room_of(module) is self
         )
 
 
@@ -75,33 +76,6 @@ CAPABILITIES = (
     Room("Printers", None, ("printers",)),
 )
 ROOMS = (*CORE, *CAPABILITIES)
-DOORS_TO_COME = {
-    ("calibration", "studies.study"),
-    ("calibration", "studies.study_result"),
-    ("core.calibrating.calibrate", "fleets.contradicted"),
-    ("core.commands.init", "photographs.camera_files"),
-    ("core.commands.init", "photographs.commands.boards"),
-    ("core.commands.init", "printers.files"),
-    ("core.commands.init", "printers.linear_delta"),
-    ("core.commands.init", "printers.rows"),
-    ("core.commands.next_steps", "planning.assessment"),
-    ("core.commands.simulate", "photographs.opencv"),
-    ("core.commands.simulate", "photographs.rendering"),
-    ("core.judging.next_step", "printers.linear_delta"),
-    ("core.results.loaded_result", "exporting.formats"),
-    ("core.results.results", "exporting.held_formats"),
-    ("core.results.sections.files_held", "exporting.controllers"),
-    ("core.results.sections.files_held", "exporting.held_formats"),
-    ("core.robots.parametrisation", "printers.linear_delta"),
-    ("pictures", "fleets.fleet"),
-    ("pictures", "planning.progress"),
-    ("exporting.formats", "printers.formats"),
-    ("exporting.held_formats", "printers.linear_delta"),
-    ("printers.formats", "exporting.controllers"),
-    ("printers.formats", "exporting.held_formats"),
-    ("programs.languages.straight_moves", "printers.linear_delta"),
-}
-"""Imports of capabilities by the core, and by each other, that a registration is to replace."""
 
 
 @functools.cache
@@ -122,7 +96,7 @@ def room_of(module: str) -> Room:
     Raises:
         KeyError: Its folder is not a room yet.
     """
-    parts = ["core", "commands"] if module in (*FRONT, PROGRAM) else module.split(".")
+    parts = ["core", "commands"] if module in (*FRONT, *BESIDE) else module.split(".")
     for n in range(len(parts), 0, -1):
         for room in ROOMS:
             if ".".join(parts[:n]) in room.folders:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from typing import Any, Generic, TypeVar
@@ -21,8 +22,11 @@ from calib.core.base.sections import Section
 Class = TypeVar("Class")
 
 
+_CAPABILITIES = "calib.capabilities"  # by name: the core imports no capability
+
+
 def installed(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group, in the order of their names.
+    """Return the entry points of a group: those of the capabilities, then those of other packages by their names.
 
     All installed packages are looked through, once for each search path of modules: that takes longer than many fits.
     """
@@ -31,7 +35,17 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 @lru_cache(maxsize=32)
 def _installed(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    return tuple(sorted(entry_points(group=group), key=lambda entry: entry.name))
+    own = [entry for entry in import_module(_CAPABILITIES).BROUGHT if entry.group == group]
+    return (*own, *sorted(entry_points(group=group), key=lambda entry: entry.name))
+
+
+def brought(group: str, name: str) -> Any:
+    """Return what is installed under a name of a group.
+
+    Raises:
+        KeyError: Nothing is.
+    """
+    return {entry.name: entry for entry in reversed(installed(group))}[name].load()
 
 
 class Registry(Mapping[str, type[Class]], Generic[Class]):

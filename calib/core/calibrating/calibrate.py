@@ -1,7 +1,7 @@
 """Calibration: a fit, judged, and fitted again where the judgement asks for it.
 
 Order of work: (1) joint terms, if asked for: those that earn their place (`calib.core.fitting.terms.term_choice`); what
-a fleet says is left out where the readings contradict it (`calib.fleets.contradicted`); (2) the fit
+a section of the description says, such as that on a fleet, is left out where the readings contradict it; (2) the fit
 (`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again,
 if asked for; (4) poses left out in turn for cross-validation, if asked for; also where noise is so far above its
 statement that nothing else can prove the result.
@@ -24,6 +24,7 @@ from functools import partial
 import numpy as np
 
 from calib.core.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
+from calib.core.base.registry import installed
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress, Steps, Workers
 from calib.core.data.measurements import Measurements
@@ -96,11 +97,9 @@ def _calibrated(
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
         robot, choice, minimum, nearby = _with_terms(robot, data, settings, steps)
-        if robot.description.fleet is not None:
-            # here: most robots have no fleet
-            from calib.fleets.contradicted import without_contradicted_fleet
-
-            robot = without_contradicted_fleet(robot, data, settings, robot.description.fleet)
+        for entry in installed("calib.contradicted"):  # loaded only for a robot that has such a section
+            if (section := getattr(robot.description, entry.name)) is not None:
+                robot = entry.load()(robot, data, settings, section)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
             minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
         else:  # what was found without further terms is the minimum

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
 
-from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.next_step import next_step
 from calib.core.judging.verdict import judge
-
-if TYPE_CHECKING:
-    from calib.planning.assessment import Assessment
 
 _MEANINGS = {
     "PASS": ("green", "this fit can be used at poses like those measured"),
@@ -23,9 +18,8 @@ _MEANINGS = {
     "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
 }
 _NOT_AGAIN = ("--out", "--json", "--force", "--quiet", "--verbose", "--debug")
-_NOISE = ("--sigma-mm",)
-_POSES = ("--sigma-mm", "--parameters", "--result", "--task")
-"""Options that mean the same in all commands: of those that know a noise, and of those that weigh poses."""
+NOISE = ("--sigma-mm",)
+"""Options that mean the same in all commands that know a noise."""
 
 
 def typed_options() -> dict[str, tuple[str, ...]]:
@@ -44,8 +38,8 @@ def typed_options() -> dict[str, tuple[str, ...]]:
     return typed
 
 
-def _some(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[str]:
-    """The words of those of these options that were typed."""
+def words_of(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[str]:
+    """Return the words of those of these options that were typed."""
     return [word for name in names if name in typed for word in (name, *typed[name])]
 
 
@@ -64,48 +58,9 @@ def after_fit(
     """
     grade, step = judge(fit).grade, next_step(fit)
     colour, meaning = _MEANINGS[grade]
-    noise = {name: typed[name] for name in _NOISE if name in typed}
+    noise = {name: typed[name] for name in NOISE if name in typed}
     kept = {"fit": typed, "check": noise}.get(step.command.split()[1], {})
     words = step.typed(robot, data, out, kept)
     if step.needs_folder and not written:
         words = f"fit again with --out {shlex.quote(out)}, then {words}"
     return f"{click.style(grade, fg=colour, bold=True)}: {meaning}\nNext: {words}"
-
-
-def after_check(
-    assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
-) -> str:
-    """Return what to do about what poses determine.
-
-    Args:
-        assessment: What they determine.
-        robot: ROBOT, as it was typed.
-        poses: What was looked at.
-        data: DATA, likewise; nothing where poses were sampled.
-        typed: Options, as `typed_options` has them.
-    """
-    if not data:
-        words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
-        return f"Next: write poses to choose from: {shlex.join(words)}"
-    if assessment.determination.missing:
-        hold = "hold parameters that are named above (`held` in the description), or add poses, and check again"
-        return f"Next: {hold}: {shlex.join(('calib', 'check', robot, *data, *_some(typed, tuple(typed))))}"
-    if isinstance(poses, Measurements):
-        options = (*_some(typed, _NOISE), "--validate", "0.25", "--out", "out/robot")
-        words = ("calib", "fit", robot, *data, *options)
-        return f"Next: fit these measurements: {shlex.join(words)}"
-    words = ("calib", "select", robot, *data, "--count", "40", *_some(typed, _POSES), "--out", "chosen.csv")
-    return f"Next: choose the poses to measure: {shlex.join(words)}"
-
-
-def after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
-    """Return what to do with chosen poses.
-
-    Args:
-        robot: ROBOT, as it was typed.
-        out: The file with the chosen poses.
-        typed: Options, as `typed_options` has them.
-    """
-    options = ("--goal", "0.1mm", "--candidates", out, *_some(typed, _NOISE))
-    words = ("calib", "watch", robot, "measured.csv", *options)
-    return f"Next: measure them, and follow the measurement: {shlex.join(words)}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
+from calib.core.base.registry import brought
 from calib.core.base.words import counted
 from calib.core.commands.common import (
     SIGMA_HELP,
@@ -20,16 +21,11 @@ from calib.core.commands.common import (
     with_values,
 )
 from calib.core.data.measurement_files import format_measurements
-from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_plan
-from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
-from calib.core.rows.observed import seen_by
 from calib.core.rows.simulate import simulate, unstated_noise
-from calib.photographs.opencv import encoded
-from calib.photographs.rendering import Photographer
 
 
 @click.command("simulate")
@@ -78,7 +74,8 @@ def command(
         comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
     if photographs and camera:
         with output.working("rendering photographs"):
-            images = _photographs(model, camera, measured, np.random.default_rng(seed))
+            photographs_of = brought("calib.methods", "photographs")
+            images = photographs_of(model, camera, measured, np.random.default_rng(seed))
         others = {name: readings for name, readings in measured.readings.items() if name != camera.name}
         measured = replace(measured, readings=others)
         write_folder(photographs, images, force=output.force)
@@ -104,31 +101,6 @@ def _camera(robot: Robot) -> Pixel:
             " 'board' and 'image' are stated"
         )
     return cameras[0]
-
-
-def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.Generator) -> dict[str, bytes]:
-    """What a camera photographs at each visit, by the name of the file."""
-    assert camera.board is not None
-    assert camera.image is not None
-    again = next((name for k, name in enumerate(data.names) if name in data.names[:k]), None)
-    if again is not None:
-        raise InputError(
-            f"{data.path}: pose '{again}' appears twice; photographs are named after poses, so these need names of"
-            " their own"
-        )
-    visits = np.arange(len(data))
-    pairs, nothing = np.zeros(len(data), dtype=np.intp), np.zeros((len(data), 0))
-    looks = Readings(visits, pairs, nothing, None, nothing)
-    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
-    view = seen_by(robot, configurations, {camera.name: looks})[camera.name]
-    assert isinstance(view, View)
-    intrinsics = camera.numbers(robot.values[robot.unknowns(camera.name)])
-    photographer = Photographer(camera.board, intrinsics, (int(camera.image[0]), int(camera.image[1])))
-    poses = np.tile(np.eye(4), (len(data), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = view.rotation, view.translation
-    return {
-        f"{name}.png": encoded(photographer.photograph(pose, rng)) for name, pose in zip(data.names, poses, strict=True)
-    }
 
 
 def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:

@@ -13,7 +13,7 @@ from calib.core.fitting.validation import stretches
 from calib.core.judging.reasons import Answer
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
-from calib.printers.linear_delta import is_linear_delta
+from calib.core.robots.parametrisation import result_use
 
 _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
@@ -117,9 +117,8 @@ def _use(fit: Fit) -> NextStep:
     """How to use a result that nothing speaks against, by what its robot is and what files can hold of it."""
     if judge(fit).nothing_to_correct:
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
-    if is_linear_delta(fit.nominal.description):
-        aim = "write the lines for the printer's settings (or --format marlin, duet)"
-        return NextStep(aim, f"calib export {FOLDER} --format klipper --out settings.cfg")
+    if own := result_use(fit.nominal.description):
+        return NextStep(own.aim, own.command)
     program = f"calib compensate {FOLDER} program.csv --out compensated.csv"
     if why_no_origins(fit):
         return NextStep("correct a program by the whole model", program)

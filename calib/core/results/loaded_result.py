@@ -11,6 +11,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
 from calib.core.base.other_words import worded
+from calib.core.base.registry import brought
 from calib.core.base.units import error_scale
 from calib.core.base.words import titled_html
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -42,9 +43,7 @@ class CalibratedRobot:
             format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
             force: As in `calib.export`.
         """
-        from calib.exporting.formats import export  # here: what is not exported loads no writers of formats
-
-        export(self.robot, path, format, force=force)
+        brought("calib.methods", "export")(self.robot, path, format, force=force)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -49,13 +49,13 @@ from calib.core.results.sections.files_held import VALUES, files_of, name_of_val
 from calib.core.results.sections.outliers import residual_places, residual_sets
 from calib.core.results.urdf import urdf_bytes
 from calib.core.robots.description import description_yaml
+from calib.core.robots.file_formats import loses, robot_for, said_of
 from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import find_mesh
 from calib.core.robots.urdf.text import UrdfText, apply_edits
 from calib.core.rows.prediction import UndecidedTerms
 from calib.core.rows.rows import Rows
-from calib.exporting.held_formats import loses, robot_for, said_of
 
 _URDF = "calibrated.urdf"
 _PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")

@@ -64,6 +64,21 @@ class Parametrisation(Protocol):
         """Return d(xi)/d(values) of the same origins, (6, n_parameters) each; see the module docstring for xi."""
 
 
+@dataclass(frozen=True)
+class ResultUse:
+    """How robots of a parametrisation are used, once calibrated; its attribute `result_use`, if it has one.
+
+    Attributes:
+        aim: What to do, in words that begin with a verb.
+        command: What to type; `DIR` stands for the result folder.
+        held_by_controller: What to tell who wants programs compensated, where the controller has the result itself.
+    """
+
+    aim: str
+    command: str
+    held_by_controller: str = ""
+
+
 @runtime_checkable
 class OfManyValues(Protocol):
     """A parametrisation that computes many sets of values at once; others are asked for one after the other."""

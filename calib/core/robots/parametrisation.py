@@ -13,20 +13,18 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, ParameterError, nearest
 from calib.core.base.parameter import Parameter, index_of
-from calib.core.base.registry import installed
+from calib.core.base.registry import brought, installed
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
 from calib.core.robots.description import Description, OriginSection
 from calib.core.robots.mechanism import Mechanism
-from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked, WithPriors
+from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, ResultUse, Stacked, WithPriors
 from calib.core.robots.robot_data import SomeRobot
 from calib.core.robots.urdf.text import UrdfText
-from calib.printers import linear_delta
 
 ENTRY_POINTS = "calib.parametrisations"
-_OWN: dict[str, Callable[[Mapping[str, Origin]], Parametrisation]] = {linear_delta.NAME: linear_delta.LinearDelta}
 DEFAULT_LENGTH_SIGMA = 2e-3
 """Expected error of an origin's coordinate where nothing is stated [m]."""
 DEFAULT_ANGLE_SIGMA = 5e-3
@@ -119,6 +117,14 @@ def _components(
     return OriginComponents(tuple(parameters.values()), tuple(components), nominal, inverted)
 
 
+def result_use(description: Description) -> ResultUse | None:
+    """Return how a calibrated robot is used whose named parametrisation says so (`result_use`); None elsewhere."""
+    if not isinstance(description.parametrisation, str):
+        return None
+    use: ResultUse | None = getattr(brought(ENTRY_POINTS, description.parametrisation), "result_use", None)
+    return use
+
+
 def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
     return (
@@ -175,13 +181,11 @@ def _component_parameter(
 
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
-    plugins = {entry.name: entry for entry in installed(ENTRY_POINTS)}
-    if name not in plugins and name not in _OWN:
-        known = (*plugins, *_OWN)
-        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, known)}")
-    factory: Callable[[Mapping[str, Origin]], Parametrisation]
+    plugins = {entry.name: entry for entry in reversed(installed(ENTRY_POINTS))}
+    if name not in plugins:
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
     try:
-        factory = _OWN[name] if name in _OWN else plugins[name].load()
+        factory: Callable[[Mapping[str, Origin]], Parametrisation] = plugins[name].load()
     except (ImportError, AttributeError) as error:
         raise DescriptionError(
             f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"

@@ -17,7 +17,7 @@ from calib.core.commands.common import (
     values_options,
     with_values,
 )
-from calib.core.commands.next_steps import after_check, typed_options
+from calib.core.commands.next_steps import typed_options
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
@@ -27,6 +27,7 @@ from calib.core.rows.observed import unsaid_touches
 from calib.pictures import figures
 from calib.planning.assessment import check
 from calib.planning.assessment_text import text_report, to_dict
+from calib.planning.next_steps import after_check
 from calib.planning.pose_sampling import sample
 
 

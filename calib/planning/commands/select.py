@@ -20,13 +20,14 @@ from calib.core.commands.common import (
     values_options,
     with_values,
 )
-from calib.core.commands.next_steps import after_select, typed_options
+from calib.core.commands.next_steps import typed_options
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.plan_files import plan_of_table, read_pose_files
 from calib.core.data.robot_tables import read_robot_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
+from calib.planning.next_steps import after_select
 from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
 from calib.planning.selection_scores import CHOICES

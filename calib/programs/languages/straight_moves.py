@@ -32,11 +32,11 @@ from calib.core.base.errors import ComputationError, DataError, InputError, Unre
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.robots.joint_errors import commands_for
+from calib.core.robots.parametrisation import result_use
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
 from calib.core.rows.frames import Frame, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
-from calib.printers.linear_delta import is_linear_delta
 from calib.programs.reaching.compensation import compensated_in
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import problem
@@ -104,12 +104,10 @@ class _Way:
 
 
 def require_nominal_controller(robot: Robot) -> None:
-    """Raise `InputError` for a delta printer: its firmware has numbers of its own, not those of the description."""
-    if is_linear_delta(robot.description):
-        raise InputError(
-            f"{robot.name}: the firmware of a delta printer holds the result itself: calib export --format klipper,"
-            " marlin or duet; after that its programs need no change"
-        )
+    """Raise `InputError` where the controller has the result itself, such as the firmware of a delta printer."""
+    use = result_use(robot.description)
+    if use is not None and use.held_by_controller:
+        raise InputError(f"{robot.name}: {use.held_by_controller}")
 
 
 def compensate_moves(

@@ -20,11 +20,10 @@ from calib.core.data.parameter_files import read_parameters
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
+from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
-from calib.exporting.controllers import has_ur_kinematics
-from calib.exporting.held_formats import formats_that_hold
 
 VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
 """Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
@@ -33,7 +32,7 @@ _WITHHELD = "withheld: "
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
     """Return the robots that files of a fit get, as far as there are such files of this robot."""
-    nowhere = () if has_ur_kinematics(fit.nominal) else (Holds.TO_LAST_AXIS,)
+    nowhere = () if formats_that_hold(Holds.TO_LAST_AXIS, fit.nominal) else (Holds.TO_LAST_AXIS,)
     known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}
 

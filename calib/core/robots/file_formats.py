@@ -1,46 +1,66 @@
-"""What each export format holds of a calibrated robot, the robot that it gets for that, and what its file says of it.
+"""Formats of files, what each holds of a calibrated robot, the robot that it gets for that, and what its file says.
 
-The one place that knows what formats hold; `calib.core.robots.held` says what that means.
+Formats are brought by capabilities and other packages, under the group `calib.formats`: each entry is a tuple of
+`Format`. `calib.core.robots.held` says what holding means.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 from calib.core.base.errors import ComputationError
+from calib.core.base.registry import installed
 from calib.core.base.words import listed
 from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by, without_terms
-from calib.exporting.functions.languages import LANGUAGES, why_none
-from calib.printers.linear_delta import is_linear_delta
 
-FIRMWARES = ("klipper", "marlin", "duet")
-"""Formats for delta printers."""
-HELD: dict[str, Holds] = {
-    "urdf": Holds.ORIGINS,
-    "mjcf": Holds.ORIGINS,
-    "drake": Holds.ORIGINS,
-    "toolbox": Holds.ORIGINS,
-    "dh": Holds.ORIGINS,
-    "mdh": Holds.ORIGINS,
-    "ur-kinematics": Holds.TO_LAST_AXIS,
-    "joint-offsets": Holds.ZEROS,
-    "xacro": Holds.ORIGINS,
-    **dict.fromkeys(FIRMWARES, Holds.ORIGINS),
-    "joint-tables": Holds.TABLES,
-    **dict.fromkeys(LANGUAGES, Holds.EVERYTHING),
-}
-"""Every format, in the order of help and messages."""
-_CHAINS = ("dh", "mdh", "ur-kinematics")
 WHOLE = "the terms are in parameters.csv of the result folder, and calib predict, solve and compensate use them"
 """Where to have what a file loses."""
 
 
+@dataclass(frozen=True)
+class FormatFile:
+    """A file for a controller.
+
+    Attributes:
+        content: Its bytes.
+        statement: What it holds, and what it leaves.
+    """
+
+    content: bytes
+    statement: str
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of files.
+
+    Attributes:
+        name: As `calib export --format` has it.
+        holds: How much of a robot it holds.
+        fits: Whether it can hold a robot with its loops and terms at all.
+        write: The robot with its current values and lines for the comment in, the file out; raises `InputError` where
+            it does not fit. None: the format is one of `calib.exporting.formats`.
+        comment: How comments of its files begin, if not as in tables or XML.
+    """
+
+    name: str
+    holds: Holds
+    fits: Callable[[Robot], bool] = lambda robot: True
+    write: Callable[[Robot, Sequence[str]], FormatFile] | None = None
+    comment: str = ""
+
+
+def formats() -> dict[str, Format]:
+    """Return every format by its name, in the order of help and messages."""
+    return {each.name: each for entry in installed("calib.formats") for each in entry.load()}
+
+
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
     """Return the formats that hold so much of a robot, and can hold one with its loops and terms at all."""
-    no_place = (*(_CHAINS if robot.mechanism.loops else ()),)
-    no_place += () if is_linear_delta(robot.description) else FIRMWARES
-    no_place += LANGUAGES if why_none(robot) else ()
-    return [name for name, held in HELD.items() if held is holds and name not in no_place]
+    return [name for name, each in formats().items() if each.holds is holds and each.fits(robot)]
 
 
 def held_of(robot: Robot, file_format: str) -> Holds:
@@ -48,7 +68,7 @@ def held_of(robot: Robot, file_format: str) -> Holds:
 
     What lies behind the last axis is looked at only in a fit of a robot that has such files.
     """
-    holds = HELD[file_format]
+    holds = formats()[file_format].holds
     return Holds.ORIGINS if holds is Holds.TO_LAST_AXIS and holds not in robot.files else holds
 
 

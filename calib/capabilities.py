@@ -1,0 +1,25 @@
+"""What the capabilities bring to the core, under the groups of entry points under which other packages bring theirs.
+
+The core asks `calib.core.base.registry` for what there is in a group, and knows no capability. Nothing here is loaded
+before it is used.
+"""
+
+from importlib.metadata import EntryPoint
+
+BROUGHT = tuple(
+    EntryPoint(name, value, group)
+    for group, name, value in (
+        ("calib.parametrisations", "linear_delta", "calib.printers.linear_delta:LinearDelta"),
+        ("calib.formats", "exporting", "calib.exporting.file_formats:FORMATS"),
+        ("calib.formats", "printers", "calib.printers.file_formats:FORMATS"),
+        ("calib.formats", "more", "calib.exporting.file_formats:MORE_FORMATS"),
+        ("calib.methods", "export", "calib.exporting.formats:export"),
+        ("calib.methods", "photographs", "calib.photographs.simulated:photographs"),
+        ("calib.measures", "camera", "calib.photographs.first_words:camera_words"),
+        ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),
+        ("calib.first_descriptions", "marlin", "calib.printers.first_files:MARLIN"),
+        ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
+        ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
+    )
+)
+"""In the order in which commands and messages list them."""

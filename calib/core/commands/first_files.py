@@ -1,0 +1,29 @@
+"""Where a robot comes from that is no URDF: what a capability or another package brings to `calib init`.
+
+An entry of the group `calib.first_descriptions` is a `FirstFiles`, called like its option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.core.commands.common import Output
+
+
+@dataclass(frozen=True)
+class FirstFiles:
+    """The option for files of one kind, and what it does.
+
+    Attributes:
+        help: Of the option.
+        target: What to tell who names a target, such as `a printer has its nozzle`.
+        write: Writes description, URDF and measurements: the file, the texts of `--length`, the description to write.
+        lengths: What to say of `--length` for such files; empty: they take none.
+    """
+
+    help: str
+    target: str
+    write: Callable[[str, Sequence[str], Path, Output], None]
+    lengths: str = ""

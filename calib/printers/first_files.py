@@ -1,0 +1,58 @@
+"""`calib init` for delta printers: description, URDF and measurements from a firmware's settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_files
+from calib.core.base.units import millimetres, quantity
+from calib.core.base.words import counted
+from calib.core.commands.common import Output
+from calib.core.commands.first_files import FirstFiles
+from calib.printers.files import printer_table, read_printer
+from calib.printers.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
+from calib.printers.rows import expected_geometry
+
+
+def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Output) -> None:
+    """Write the description, the URDF and the measurements of a printer."""
+    printer, arm = read_printer(file, firmware), None
+    for text in given:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or key != "arm" or arm is not None:
+            raise InputError(f"--length {text}: a printer has one length; write it once, such as arm=288mm")
+        arm, said = quantity(value, "length", "--length arm"), max(printer.geometry.arms)
+        if not said / 2 < arm < said * 2:
+            raise InputError(
+                f"--length {text}: is {millimetres(arm):g} mm, and {printer.path} has arms of {millimetres(said):g} mm;"
+                " correct it, with its unit, such as arm=288mm"
+            )
+    geometry = expected_geometry(printer, arm)
+    heights = sorted({row.value for row in printer.rows if len(row.places) == 1})
+    plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)
+    urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
+    files = {
+        urdf: linear_delta_urdf(plan, f"linear delta, cut open: {title}"),
+        out: linear_delta_description(plan, title, urdf.name, heights, len(printer.rows)),
+        **({out.with_suffix(".csv"): printer_table(printer)} if printer.rows else {}),
+    }
+    output.check(*map(str, files))
+    write_files({file: text.encode() for file, text in files.items()}, force=output.force)
+    spans = len(printer.rows) - sum(len(row.places) == 1 for row in printer.rows)
+    rows = f", with {counted(len(printer.rows) - spans, 'height')} and {counted(spans, 'distance')}"
+    output.say(f"{', '.join(map(str, files))} written{rows if printer.rows else ''}")
+    if printer.rows:
+        output.say(f"next: calib fit {out} {out.with_suffix('.csv')} --out out/{out.stem}")
+
+
+def _of_firmware(name: str, help: str) -> FirstFiles:
+    lengths = "of a printer: arm, as designed or measured"
+    return FirstFiles(f"Delta printer: {help}", "a printer has its nozzle", partial(_write, name), lengths)
+
+
+KLIPPER = _of_firmware("klipper", "its printer.cfg, with what the probe measured.")
+MARLIN = _of_firmware("marlin", "a file with Marlin's M665 and M666.")
+DUET = _of_firmware("duet", "a file with M665 and M666 of RepRapFirmware.")

@@ -14,17 +14,21 @@ import yaml
 from small_robots import write_arm
 
 import calib
+from calib import extend
 from calib.core.base.registry import Registry
+from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import directions_of_motion
 from calib.core.fitting.terms.candidate_terms import candidates
-from calib.core.instruments.kind import Readings, View
+from calib.core.instruments.kind import View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
 from calib.core.robots.description import schema_text
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.held import Holds
-from calib.core.robots.terms.term import Context, JointTerm
+from calib.core.robots.terms.term import Context, Joint, JointTerm
 from calib.core.robots.terms.terms import TERMS, listed_terms
+from calib.extend import check_kind, check_term
+from calib.planning.pose_sampling import seen_at
 from viz.scene import other_errors
 
 ROOT = Path(__file__).parents[1]
@@ -94,15 +98,55 @@ def lab(tmp_path_factory, run_calib):
     return folder, robot, robot.with_parameters(truth)
 
 
-def test_derivatives_of_a_direction_are_central_differences():
-    instrument = KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry()))
-    p = np.array([[2.0, 1.0, 0.5], [-1.0, 0.3, -2.0], [-3.0, -1e-3, 0.1]])
-    view, none, step = View(np.tile(np.eye(3), (3, 1, 1)), p), np.zeros(0), 1e-6
-    readings = Readings(np.arange(3), np.zeros(3, dtype=int), np.zeros((3, 2)), None, np.zeros((3, 0)))
-    for axis, d in enumerate(np.eye(3)):
-        ends = [instrument.predict(View(view.rotation, p + sign * step * d), none, none) for sign in (1, -1)]
-        numeric = (ends[0] - ends[1]) / (2 * step)
-        np.testing.assert_allclose(instrument.compare(view, none, readings).by_twist[:, :, axis], numeric, atol=1e-8)
+SEEN = View(np.tile(np.eye(3), (3, 1, 1)), np.array([[2.0, 1.0, 0.5], [-1.0, 0.3, -2.0], [-3.0, -1e-3, 0.1]]))
+
+
+def test_a_theodolite_keeps_what_a_kind_promises():
+    check_kind(KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry())), SEEN)
+
+
+def _slope_of_the_wrong_sign(kind, self, view, unknowns, readings):
+    right = kind.compare(self, view, unknowns, readings)
+    return replace(right, by_twist=right.by_twist * [1, 1, -1, 1, 1, 1])
+
+
+def _off(kind, self, view, unknowns, readings):
+    right = kind.compare(self, view, unknowns, readings)
+    return replace(right, residuals=right.residuals + 0.1)
+
+
+def _one_row(kind, self, view, unknowns, readings):
+    right = kind.compare(self, view, unknowns, readings)
+    return replace(right, residuals=right.residuals[:, :1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"compare": _slope_of_the_wrong_sign}, "derivative by dp_z, row direction.elevation, is .* at view"),
+        ({"compare": _one_row}, r"compare gives residuals of shape \(3, 1\), not \(3, 2\)"),
+        ({"compare": _off}, "residuals of its own predictions are not zero"),
+        ({"predict": lambda kind, *seen: kind.predict(*seen) * np.nan}, "numbers that are not finite"),
+        ({"moved": lambda kind, self, values, change: values - change}, "moved does not move row direction.azimuth"),
+        ({"cells": lambda kind, self, values: {"t_azimuth": values[:, 0]}}, "cells gives columns"),
+    ],
+    ids=["derivative", "shape", "zero", "not a number", "noise", "cells"],
+)
+def test_a_kind_that_does_not_keep_what_it_promises_is_told_where(changes, said):
+    kind = KINDS["theodolite"]
+    methods = {name: lambda self, *given, of=of: of(kind, self, *given) for name, of in changes.items()}
+    wrong = type("Wrong", (kind,), methods).of("t", kind.section.model_validate(_entry()))
+    with pytest.raises(calib.ComputationError, match=said):
+        check_kind(wrong, SEEN)
+
+
+def test_its_package_imports_nothing_but_what_is_there_for_others():
+    for path in PACKAGE.rglob("*.py"):
+        of_calib = [line for line in path.read_text().splitlines() if "calib" in line and "import" in line.split()]
+        assert all(line.startswith("from calib.extend import ") for line in of_calib), path
+    assert sorted(extend.__all__) == sorted(
+        name for name in vars(extend) if not name.startswith("_") and name != "calib"
+    )
 
 
 def _entry(**changes):
@@ -303,6 +347,93 @@ def test_hysteresis_by_name_is_kept_by_the_result_and_left_out_of_files_that_can
     assert "'turn.hysteresis_sin' (Hysteresis) gives no formula" in run.err
     run = run_calib("fit", tmp_path / "fit", "no.csv", "--terms", "histeresis", "--out", "x", cwd=tmp_path)
     assert run.code == 2
+
+
+LAG = 3e-3
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """A small arm whose first joint lags by its speed, and a file of what a tracker reads, with a column of speeds."""
+    folder = tmp_path_factory.mktemp("quick")
+    robot, rng = calib.load(write_arm(folder)), np.random.default_rng(4)
+    q = rng.uniform([-1.5, 0.1, -1.5], [1.5, 0.9, 1.5], (60, 3))
+    speed, actual = rng.uniform(0.1, 1.0, 60), q.copy()
+    actual[:, 0] += LAG * speed
+    read = robot.positions(actual) + 1e-5 * rng.standard_normal((60, 1, 3))
+    data = replace(calib.as_measurements(robot, q, read), context={"speed": speed})
+    (folder / "data.csv").write_text(format_measurements(robot, data))
+    return folder, robot
+
+
+def test_a_term_with_a_column_of_its_own_is_found_reported_and_predicted_with(quick, run_calib):
+    folder, robot = quick
+    assert "speed" in (folder / "data.csv").read_text().splitlines()[0].split(",")
+    run = run_calib("fit", "arm.yaml", "data.csv", "--terms", "auto", "--out", "out", cwd=folder)
+    assert run.code == 0, run.err
+    content = json.loads((folder / "out" / "result.json").read_text())
+    row = next(row for row in content["parameters"] if row["name"] == "turn.lag")
+    assert abs(row["value"] - 1e3 * LAG) < 4 * row["std"]
+    assert "turn.lag" in (folder / "out" / "report.html").read_text()
+    run = run_calib("predict", "out", "data.csv", "--out", "predicted.csv", cwd=folder)
+    assert run.code == 0, run.err
+    data, loaded = calib.read_measurements(folder / "data.csv", robot), calib.load(folder / "out")
+    still = replace(data, context={"speed": np.zeros(60)})
+    off = [np.linalg.norm(loaded.positions(d.joints, d.conditions) - data.points(robot), axis=2) for d in (data, still)]
+    assert np.sqrt(np.mean(off[0] ** 2)) < 5e-5 < 0.2 * np.sqrt(np.mean(off[1] ** 2))
+
+
+def test_a_file_without_its_column_cannot_show_a_term(quick):
+    folder, robot = quick
+    data = calib.read_measurements(folder / "data.csv", robot)
+    refused = {term.term: term.refused for term in candidates(robot, replace(data, context={}))}
+    assert refused["lag"] == "the data have no column 'speed' that changes"
+    gap = np.where(np.arange(60) == 3, np.nan, data.context["speed"])
+    with pytest.raises(calib.DataError, match=r"says no speed, which 'turn\.lag' depends on"):
+        calib.fit(robot, replace(data, context={"speed": gap}), terms="turn=lag")
+
+
+def test_terms_keep_what_a_term_promises(quick):
+    rng = np.random.default_rng(1)
+    q, joint = rng.uniform(-1, 1, (5, 3)), Joint("turn", "angle", ("turn", "slide", "wrist"))
+    context = replace(Context.neutral(5, 3), approach=np.ones((5, 3)), others={"speed": rng.uniform(0.1, 1, 5)})
+    for name in ("hysteresis", "lag", "gain"):
+        check_term(TERMS[name].of(joint, None, None), q, 0, context)
+    still = type("Still", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 1))})
+    with pytest.raises(
+        calib.ComputationError, match="Still: says that it depends on the speed, and columns are the same"
+    ):
+        check_term(still.of(joint, None, None), q, 0, context)
+    wide = type("Wide", (TERMS["lag"],), {"columns": lambda self, q, j, context: np.ones((len(q), 2))})
+    with pytest.raises(calib.ComputationError, match=r"Wide: columns gives \(5, 2\), not \(5, 1\)"):
+        check_term(wide.of(joint, None, None), q, 0, context)
+
+
+class Keyhole(KINDS["position"]):
+    """Positions, but of a target within 5 mm of one place, as a small sensor in the cell reads them."""
+
+    may_see_nothing = True
+    there = np.array([0.3, 0.2, 0.35])
+
+    def predict(self, view, unknowns, details):
+        near = np.linalg.norm(view.translation - self.there, axis=1, keepdims=True) < 5e-3
+        return np.where(near, super().predict(view, unknowns, details), np.nan)
+
+    def sights(self, count, generator):
+        return View(np.full((count, 3, 3), np.nan), self.there + generator.uniform(-2e-3, 2e-3, (count, 3)))
+
+
+def test_poses_are_brought_to_where_a_kind_reads_something(tmp_path, monkeypatch):
+    monkeypatch.setattr(KINDS, "_given", {"keyhole": Keyhole})
+    for name in ("arm.urdf", "arm.yaml"):
+        (tmp_path / name).write_bytes((ROOT / "docs" / "examples" / name).read_bytes())
+    with (tmp_path / "arm.yaml").open("a") as file:
+        file.write("instruments:\n  reflector: {kind: keyhole, target: reflector}\n")
+    robot = calib.load(tmp_path / "arm.yaml")
+    Keyhole.there = robot.positions(robot.sample(1, 0))[0, 0]
+    assert seen_at(robot, calib.sample(robot, 20, 1))["reflector"].sum() >= 15
+    monkeypatch.setattr(Keyhole, "sights", lambda self, count, generator: None)
+    assert seen_at(robot, calib.sample(robot, 20, 1))["reflector"].sum() < 5
 
 
 def test_a_term_that_nobody_installed_is_named_with_the_nearest_one():

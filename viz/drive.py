@@ -169,5 +169,5 @@ def _remarks(robot: Robot) -> tuple[str, ...]:
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
     told = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
     conditions = {condition for term in robot.terms if not term.needs_torque for condition in term.depends_on}
-    kinds = sorted(condition.value for condition in conditions - {Condition.ANOTHER_JOINT})
+    kinds = sorted(condition.words for condition in conditions - {Condition.ANOTHER_JOINT})
     return (*told, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(told)

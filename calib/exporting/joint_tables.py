@@ -174,7 +174,7 @@ def _left_out(robot: Robot, indices: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
     size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[indices]))), ERROR_UNIT[dimension]
-    depends_on = listed([condition.value for condition in term.depends_on])
+    depends_on = listed([condition.words for condition in term.depends_on])
     remainder = f"{size:.3g} {unit} {term.per}".rstrip()
     return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
 

@@ -5,12 +5,13 @@ place every time. So poses of a robot that touches are brought to what it touche
 is found from where they are.
 
 A camera sees its board from few of the poses that a robot can take. Where nothing but cameras reads, poses are tried
-until enough see something (`calib.core.instruments.pixel` says when that is).
+until enough see something (`calib.core.instruments.pixel` says when that is). A kind that says where it reads something
+(`FrameInstrument.sights`) has poses brought there first.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,10 @@ from calib.core.base.memory import require_memory
 from calib.core.base.other_words import worded
 from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Poses, of_visits
-from calib.core.instruments.kind import Readings
+from calib.core.instruments.kind import Comparison, FrameInstrument, Readings, View
+from calib.core.instruments.pose import Pose
+from calib.core.instruments.rotations import rotation_vectors
+from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
@@ -31,6 +35,7 @@ from calib.core.rows.simulate import MET, at_contact
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
 _AT_ONCE = 1_000
+_BROUGHT_OF_EACH = 10  # poses that are brought to where a kind says that it reads something
 _FEW_SEE = 0.5  # of the poses
 _NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
@@ -134,16 +139,58 @@ def little_seen(robot: Robot, poses: Poses) -> str | None:
 def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: Ranges | ArrayLike | None) -> Poses:
     """As many poses as the first ones, at all of which something is seen if they are found."""
     count = len(first)
-    tries = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED))
-    seeing, tried = np.zeros((0, first.joints.shape[1])), first.joints
+    tries, at_once = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED)), _AT_ONCE
+    seeing, tried = np.zeros((0, first.joints.shape[1])), _brought_into_sight(robot, first, generator)
+    if tried is not first.joints:  # most of them see something then, and bringing takes longer than trying
+        tries, at_once = _BROUGHT_OF_EACH * count, count
     while True:
         sees = np.any(list(seen_at(robot, _poses(robot, tried)).values()), axis=0)
         seeing, tries = np.vstack([seeing, tried[sees]]), tries - len(tried)
         if len(seeing) >= count or tries <= 0:
             break
-        tried = robot.sample(min(_AT_ONCE, tries), generator, within=within)
+        more = _poses(robot, robot.sample(min(at_once, tries), generator, within=within))
+        tried = _brought_into_sight(robot, more, generator)
     blind = first.joints[~np.any(list(seen_at(robot, first).values()), axis=0)]
     return _poses(robot, np.vstack([seeing, blind])[:count])
+
+
+@dataclass(frozen=True)
+class _Sighted(Pose):
+    """Stands for another instrument: its frames shall be to each other as a reading says."""
+
+    frames: tuple[tuple[str, str], ...] = ()
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the frames of the other instrument."""
+        return self.frames
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Compare what the reading says, beside unknown numbers of the other instrument."""
+        said = np.isfinite(readings.values)
+        exact = super().compare(view, unknowns, replace(readings, values=np.where(said, readings.values, 0.0)))
+        none = np.zeros((len(readings), 6, len(unknowns)))
+        return Comparison(np.where(said, exact.residuals, 0.0), np.where(said[:, :, None], exact.by_twist, 0.0), none)
+
+
+def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generator) -> FloatArray:
+    """The joint values (n, n_actuated) of poses; of a robot whose kinds say where they read something, near there."""
+    joints, n = first.joints, len(first)
+    for instrument in robot.instruments:
+        sights = instrument.sights(n, generator) if isinstance(instrument, FrameInstrument) else None
+        if sights is None:
+            continue
+        frames = instrument.pairs(MEASUREMENT_FRAME)
+        stand_in = _Sighted(
+            instrument.name, instrument.target, frames=frames, noise=instrument.noise, unknowns=instrument.unknowns
+        )
+        others = tuple(stand_in if other is instrument else other for other in robot.instruments)
+        turned = np.isfinite(sights.rotation).all(axis=(1, 2))
+        goals = np.hstack([sights.translation, np.full((n, 3), np.nan)])
+        goals[turned, 3:] = rotation_vectors(sights.rotation[turned])
+        pairs = generator.integers(len(frames), size=n)
+        wanted = Readings(np.arange(n), pairs, goals, None, np.zeros((n, 0)))
+        joints, _ = at_contact(replace(robot, instruments=others), _poses(robot, joints), {instrument.name: wanted})
+    return joints
 
 
 def _poses(robot: Robot, joints: FloatArray) -> Poses:

@@ -16,7 +16,7 @@ from calib.core.base.errors import DataError
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.term import CONTEXT
+from calib.core.robots.terms.terms import condition_columns as dimensions_of_conditions
 
 APPROACH = "approach_"
 """Start of the names of columns that say from which side a joint came."""
@@ -51,9 +51,10 @@ def condition_columns(
     names = list(robot.description.setups)
     if names:
         columns["setup"] = [names[k] for k in (np.zeros(n_visits, dtype=np.intp) if setups is None else setups)]
+    dimensions = dimensions_of_conditions() if context else {}
     for key, values in context.items():
-        cells = shown(values, CONTEXT[key])
-        columns[header(key, CONTEXT[key])] = ["" if np.isnan(value) else value for value in cells]
+        cells = shown(values, dimensions[key])
+        columns[header(key, dimensions[key])] = ["" if np.isnan(value) else value for value in cells]
     return columns
 
 

@@ -32,7 +32,7 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import COLUMNS as GRAVITY_COLUMNS
 from calib.core.robots.terms.gravity import GravitySection, check_read, columns_of, read_down
-from calib.core.robots.terms.term import CONTEXT
+from calib.core.robots.terms.terms import condition_columns
 
 
 def robot_of_data(path: object, robot: RobotLike) -> Robot:
@@ -264,15 +264,17 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
     """Return under which conditions the robot is in each row of a table.
 
     Returns:
-        Columns of `CONTEXT`, those of gravity where the description speaks of it, (n,) [SI] by name, NaN where empty;
-        directions of approach, 0 for joints without a column, (n, n_actuated), None where no joint has one.
+        Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
+        where empty; directions of approach, 0 for joints without a column, (n, n_actuated), None where no joint has
+        one.
 
     Raises:
         DataError: Cells that are no numbers, columns that say no direction of gravity, or a direction of approach of a
             joint whose name is misspelt.
     """
-    keys = [key for key in CONTEXT if key not in GRAVITY_COLUMNS or robot.description.gravity is not None]
-    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in keys if key in table.names}
+    dimensions, with_gravity = condition_columns(), robot.description.gravity is not None
+    keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]
+    context = {key: table.column(key, dimensions[key], gaps=True) for key in keys}
     _check_spelling(table, robot)
     check_read(context, table.path, table.lines)
     for name in table.names:

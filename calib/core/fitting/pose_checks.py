@@ -15,7 +15,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.robots.configurations import close
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.term import COLUMNS, Condition
+from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
@@ -61,7 +61,7 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
             k = unstated(condition, data)
             if k is not None:
                 raise DataError(
-                    f"{data.labels[k]}: says no {COLUMNS[condition]}, which '{term.parameters[0].name}' depends on;"
+                    f"{data.labels[k]}: says no {condition.column}, which '{term.parameters[0].name}' depends on;"
                     " fill it in, or leave the row out"
                 )
     unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
@@ -86,7 +86,7 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
 
 def unstated(condition: Condition, data: Measurements) -> int | None:
     """Return the first visit of which a condition is not known, where others state it."""
-    empty = np.flatnonzero(np.isnan(data.context.get(COLUMNS.get(condition, ""), np.zeros(0))))
+    empty = np.flatnonzero(np.isnan(data.context.get(condition.column, np.zeros(0))))
     return int(empty[0]) if len(empty) else None
 
 

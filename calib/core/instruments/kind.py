@@ -376,6 +376,20 @@ class FrameInstrument(Instrument):
         """
         return view.translation
 
+    def sights(self, count: int, generator: np.random.Generator) -> View | None:
+        """Return views in which it reads something, drawn at random, for `sample` to bring poses there.
+
+        None where it reads something in most views, or cannot say; then poses are tried at random.
+
+        Args:
+            count: How many.
+            generator: Of random numbers.
+
+        Returns:
+            Of frame b seen from frame a; a rotation of NaN: any.
+        """
+        return None
+
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
 

@@ -23,7 +23,7 @@ from calib.core.robots.mechanism_builder import build_mechanism, home_values
 from calib.core.robots.parametrisation import build_parametrisation, default_sections
 from calib.core.robots.robot import Robot, require_robot
 from calib.core.robots.terms.gravity import columns_of
-from calib.core.robots.terms.term import CONTEXT
+from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, read_urdf
 
@@ -155,7 +155,7 @@ def _check_columns(
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
     dimensions |= {column.name: column.dimension for instrument in instruments for column in instrument.columns()}
-    dimensions |= CONTEXT
+    dimensions |= condition_columns()
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)
     texts = {

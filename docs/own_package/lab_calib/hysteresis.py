@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.parameter import Parameter
-from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
+from calib.extend import Condition, Context, Joint, JointTerm, Parameter, TermSection, coefficient
 
 
 @dataclass(frozen=True)

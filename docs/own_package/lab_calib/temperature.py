@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.core.fitting.fitted import Fit
-from calib.core.judging.reasons import Reason
+from calib.extend import Fit, Reason
 
 MOST = 5.0
 """Largest change of the temperature that is no reason [K]."""

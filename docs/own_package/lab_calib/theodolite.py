@@ -11,21 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.errors import ComputationError, DataError
-from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength
-from calib.core.instruments.kind import (
+from calib.extend import (
     Column,
     Comparison,
+    ComputationError,
+    DataError,
     FrameInstrument,
+    FrameSection,
     Guess,
     InstrumentSection,
+    Noise,
     Part,
+    PartNoise,
     Place,
+    PositiveAngle,
+    PositiveLength,
     Readings,
     Scene,
     View,
 )
-from calib.core.instruments.noise import Noise, PartNoise
 
 
 class TheodoliteSection(InstrumentSection):

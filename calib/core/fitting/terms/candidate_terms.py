@@ -14,7 +14,7 @@ from calib.core.fitting.joint_conventions import may_be_wrapped, uncounted_turns
 from calib.core.fitting.pose_checks import unmoved_joints, unstated
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.term import COLUMNS, Condition, JointTerm, TermSection
+from calib.core.robots.terms.term import Condition, JointTerm, TermSection
 from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.prediction import UndecidedTerms
 
@@ -185,17 +185,13 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
 
 def not_known(kind: type[JointTerm], data: Measurements) -> str:
     """Return why data cannot show a term, by the conditions that it depends on; empty if they can."""
-    of_column = {
-        Condition.TIME: data.conditions.time,
-        Condition.TEMPERATURE: data.conditions.temperature,
-        Condition.LOAD: data.conditions.load,
-    }
     for condition in kind.depends_on:
-        by_torque = condition is Condition.LOAD and kind.needs_torque  # the robot's own masses load it, too
-        if condition in of_column and not by_torque and np.ptp(of_column[condition]) == 0:
-            return f"the data have no column '{COLUMNS[condition]}' that changes"
+        by_torque = condition == Condition.LOAD and kind.needs_torque  # the robot's own masses load it, too
+        stated = np.nan_to_num(data.context.get(condition.column, np.zeros(len(data))))
+        if condition.column and not by_torque and np.ptp(stated) == 0:
+            return f"the data have no column '{condition.column}' that changes"
         if unstated(condition, data) is not None:
-            return f"some rows do not say {condition.value}"
+            return f"some rows do not say {condition.words}"
     return ""
 
 

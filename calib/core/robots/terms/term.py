@@ -18,8 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,19 +50,32 @@ class TermSection(Section):
         return self
 
 
-class Condition(Enum):
-    """What the error of a joint may depend on beside the joint's own command, in words."""
+@dataclass(frozen=True)
+class Condition:
+    """What the error of a joint may depend on beside the joint's own command; a term may name one that is new.
 
-    APPROACH = "the direction of approach"
-    TIME = "time"
-    TEMPERATURE = "temperature"
-    LOAD = "the load"
-    ANOTHER_JOINT = "another joint"
+    Attributes:
+        words: What it is, in words.
+        column: Column of a file that states it; empty: none does, or one for each joint.
+        dimension: What the column measures; None: it is a pure number.
+    """
+
+    words: str
+    column: str = ""
+    dimension: Dimension | None = None
+    APPROACH: ClassVar[Condition]
+    TIME: ClassVar[Condition]
+    TEMPERATURE: ClassVar[Condition]
+    LOAD: ClassVar[Condition]
+    ANOTHER_JOINT: ClassVar[Condition]
 
 
-COLUMNS = {Condition.TIME: "time", Condition.TEMPERATURE: "temperature", Condition.LOAD: "load"}
-"""Columns of a file that say under which conditions a command was given; the direction of approach has one a joint."""
-CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
+Condition.APPROACH = Condition("the direction of approach")
+Condition.TIME = Condition("time", "time", "time")
+Condition.TEMPERATURE = Condition("temperature", "temperature", "temperature")
+Condition.LOAD = Condition("the load", "load", "mass")
+Condition.ANOTHER_JOINT = Condition("another joint")
+CONTEXT: dict[str, Dimension | None] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
 """Columns that say under which conditions a visit was made, and what they measure."""
 _STEP = 1e-4  # part of the largest torque by which a central difference changes it
 REFERENCE_TEMPERATURE = 20.0
@@ -99,6 +111,7 @@ class Context(ReadOnlyArrays):
         setups: Number of the setup, (n,); None: the first.
         torque: Torque or force of gravity that each driven joint holds (`calib.core.robots.mechanism`), (n, n_driven)
             [N m or N]; None where it is not known: what depends on it counts as nothing.
+        others: What columns that terms of other packages name say, (n,) each [SI]; 0 where not known.
     """
 
     approach: FloatArray
@@ -108,6 +121,11 @@ class Context(ReadOnlyArrays):
     down: FloatArray | None = None
     setups: IntArray | None = None
     torque: FloatArray | None = None
+    others: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def column(self, name: str) -> FloatArray:
+        """Return what a column that a term names says, (n,) [SI]; 0 where not known."""
+        return self.others.get(name, np.zeros(len(self.time)))
 
     def known(self, q: FloatArray) -> dict[Source, FloatArray]:
         """Return the numbers that terms may depend on, with those of the commands q (n, n_actuated)."""
@@ -128,8 +146,8 @@ class Context(ReadOnlyArrays):
 
     def at(self, which: slice | IntArray) -> Context:
         """Return the conditions of some of the commands, a slice or places (k,)."""
-        known = {key: value for key, value in vars(self).items() if value is not None}
-        return Context(**{key: value[which] for key, value in known.items()})
+        known = {key: value[which] for key, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return Context(**known, others={name: values[which] for name, values in self.others.items()})
 
     @staticmethod
     def of(approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None) -> Context:
@@ -137,8 +155,8 @@ class Context(ReadOnlyArrays):
 
         Args:
             approach: Direction of approach, (n, n_actuated).
-            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], and those of
-                `calib.core.robots.terms.gravity`, as far as they are known, (n,).
+            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], those of
+                `calib.core.robots.terms.gravity`, and those that terms name, as far as they are known, (n,).
             setups: Number of the setup, (n,); None: the first.
         """
         n = len(approach)
@@ -147,7 +165,8 @@ class Context(ReadOnlyArrays):
             return np.nan_to_num(conditions.get(name, np.zeros(n)))
 
         warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
-        return Context(approach, known("time"), warmer, known("load"), read_down(conditions), setups)
+        others = {name: known(name) for name in conditions if name not in CONTEXT}
+        return Context(approach, known("time"), warmer, known("load"), read_down(conditions), setups, others=others)
 
 
 class JointTerm(ABC):

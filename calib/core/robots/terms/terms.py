@@ -6,13 +6,15 @@ Terms of other packages come in by entry points of the group `calib.terms`, or b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import TypeAdapter, ValidationError
 
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.other_words import way
 from calib.core.base.registry import Registry, entry
+from calib.core.base.units import Dimension
 from calib.core.robots.terms.coupling import Coupling
 from calib.core.robots.terms.one_coefficient import (
     Backlash,
@@ -24,7 +26,7 @@ from calib.core.robots.terms.one_coefficient import (
     Temperature,
 )
 from calib.core.robots.terms.periodic import Curve, Harmonics
-from calib.core.robots.terms.term import JointTerm, TermSection
+from calib.core.robots.terms.term import CONTEXT, JointTerm, TermSection
 
 TERMS: Registry[JointTerm] = Registry(
     "joint term",
@@ -50,6 +52,20 @@ if TYPE_CHECKING:
 else:
     AnyTerm = Annotated[TermSection, *entry("term", TERMS)]
     """The entry of a joint term in a robot description."""
+
+
+def condition_columns() -> dict[str, Dimension | None]:
+    """Return the columns of a file that say under which conditions a visit was made, with what they measure.
+
+    Those of a term that cannot be loaded are left out: whoever names the term is told why.
+    """
+    columns = dict(CONTEXT)
+    for name in TERMS:
+        with suppress(DescriptionError):
+            for condition in TERMS[name].depends_on:
+                if condition.column:
+                    columns.setdefault(condition.column, condition.dimension)
+    return columns
 
 
 def terms_text(terms: str | Sequence[str]) -> str:

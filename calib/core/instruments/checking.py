@@ -1,0 +1,114 @@
+"""Whether a kind of measurement keeps what it promises: shapes, numbers and derivatives; for the tests of its package.
+
+A wrong derivative does not stop a fit, which converges all the same, more slowly, but its intervals are wrong. So each
+column is compared with the central difference of the residuals, whose error is of second order in the step h, and of
+order eps / h by rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import ComputationError
+from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
+
+_STEP = 1e-6  # m, rad, and of unknown numbers relative to their expected error
+_NEAR = 1e-5  # of the largest derivative of a row: 1e-16 / 1e-6 of rounding, and what digits of residuals take
+_TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
+
+
+def check_kind(
+    instrument: Instrument,
+    seen: View | FloatArray,
+    unknowns: FloatArray | None = None,
+    details: FloatArray | None = None,
+) -> None:
+    """Raise `ComputationError` where an instrument does not keep what its kind promises.
+
+    Args:
+        instrument: The instrument.
+        seen: n views in which it reads something; of a `JointInstrument`, values of the joint (n,) [m or rad].
+        unknowns: Its unknown numbers, (n_unknowns,); nominal if not given.
+        details: Of readings, (n, n_details); none if not given.
+
+    Raises:
+        ComputationError: Shapes are wrong, a number is not finite, columns of a file do not lead back to the values, a
+            residual of its own prediction is not zero, noise moves it otherwise than `moved` says, or a derivative is
+            not that of the residuals.
+    """
+    n = len(seen.translation) if isinstance(seen, View) else len(seen)
+    own = np.array([p.nominal_si for p in instrument.unknowns]) if unknowns is None else unknowns
+    more = np.zeros((n, 0)) if details is None else details
+    said = f"{type(instrument).__qualname__} '{instrument.name}'"
+    values = instrument.predict(seen, own, more)
+    _require(
+        np.ndim(values) == 2 and len(values) == n, f"{said}: predict gives {np.shape(values)}, not ({n}, n_values)"
+    )
+    _require(
+        bool(np.isfinite(values).all()), f"{said}: predict gives numbers that are not finite in views that it sees"
+    )
+    cells = instrument.cells(values)
+    names = [column.name for column in instrument.columns()]
+    _require(sorted(cells) == sorted(names), f"{said}: cells gives columns {sorted(cells)}, and columns says {names}")
+    if names:
+        again = instrument.values(cells)
+        _require(np.allclose(again, values, rtol=1e-9, atol=1e-12), f"{said}: values(cells(values)) are other values")
+    pairs: IntArray = np.zeros(n, dtype=np.intp)
+
+    def compare(at: View | FloatArray, numbers: FloatArray, read: FloatArray) -> Comparison | JointComparison:
+        return instrument.compare(at, numbers, Readings(np.arange(n), pairs, read, None, more))
+
+    exact = compare(seen, own, values)
+    by_seen = exact.by_twist if isinstance(exact, Comparison) else exact.by_joint[:, :, None]
+    columns = _TWIST if isinstance(exact, Comparison) else ("joint",)
+    for what, found, shape in (
+        ("residuals", exact.residuals, (n, instrument.n_rows)),
+        ("the derivative by what it sees", by_seen, (n, instrument.n_rows, len(columns))),
+        ("by_unknown", exact.by_unknown, (n, instrument.n_rows, len(own))),
+    ):
+        _require(np.shape(found) == shape, f"{said}: compare gives {what} of shape {np.shape(found)}, not {shape}")
+        _require(bool(np.isfinite(found).all()), f"{said}: compare gives {what} that are not finite")
+    axes = [f"{part.name}.{axis}" for part in instrument.parts for axis in part.axes]
+    _require(np.allclose(exact.residuals, 0, atol=1e-9), f"{said}: residuals of its own predictions are not zero")
+    noise = np.eye(instrument.n_rows) * _STEP
+    for row, change in enumerate(noise):
+        off = compare(seen, own, instrument.moved(values, np.tile(change, (n, 1)))).residuals
+        _require(
+            np.allclose(off, -change, atol=_NEAR * _STEP * 10), f"{said}: moved does not move row {axes[row]} alone"
+        )
+    for k, column in enumerate(columns):
+        ends = [compare(_moved(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
+        _same(by_seen[:, :, k], (ends[0] - ends[1]) / (2 * _STEP), by_seen, f"{said}: derivative by {column}", axes)
+    for k, parameter in enumerate(instrument.unknowns):
+        step = np.where(np.arange(len(own)) == k, _STEP * max(parameter.sigma_si, _STEP), 0.0)
+        ends = [compare(seen, own + sign * step, values).residuals for sign in (1, -1)]
+        found = exact.by_unknown[:, :, k]
+        _same(found, (ends[0] - ends[1]) / (2 * step[k]), found, f"{said}: derivative by {parameter.name}", axes)
+
+
+def _moved(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
+    """What is seen after component k of the twist, or the joint, has moved."""
+    if not isinstance(seen, View):
+        return np.asarray(seen + step)
+    change = step * np.eye(3)[k % 3]
+    if k < 3:
+        return View(seen.rotation, seen.translation + change)
+    return View(scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ seen.rotation, seen.translation)
+
+
+def _same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, said: str, axes: list[str]) -> None:
+    """Raise where derivatives (n, n_rows) differ by more than rounding makes."""
+    off = np.abs(given - found) - _NEAR * max(float(np.max(np.abs(all_of_it), initial=0.0)), 1e-3)
+    if np.max(off, initial=0.0) > 0:
+        i, row = np.unravel_index(int(np.argmax(off)), off.shape)
+        raise ComputationError(
+            f"{said}, row {axes[row]}, is {given[i, row]:.9g} at view {i + 1}; central differences of the residuals"
+            f" give {found[i, row]:.9g}"
+        )
+
+
+def _require(right: bool, said: str) -> None:
+    if not right:
+        raise ComputationError(said)

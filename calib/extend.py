@@ -1,0 +1,99 @@
+"""All that packages of others import to add to `calib`: what is here stays, other modules may change.
+
+What a package adds is named in its `pyproject.toml`, under these groups of entry points:
+
+    calib.kinds                 a kind of measurement: a class derived from `FrameInstrument` or `JointInstrument`
+    calib.terms                 a term of a joint's error: a class derived from `JointTerm`
+    calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
+    calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
+    calib.formats               formats of `calib export`: a tuple of `Format`
+    calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
+
+A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` are for their tests.
+"""
+
+from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength, Quantity, Section
+from calib.core.commands.common import Output
+from calib.core.commands.first_files import FirstFiles
+from calib.core.fitting.fitted import Fit
+from calib.core.instruments.checking import check_kind
+from calib.core.instruments.kind import (
+    Column,
+    Comparison,
+    FrameInstrument,
+    Guess,
+    InstrumentSection,
+    JointComparison,
+    JointInstrument,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
+from calib.core.instruments.kinds import KINDS
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.judging.reasons import Reason
+from calib.core.robots.file_formats import Format, FormatFile
+from calib.core.robots.held import Holds
+from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.checking import check_term
+from calib.core.robots.terms.formula import Formula, Proportional, Source, Waves
+from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
+from calib.core.robots.terms.terms import TERMS
+
+__all__ = [
+    "KINDS",
+    "TERMS",
+    "Column",
+    "Comparison",
+    "ComputationError",
+    "Condition",
+    "Context",
+    "DataError",
+    "DescriptionError",
+    "FirstFiles",
+    "Fit",
+    "Format",
+    "FormatFile",
+    "Formula",
+    "FrameInstrument",
+    "FrameSection",
+    "Guess",
+    "Holds",
+    "InputError",
+    "InstrumentSection",
+    "Joint",
+    "JointComparison",
+    "JointInstrument",
+    "JointTerm",
+    "Noise",
+    "Origin",
+    "Output",
+    "Parameter",
+    "Parametrisation",
+    "Part",
+    "PartNoise",
+    "Place",
+    "PositiveAngle",
+    "PositiveLength",
+    "Proportional",
+    "Quantity",
+    "Readings",
+    "Reason",
+    "ResultUse",
+    "Robot",
+    "Scene",
+    "Section",
+    "Source",
+    "TermSection",
+    "View",
+    "Waves",
+    "check_kind",
+    "check_term",
+    "coefficient",
+    "twist_of_edit",
+]

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from calib import pictures
 from calib.core.base.errors import InputError
-from calib.core.base.other_words import worded
 from calib.core.base.units import ERROR_UNIT, in_si
 from calib.core.base.words import listed, titled_html
 from calib.core.base.workers import Progress, Workers
@@ -45,8 +44,6 @@ if TYPE_CHECKING:
 class Calibration(JudgedFit, CalibratedRobot):
     """A finished fit, with verdict, reports and files; `calib.core.fitting.fitted.Fit` lists what it holds."""
 
-    _made_by = "calib.fit(robot, data)"
-
     def __str__(self) -> str:
         return self.report()
 
@@ -76,7 +73,6 @@ class Calibration(JudgedFit, CalibratedRobot):
         """
         return pictures.plots(self)
 
-    @worded
     def report(self, *, verbose: bool = False) -> str:
         """Return the result as text.
 
@@ -93,7 +89,6 @@ class Calibration(JudgedFit, CalibratedRobot):
         """Return everything that was found, in mm and degrees: the content of `result.json`."""
         return to_dict(self)
 
-    @worded
     def cross_validate(
         self,
         folds: int | Literal["setups"] = 5,
@@ -122,7 +117,6 @@ class Calibration(JudgedFit, CalibratedRobot):
         with Workers(executor, n_folds(data, folds)) as workers:
             return cross_validate(data, folds, seed, fold, workers, progress)
 
-    @worded
     def bootstrap(
         self,
         draws: int = 200,
@@ -161,7 +155,6 @@ class Calibration(JudgedFit, CalibratedRobot):
             progress=progress,
         )
 
-    @worded
     def save(
         self, folder: Path | str, *, force: bool = False, pages: bool = True, logo: Path | str | None = None
     ) -> None:
@@ -176,7 +169,6 @@ class Calibration(JudgedFit, CalibratedRobot):
         save(self, folder, force=force, pages=pictures.pages(self, logo) if pages else {})
 
 
-@worded
 def fit(
     robot: RobotLike,
     data: MeasurementsLike | ArrayLike,

@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 
 from calib import Fit
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import Worded
 from viz.part_plots import draw_histogram, draw_residuals, of_positions
 from viz.plots import draw_course, draw_normal
 from viz.pose_sources import from_fit
@@ -18,7 +17,7 @@ from viz.scene import joints_of
 from viz.svg import BLUE, GREY
 
 
-class FitPlots(Worded):
+class FitPlots:
     """The figures of a fit; each method draws into `axes`, or into those of a new figure, and returns them.
 
     Args:
@@ -27,8 +26,6 @@ class FitPlots(Worded):
     Raises:
         InputError: No errors of points are known; these figures are about them.
     """
-
-    _other_words = "figures of a fit"
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit

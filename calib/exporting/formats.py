@@ -7,7 +7,6 @@ from pathlib import Path
 
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.files import check_file, check_folder, write_files, write_folder
-from calib.core.base.other_words import worded
 from calib.core.results.urdf import urdf_bytes, with_mesh_prefix
 from calib.core.robots.file_formats import formats, held_of, loses, robot_for, said_of
 from calib.core.robots.held import Holds
@@ -36,7 +35,6 @@ def format_of(path: Path | str) -> str:
     return _ENDINGS[ending]
 
 
-@worded
 def export(
     robot: RobotLike,
     path: Path | str,

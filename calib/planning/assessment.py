@@ -21,7 +21,6 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
-from calib.core.base.other_words import worded
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
@@ -85,8 +84,6 @@ class Assessment(ReadOnlyArrays):
         near_singular: Poses closer to a singularity of the loops than the description's limit.
         left_out: Targets that are left out of the accuracy (`RobotData.left_out`).
     """
-
-    _other_words = "what poses determine"
 
     parameters: tuple[Parameter, ...]
     free: BoolArray
@@ -189,7 +186,6 @@ class Assessment(ReadOnlyArrays):
         return np.where(anywhere & np.isfinite(parts), np.nan, parts)
 
 
-@worded
 @one_blas_thread
 def check(
     robot: RobotLike, poses: PosesLike | None = None, *, task: PosesLike | None = None, sigma: float | str | None = None

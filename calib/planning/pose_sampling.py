@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, random_numbers
 from calib.core.base.memory import require_memory
-from calib.core.base.other_words import worded
 from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Poses, of_visits
 from calib.core.instruments.kind import Comparison, FrameInstrument, Readings, View
@@ -40,7 +39,6 @@ _FEW_SEE = 0.5  # of the poses
 _NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
 
-@worded
 def sample(
     robot: RobotLike,
     count: int,

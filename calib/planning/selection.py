@@ -26,7 +26,6 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
-from calib.core.base.other_words import worded
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
 from calib.core.base.workers import Progress, Workers, in_order
@@ -48,7 +47,6 @@ from calib.planning.selection_setting import Request, SelectionSetting, prepare,
 __all__ = ["Run", "Selection", "select"]
 
 
-@worded
 @one_blas_thread
 def select(
     robot: RobotLike,

@@ -62,8 +62,6 @@ class Selection(ReadOnlyArrays):
         selecting_seconds: The part after assembly and Jacobians of the candidates.
     """
 
-    _other_words = "chosen poses"
-
     index: str
     chosen: IntArray
     instruments: tuple[str, ...]

@@ -30,7 +30,6 @@ from calib.core.base.errors import (
     UnreachablePoseError,
 )
 from calib.core.base.files import read_lines
-from calib.core.base.other_words import worded
 from calib.core.base.units import quantity
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -69,7 +68,6 @@ class Watch:
         DataError: No candidates can be sampled.
     """
 
-    @worded
     def __init__(
         self,
         robot: RobotLike,

@@ -33,7 +33,6 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError, InputError, NotConvergedError
-from calib.core.base.other_words import worded
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si
 from calib.core.base.workers import Progress, Workers, in_order
@@ -101,7 +100,6 @@ class _Chunk:
     failures: tuple[str, ...]
 
 
-@worded
 def study(
     robot: RobotLike,
     poses: PosesLike,

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import Worded
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
@@ -111,7 +110,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
         return repr(np.asarray(self))
 
 
-class ReadOnlyArrays(Worded):
+class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
     They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.

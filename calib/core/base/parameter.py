@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any, SupportsIndex, overload
 
 from calib.core.base.errors import ParameterError, nearest
-from calib.core.base.other_words import Worded, way
+from calib.core.base.other_words import way
 from calib.core.base.units import PER_SI, Dimension
 from calib.core.base.words import data_frame
 
 
 @dataclass(frozen=True)
-class Parameter(Worded):
+class Parameter:
     """One number that may differ from its nominal value.
 
     Attributes:
@@ -44,8 +44,6 @@ class Parameter(Worded):
         """Value that is expected before measuring [m or rad]."""
         return self.nominal_si if self.mean_si is None else self.mean_si
 
-    _other_words = "a parameter"
-
     @property
     def per_si(self) -> float:
         """How many of `unit` make one SI unit."""
@@ -72,10 +70,8 @@ class Parameter(Worded):
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 
 
-class Parameters(tuple[Parameter, ...], Worded):
+class Parameters(tuple[Parameter, ...]):
     """Parameters in their order, one of which is taken by its number or its name."""
-
-    _other_words = "all parameters of a robot"
 
     def _own_parameters(self) -> list[str]:
         return [parameter.name for parameter in self]

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, nearest
-from calib.core.base.other_words import worded
 from calib.core.data.joining import joined
 from calib.core.data.measurement_files import read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -31,7 +30,6 @@ MeasurementsLike = Measurements | Source | Sequence[Source | Measurements]
 _SOURCE = "arrays"
 
 
-@worded
 def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
     """Return joint values as `Poses`, named by their row if they have no names.
 
@@ -63,7 +61,6 @@ def _is_table(given: object) -> bool:
     return isinstance(given, (str, Path)) or is_columns(given)
 
 
-@worded
 def as_measurements(
     robot: RobotLike,
     poses: PosesLike | Sequence[Source | Measurements],

@@ -17,7 +17,6 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, nearest, nearest_column
-from calib.core.base.other_words import worded
 from calib.core.data.instrument_cells import columns_in, named_columns, readings_in, setups_of
 from calib.core.data.joining import joined_poses, joined_readings
 from calib.core.data.measurement_columns import APPROACH, header, shown
@@ -42,7 +41,6 @@ def robot_of_data(path: object, robot: RobotLike) -> Robot:
     return as_robot(robot)
 
 
-@worded
 def read_poses(path: Source, robot: RobotLike) -> Poses:
     """Read joint values; one column for each actuated joint, other columns are ignored.
 
@@ -54,7 +52,6 @@ def read_poses(path: Source, robot: RobotLike) -> Poses:
     return poses_of_table(table, robot, used=set())
 
 
-@worded
 def read_measurements(
     path: Source | Sequence[Source], robot: RobotLike, *, growing: Sequence[str] | None = None
 ) -> Measurements:

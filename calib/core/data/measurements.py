@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.other_words import worded
+from calib.core.base.other_words import Hinting
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.core.base.words import pandas, titled_html
 from calib.core.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
@@ -31,7 +31,7 @@ _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, ra
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Poses(ReadOnlyArrays):
+class Poses(ReadOnlyArrays, Hinting):
     """Joint values of a list of visits.
 
     Attributes:
@@ -51,7 +51,6 @@ class Poses(ReadOnlyArrays):
     """
 
     _other_words = "measurements and poses"
-    _made_by = 'calib.read_measurements("data.csv", robot), or calib.as_measurements(robot, q, xyz) [SI]'
 
     joints: FloatArray
     labels: Texts
@@ -253,7 +252,6 @@ class Measurements(Poses):
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
         return replace(self, readings=chosen).subset(visits)
 
-    @worded
     def split(self, *, validation: float, seed: int = 0) -> tuple[Measurements, Measurements]:
         """Hold out a random part of the poses for validation; repeats of one pose stay together.
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.core.base.errors import DataError, InputError, ParameterError, nearest_column
-from calib.core.base.other_words import worded
 from calib.core.base.parameter import index_of
 from calib.core.base.units import per_si
 from calib.core.data.table_writing import format_table
@@ -18,7 +17,6 @@ COLUMNS = ("parameter", "value", "unit")
 _LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
 
 
-@worded
 def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = False) -> dict[str, float]:
     """Read parameter values in SI by name; parameters that the file does not name are absent.
 

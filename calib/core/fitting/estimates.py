@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import Worded
 from calib.core.base.parameter import Parameter
 from calib.core.base.words import data_frame, pandas, table_html
 from calib.core.numerics.statistics import Statistics, status
@@ -37,7 +36,7 @@ class HalfWidth:
 
 
 @dataclass(frozen=True)
-class Estimate(Worded):
+class Estimate:
     """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
     Attributes:
@@ -61,8 +60,6 @@ class Estimate(Worded):
     status: str
     family: str
     per_si: float
-
-    _other_words = "a parameter"
 
     @property
     def nominal(self) -> float:
@@ -113,10 +110,8 @@ class Estimate(Worded):
         return {"name": self.name, "unit": self.unit, **numbers, "status": self.status}
 
 
-class Estimates(Worded, Mapping[str, Estimate]):
+class Estimates(Mapping[str, Estimate]):
     """All parameters of a fit, by name and in their order."""
-
-    _other_words = "all parameters"
 
     def __init__(self, by_name: Mapping[str, Estimate]) -> None:
         self._by_name = dict(by_name)

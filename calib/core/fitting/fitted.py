@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import Worded, worded
+from calib.core.base.other_words import Hinting
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
@@ -81,19 +81,15 @@ class NoiseEstimate:
     freedom: float
 
 
-class Errors(dict[str, dict[str, dict[str, object]]], Worded):
+class Errors(dict[str, dict[str, dict[str, object]]]):
     """Errors by set of rows, state and quantity."""
-
-    _other_words = "errors of a fit"
 
     def __missing__(self, key: object) -> NoReturn:
         raise InputError(f"no errors of '{key}'{nearest(str(key), self)}")
 
 
-class Residuals(ReadAsArray, dict[str, FloatArray], Worded):
+class Residuals(ReadAsArray, dict[str, FloatArray]):
     """Residuals by instrument; of a single one, as an array: `np.std(fit.residuals)`, `fit.residuals[:10]`."""
-
-    _other_words = "residuals of a fit"
 
     __len__ = dict.__len__
 
@@ -114,7 +110,7 @@ class Residuals(ReadAsArray, dict[str, FloatArray], Worded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(ReadOnlyArrays):
+class Fit(ReadOnlyArrays, Hinting):
     """A finished identification.
 
     Attributes:
@@ -347,7 +343,6 @@ class Fit(ReadOnlyArrays):
             np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
         )
 
-    @worded
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.other_words import Worded
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Instrument
@@ -64,10 +63,8 @@ class Outlier:
         return f"{what}: {self.size} off, {times}"
 
 
-class Outliers(tuple[Outlier, ...], Worded):
+class Outliers(tuple[Outlier, ...]):
     """Outliers, worst first."""
-
-    _other_words = "outliers of a fit"
 
 
 def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:

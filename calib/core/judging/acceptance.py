@@ -42,7 +42,6 @@ import numpy as np
 import scipy
 
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.other_words import Worded, worded
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.core.fitting.error_sets import ErrorSet
@@ -56,7 +55,7 @@ _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Acceptance(Worded):
+class Acceptance:
     """What new measurements say about a calibrated robot.
 
     Attributes:
@@ -76,8 +75,6 @@ class Acceptance(Worded):
         promised: Expected root mean square distance of measured from predicted positions [m]; NaN without positions.
         left_open: The part of it from the uncertainty of the calibration, without noise of the readings [m].
     """
-
-    _other_words = "judgement of new measurements"
 
     verdict: str
     ratio: float
@@ -113,7 +110,6 @@ class Acceptance(Worded):
         )
 
 
-@worded
 @one_blas_thread
 def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, same_setup: bool = False) -> Acceptance:
     """Judge a calibrated robot by new measurements.

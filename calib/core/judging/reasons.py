@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 from typing import Any, Literal, Self
 
-from calib.core.base.other_words import UnknownOptionError, Worded
+from calib.core.base.other_words import Hinting, UnknownOptionError
 from calib.core.judging.claim import Claim
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
@@ -139,7 +139,7 @@ class Code(StrEnum):
 
 
 @dataclass(frozen=True)
-class Verdict(Worded):
+class Verdict(Hinting):
     """The judgement of a fit.
 
     Attributes:

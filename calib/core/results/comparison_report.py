@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.other_words import Worded
 from calib.core.base.words import as_data, counted, listed, plain_text, text_table
 from calib.core.numerics.chances import HARDLY
 
@@ -79,7 +78,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ResultComparison(Worded):
+class ResultComparison:
     """Results side by side, compared in pairs.
 
     Attributes:
@@ -95,8 +94,6 @@ class ResultComparison(Worded):
         pairs: What the two results of each pair differ in, pairs with the first result first.
         notes: What to know before using it.
     """
-
-    _other_words = "results side by side"
 
     names: tuple[str, ...]
     folders: tuple[str | None, ...]

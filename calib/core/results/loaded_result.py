@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
-from calib.core.base.other_words import worded
+from calib.core.base.other_words import Hinting
 from calib.core.base.registry import brought
 from calib.core.base.units import error_scale
 from calib.core.base.words import titled_html
@@ -34,7 +34,6 @@ class CalibratedRobot:
 
     robot: Robot
 
-    @worded
     def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
         """Write the calibrated robot for another program; see `calib.export`.
 
@@ -47,7 +46,7 @@ class CalibratedRobot:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedResult(ReadOnlyArrays, CalibratedRobot):
+class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
     """A fit that was saved.
 
     Attributes:
@@ -60,7 +59,6 @@ class LoadedResult(ReadOnlyArrays, CalibratedRobot):
     """
 
     _other_words = "a fit"
-    _made_by = "calib.load_result(folder)"
 
     path: str
     robot: Robot
@@ -178,7 +176,6 @@ class LoadedResult(ReadOnlyArrays, CalibratedRobot):
         return self.uncertainty.at(self.robot, pose_set.joints, pose_set.conditions if context is None else context)
 
 
-@worded
 def load_result(folder: Path | str) -> LoadedResult:
     """Load what `calib fit --out`, or `save`, wrote.
 
@@ -205,7 +202,6 @@ def load_result(folder: Path | str) -> LoadedResult:
     return LoadedResult(str(folder), robot, Estimates(estimates), content, known, joints)
 
 
-@worded
 def predict(calibrated: RobotLike | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:
     """Predict positions of all targets, loops closed.
 

@@ -14,7 +14,6 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError, DescriptionError
 from calib.core.base.files import read_text
-from calib.core.base.other_words import worded
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import error_scale, per_si
 from calib.core.base.words import counted, listed
@@ -46,7 +45,6 @@ def forced_lines(folder: Path | str) -> list[str]:
     return ["verdict: FAIL, exported by force:", *(f"  {reason}" for reason in verdict["reasons"])]
 
 
-@worded
 def load(path: Path | str) -> Robot:
     """Load a robot from a description (YAML) or a plain URDF (`calib.core.robots.loading.load`), or a calibrated one.
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.memory import require_memory
-from calib.core.base.other_words import worded
+from calib.core.base.other_words import Hinting
 from calib.core.base.parameter import index_of
 from calib.core.base.words import titled_html
 from calib.core.robots import kinematics, loops
@@ -30,7 +30,7 @@ from calib.core.robots.terms.term import Context, TermSection
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robot(RobotData):
+class Robot(RobotData, Hinting):
     """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. It can be pickled.
 
     Its data are those of `calib.core.robots.robot_data.RobotData`: `values`, (n_parameters,) [m or rad], of its
@@ -40,10 +40,6 @@ class Robot(RobotData):
     """
 
     _other_words = "a robot"
-    _made_by = (
-        'calib.load("robot.yaml"), of a robot description, a URDF or a result folder; calib.robot("arm.urdf",'
-        ' target="tool0") without a description'
-    )
 
     def __repr__(self) -> str:
         return (
@@ -84,7 +80,6 @@ class Robot(RobotData):
         changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
         return replace(self, description=changed)
 
-    @worded
     def with_prior(self, names: str | Sequence[str], sigma: str) -> Robot:
         """Return a robot with the expected error `sigma` of these parameters.
 
@@ -186,7 +181,6 @@ class Robot(RobotData):
         """Return each pose's distance to a singularity of the loops, (n,): see `calib.core.robots.closure`."""
         return distances(self, configurations)
 
-    @worded
     def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Pose of a frame in the measurement frame, loops closed.
 
@@ -214,7 +208,6 @@ class Robot(RobotData):
         target = self.mechanism.targets[0]
         return target if frame is None else replace(target, b=self.mechanism.joint(frame))
 
-    @worded
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Geometric Jacobian of a frame by the actuated joints, through the closed loops.
 
@@ -239,7 +232,6 @@ class Robot(RobotData):
         jacobian = by_joint[:, :, : len(self.joint_names)]
         return jacobian[0] if np.ndim(q) == 1 else jacobian
 
-    @worded
     def positions(self, q: ArrayLike, context: Context | None = None, seed: FloatArray | None = None) -> FloatArray:
         """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m].
 
@@ -257,7 +249,6 @@ class Robot(RobotData):
         swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets, poses_only=True)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)
 
-    @worded
     def sample(
         self, count: int, seed: int | np.random.Generator = 0, *, within: Ranges | ArrayLike | None = None
     ) -> FloatArray:

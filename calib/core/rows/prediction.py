@@ -30,7 +30,6 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
-from calib.core.base.other_words import UnknownOptionError
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.robots.acceleration import compiled_for, many
@@ -68,13 +67,6 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
     left_out: Mapping[str, int] = field(default_factory=dict)
     frame: str = ""
     measured: PositionUncertainty | None = None
-
-    _other_words = "predicted positions"
-
-    def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str):
-            raise UnknownOptionError(f"{type(self).__name__}: takes no ['{key}']{self._way('[]')}")
-        return super().__getitem__(key)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.positions, dtype=dtype)
@@ -312,8 +304,6 @@ class ParameterUncertainty(ReadOnlyArrays):
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
             in characteristic lengths].
     """
-
-    _other_words = "uncertainty of parameters"
 
     free: BoolArray
     covariance: FloatArray

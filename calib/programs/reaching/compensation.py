@@ -37,7 +37,6 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.other_words import worded
 from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
@@ -146,7 +145,6 @@ class Compensation(ReadOnlyArrays):
         ]
 
 
-@worded
 def compensate(
     calibrated: Robot | Calibrated | KnownRobot, program: Poses | Goals | ArrayLike, *, keep: str | None = None
 ) -> Compensation:

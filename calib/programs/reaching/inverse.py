@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError, nearest
-from calib.core.base.other_words import worded
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Poses
@@ -51,8 +50,6 @@ class Solution(ReadOnlyArrays):
         expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
             is the nominal robot that reaches the goals, and this is the error of the calibrated one.
     """
-
-    _other_words = "joint values of goals"
 
     q: FloatArray
     ok: BoolArray
@@ -104,7 +101,6 @@ class Solution(ReadOnlyArrays):
             )
 
 
-@worded
 def solve(
     calibrated: RobotLike | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
 ) -> Solution:

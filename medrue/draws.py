@@ -24,6 +24,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
+from calib.core.numerics import linalg
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
@@ -178,7 +179,7 @@ class Calibrator:
         for _ in range(_MAX_STEPS):
             jacobian = linear.jacobian[:, 0][..., self._free].reshape(-1, len(self._scales)) * self._scales
             residual = (positions[self._chosen] - linear.positions[:, 0]).ravel()
-            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            step = linalg.lstsq(jacobian, residual, rcond=None)
             values = robot.values.copy()
             values[self._free] += self._scales * step
             robot = robot.with_parameters(values)

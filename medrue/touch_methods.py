@@ -33,6 +33,7 @@ import yaml
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError
 from calib.core.base.parameter import Parameter
+from calib.core.base.sections import parse_yaml
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.robots.loading import load
@@ -231,7 +232,7 @@ def _socket_name(k: int) -> str:
 def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
     """The robot of `medrue.yaml` with other instruments, and with or without held parameters."""
     file = robot_file()
-    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    content = parse_yaml(file.read_text(encoding="utf-8"), file)
     del content["sigma"]  # of the tracker
     content |= {"urdf": str(file.parent / content["urdf"]), "instruments": dict(instruments)}
     content |= {} if hold else {"held": []}

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from calib.core.numerics.rigid import best_transform, cross_matrices
 
 OUTLIER_PROBABILITY = 0.01
@@ -104,7 +105,7 @@ def _surprise(
     if total <= exact**2 * residuals.size:
         return surprise
     for k, (r, J) in enumerate(zip(residuals, slope, strict=True)):
-        values, vectors = np.linalg.eigh(np.eye(3) - J @ information @ J.T)
+        values, vectors = linalg.eigh(np.eye(3) - J @ information @ J.T)
         free = values > 1e-9
         drop, count = float(np.sum((vectors.T @ r)[free] ** 2 / values[free])), int(free.sum())
         left = freedom - count
@@ -118,7 +119,7 @@ def _surprise(
 
 def _extents(points: FloatArray) -> tuple[float, float]:
     """Largest and second largest root-mean-square extent of points about their centroid [m]."""
-    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
+    values = linalg.singular_values(points - points.mean(axis=0)) / np.sqrt(len(points))
     return float(values[0]), float(values[1])
 
 

@@ -43,10 +43,10 @@ def sets(folder: Path) -> Iterator[tuple[str, calib.Robot, Measurements]]:
         yield arm, *mukca(folder / "mukca", arm, places)
 
 
-def halves(data: Measurements, how: str, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+def halves(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """Cut the visits in two: at random within each setup, or into boxes of joint space."""
     if how.startswith("by boxes"):
-        parts = boxes(data.joints, data.pose_numbers, BLOCKS)
+        parts = boxes(data.joints, data.pose_numbers, BLOCKS, robot.mechanism.depths)
         first = rng.permutation(len(parts))[: len(parts) // 2]
         chosen = np.isin(np.arange(len(data)), np.concatenate([parts[k] for k in first]))
     else:
@@ -80,7 +80,7 @@ def predicted(fit: calib.Calibration, data: Measurements) -> tuple[FloatArray, f
 
 def apart(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Generator) -> FloatArray:
     """Return mean squares: how far both predictions are apart, how far by noise, and how far as claimed, (3,) [m^2]."""
-    fits = [calib.fit(robot, data[half], terms=WAYS[how]) for half in halves(data, how, rng)]
+    fits = [calib.fit(robot, data[half], terms=WAYS[how]) for half in halves(robot, data, how, rng)]
     (points, *variances, by_prior), (others, *more, by_other) = (predicted(fit, data) for fit in fits)
     nothing, names = np.zeros(points.size), dict.fromkeys([*by_prior, *by_other])
     differ = sum(float(np.sum((by_prior.get(k, nothing) - by_other.get(k, nothing)) ** 2)) for k in names) / len(points)

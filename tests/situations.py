@@ -383,7 +383,7 @@ def _(shop):
 @situation(Code.JOINTS_MOVE_TOGETHER)
 def _(shop):
     there = calib.fit(shop.prior, noisy(shop.prior, np.linspace(joints(1)[0], -joints(1)[0], 40), SIGMA, 1))
-    return Situation(there, shop.good_prior, r"(\d) joints moved, but only together, along (\d) direction", (6, 1))
+    return Situation(there, shop.good_prior, r"joints j1, j2, j3, j4, j5, and 1 more along (\d) direction\.", (1,))
 
 
 @situation(Code.NEAR_SINGULAR)

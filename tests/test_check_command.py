@@ -98,7 +98,7 @@ def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(r
     yaml += "instruments: {turned: {kind: orientation, target: tip, sigma: 0.1 mrad}}\n"
     run = run_calib("check", write_arm(tmp_path, yaml), "--poses", 20, "--json", tmp_path / "out.json")
     assert run.code == 0, run.err
-    assert run.out.startswith("20 poses (sampled over the joint limits, seed 0), 60 coordinates\n")
+    assert run.out.startswith("20 poses (sampled over the joint limits, seed 0), 60 measured values\n")
     assert json.loads((tmp_path / "out.json").read_text())["sigma_mm"] is None
     assert "all sampled poses are in the first setup" in run.err
 

@@ -496,3 +496,14 @@ def test_poses_are_sampled_at_which_a_camera_sees_its_board(tmp_path, run_calib)
     run = run_calib("sample", away, "--count", 15, "--out", "none.csv", cwd=tmp_path)
     assert run.code == 0
     assert "few of these poses see what is to be measured: eye at 0 of 15; check `xyz` and `rpy`" in run.err
+
+
+def test_a_reading_that_is_off_is_named_by_the_file_in_which_it_stands(tmp_path):
+    robot, files = written(tmp_path)
+    lines = files[1].read_text().splitlines()
+    cells = lines[40].split(",")
+    cells[3] = repr(float(cells[3]) + 20.0)
+    lines[40] = ",".join(cells)
+    files[1].write_text("\n".join(lines) + "\n")
+    fit = calib.fit(robot, read_measurements(files, robot))
+    assert fit.outliers[0].label == f"{files[1]}, line 41 (pose {cells[0]})"

@@ -320,3 +320,11 @@ def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
     for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--length", "arm=288"], ["--template", "delta"]):
         assert run("init", "--duet", "config.g", "--out", "n.yaml", *refused).exit_code == 2
     assert json.dumps(sorted(path.name for path in folder.iterdir())).count("n.yaml") == 0
+
+
+def test_check_looks_at_what_was_measured_heights_and_distances(folder):
+    """At a probed height both copies of the robot are at one place, where a distance has no direction."""
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    done = run("check", "p.yaml", "p.csv")
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith("25 poses (p.csv), 25 measured values")

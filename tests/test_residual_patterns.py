@@ -9,7 +9,9 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 import calib
 from calib.core.data.measurements import directions_of_motion
 from calib.core.judging import findings
+from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.effect_kinds import Family, Kind
+from calib.core.judging.effects import ORDERS, JointWaves
 from calib.core.judging.residual_patterns import Pattern, describe
 
 SIGMA = 4e-5
@@ -108,6 +110,13 @@ def test_a_tracker_that_moved_while_measuring_is_found(arm):
     patterns = significant(fitted(arm, joints(80), shift=moved))
     assert patterns[0].kind == "drift"
     assert "if a tracker or base had moved" in describe(patterns[0], arm.mechanism.dimensions)
+
+
+def test_rows_that_show_a_change_in_their_course_are_not_called_unordered(arm):
+    moved = np.zeros((80, 1, 3))
+    moved[50:, 0, 1] = 2e-4
+    assert not any("random order" in line for line in not_covered(fitted(arm, joints(80), shift=moved)))
+    assert any("random order" in line for line in not_covered(fitted(arm, joints(80))))
 
 
 def test_a_joint_that_slipped_while_measuring_is_found(arm):
@@ -337,3 +346,23 @@ def test_every_kind_says_its_own_sentence():
         Kind.ZERO: "an error of joint turn that changes in the course of the measurement (0.02 mm RMS)",
     }
     assert {kind.family for kind in Kind} == set(Family)
+
+
+@pytest.mark.parametrize(("step", "true", "beyond"), [(5, 1, 71), (20, 3, 93)])
+def test_of_joint_values_on_a_grid_the_lowest_number_of_cycles_is_named(arm, step, true, beyond):
+    """On a grid of 5 degrees 71 cycles are at every pose minus 1 cycle, on one of 20 degrees 93 are 3."""
+    grid = np.deg2rad(step) * np.round(np.rad2deg(joints(80)) / step)
+    assert np.allclose(np.cos(beyond * grid[:, 1]), np.cos(true * grid[:, 1]))
+    waves = JointWaves("j2", np.ones(80), np.arange(80), grid[:, 1], "cycles a turn")
+    assert waves.orders.stop - 1 == 180 // step
+    free = JointWaves("j2", np.ones(80), np.arange(80), joints(80)[:, 1], "cycles a turn")
+    assert free.orders.stop == ORDERS.stop
+
+
+def test_a_number_of_cycles_that_few_poses_do_not_determine_is_not_named(arm):
+    q = joints(16)
+    geared = q.copy()
+    geared[:, 1] += 3e-3 * np.sin(41 * q[:, 1])
+    waves = [p for p in fitted(arm, geared, n=16).patterns if p.kind == "wave" and p.name == "j2"]
+    assert [p.detail for p in waves] == ["a number of cycles a turn that these poses do not determine"]
+    assert "joint j2 with a number of cycles a turn that" in describe(waves[0], arm.mechanism.dimensions)

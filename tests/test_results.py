@@ -328,7 +328,7 @@ def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fit
     np.testing.assert_allclose(load_uncertainty(folder, fitted.nominal).covariance, fitted.covariance, rtol=1e-14)
 
 
-@pytest.mark.parametrize("damage", ["missing", "not finite", "no freedom", "boundless freedom"])
+@pytest.mark.parametrize("damage", ["missing", "not finite", "another sign", "no freedom", "boundless freedom"])
 def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, damage):
     for name, content in tree(folder).items():
         (tmp_path / name).write_bytes(content)
@@ -339,6 +339,10 @@ def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, dam
         lines = path.read_text().splitlines()
         lines[-1] = ",".join([*lines[-1].split(",")[:-1], "inf"])
         path.write_text("\n".join(lines) + "\n")
+    elif damage == "another sign":
+        *lines, last = path.read_text().splitlines()
+        *cells, variance = last.split(",")
+        path.write_text("\n".join([*lines, ",".join([*cells, f"-{variance}"])]) + "\n")
     else:
         result = json.loads((tmp_path / "result.json").read_text())
         freedom = {"no freedom": "many", "boundless freedom": 1e300}[damage]
@@ -424,8 +428,8 @@ def test_a_plain_urdf_and_its_meshes_are_in_the_folder(tmp_path):
     ("damage", "message"),
     [
         ("result.json", "holds no result"),
-        ("nominal.yaml", "has no nominal.yaml, and so gives no robot; run the fit again"),
-        ("nominal.urdf", "has no nominal.urdf, and so gives no robot; run the fit again"),
+        ("nominal.yaml", "nominal.yaml: no such file; run the fit again"),
+        ("nominal.urdf", "nominal.urdf: no such file; run the fit again"),
         ("parameters.csv", "parameters.csv: no such file"),
         ("another robot", "nominal.yaml: was changed after the fit"),
         ("another urdf", "nominal.urdf: was changed after the fit"),

@@ -156,8 +156,8 @@ def wrong_bags(q):
         ("/js", "sensor_msgs/msg/JointState", t, joint_state(t, q + t - START)) for t in START + np.arange(0, 1, 0.1)
     ]
     return {
-        "no joints": (still(q)[10:], "has no joint states"),
-        "no measurement": (still(q)[:10], "has no measurements"),
+        "no joints": (still(q)[10:], "their topic too; the bag has /reflector (geometry_msgs/msg/PointStamped)"),
+        "no measurement": (still(q)[:10], "their topic too; the bag has /js (sensor_msgs/msg/JointState)"),
         "moving": (moving + still(q)[10:], "at none of 1 measurement the robot stood still"),
         "apart": (still(q, at=(5.0,)), "at none of 1 measurement the robot stood still"),
         "joints twice": (

@@ -152,12 +152,14 @@ def test_a_long_cell_is_shortened_in_the_message():
 
 def test_an_unknown_column_names_the_one_that_begins_alike(table_of):
     table = table_of("shoulder_pan [deg],shoulder_lift_joint [deg]\n1,2\n")
-    assert complaint(table.column, "shoulder_pan_joint", "angle").endswith("; did you mean 'shoulder_pan'?")
+    assert complaint(table.column, "shoulder_pan_joint", "angle").endswith(
+        "; did you mean 'shoulder_pan'? The file has shoulder_pan, shoulder_lift_joint"
+    )
 
 
 def test_an_unknown_column_names_the_nearest(table_of):
     assert complaint(table_of("tool_x,tool_y\n1,2\n").column, "tool_z", "length").endswith(
-        "no column 'tool_z'; did you mean 'tool_y'?"
+        "no column 'tool_z'; did you mean 'tool_y'? The file has tool_x, tool_y"
     )
 
 

@@ -97,7 +97,7 @@ def test_a_saved_result_predicts_and_corrects_as_the_fit_does(drifting, tmp_path
     assert any(wide[name] > 1.05 * np.sqrt(loaded.covariance[name, name]) for name in loaded.free_names)
     path = tmp_path / "result" / "undecided_terms.csv"
     path.write_text(path.read_text().replace("drift", "draft"))
-    with pytest.raises(DataError, match=r"undecided_terms\.csv: does not fit the joint terms"):
+    with pytest.raises(DataError, match=r"undecided_terms\.csv: was changed after the fit"):
         calib.load_result(tmp_path / "result")
     path.unlink()
     with pytest.raises(DataError, match=r"undecided_terms\.csv: no such file; run the fit again"):

@@ -29,6 +29,7 @@ import numpy as np
 
 from calib import Robot
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.numerics import linalg
 from calib.core.robots.mechanism import Mechanism
 
 _FLATTEST = 0.05  # directions in which a link's joint origins spread less than this are not stretched
@@ -166,7 +167,7 @@ def _stretches(robot: Robot, bodies: Bodies, placements: FloatArray) -> FloatArr
             continue
         positions = np.vstack([np.append(points / size, np.ones((len(points), 1)), axis=1), [0.0, 0.0, 0.0, 1.0]])
         displacements = np.vstack([moved, np.zeros(3)])
-        solution = np.linalg.pinv(positions, rcond=_FLATTEST) @ displacements
+        solution = linalg.pinv(positions, rcond=_FLATTEST) @ displacements
         stretches[body, :3, :3] += solution[:3].T / size
         stretches[body, :3, 3] = solution[3]
     return stretches

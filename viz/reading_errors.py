@@ -27,6 +27,7 @@ from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
 from calib.core.judging import findings
+from calib.core.numerics import linalg
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.rows.observed import seen_by
@@ -251,7 +252,7 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
     read: BoolArray = np.isfinite(residuals) & np.isfinite(slopes).all(axis=2)  # none behind a camera
     by = np.where(read[:, :, None], slopes, 0.0)
     residuals = np.where(read, residuals, 0.0)
-    motion = np.einsum("nij,nj->ni", np.linalg.pinv(by, rcond=1e-9), residuals)
+    motion = np.einsum("nij,nj->ni", linalg.pinv(by, rcond=1e-9), residuals)
     result: FloatArray = np.where(np.any(read, axis=1)[:, None], motion, np.nan)
     return result, bool(turns)
 

@@ -19,6 +19,7 @@ import scipy
 
 from calib import Robot
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from viz.poses import Calibrated, PoseTable
 
 SEED = 1
@@ -98,7 +99,7 @@ def _within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, Flo
     if not len(points):
         return nowhere
     middle = points.mean(axis=0)
-    _, extents, axes = np.linalg.svd(points - middle, full_matrices=False)
+    _, extents, axes = linalg.svd(points - middle, full_matrices=False)
     axes = axes[extents > _FLAT * extents[0]]
     if len(axes) < 2:
         return nowhere
@@ -118,7 +119,7 @@ def _ellipsoids(calibrated: Calibrated, table: PoseTable) -> tuple[FloatArray, F
     first = np.unique(np.round(table.joints, 9), axis=0, return_index=True)[1]
     chosen = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, _ELLIPSOIDS).astype(int))]
     known = calibrated.predict(table.joints[chosen])
-    sizes, axes = np.linalg.eigh(known.covariance.reshape(-1, 3, 3))
+    sizes, axes = linalg.eigh(known.covariance.reshape(-1, 3, 3))
     reach = (
         np.sqrt(scipy.special.chdtri(3, 1 - _CHANCE)) * known.coverage_factor / scipy.special.ndtri((1 + _CHANCE) / 2)
     )

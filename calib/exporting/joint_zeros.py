@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from calib.core.robots import kinematics
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
@@ -98,12 +98,12 @@ def _nearest(
 
 def _step(by_zeros: FloatArray, by_places: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least squares of by_zeros x + by_places y = change, with x = 0 wherever y can do it: (x, y)."""
-    basis = scipy.linalg.orth(by_places) if by_places.size else np.zeros((len(change), 0))
+    basis = linalg.orth(by_places) if by_places.size else np.zeros((len(change), 0))
     alone = by_zeros - basis @ (basis.T @ by_zeros)
-    left, sizes, right = np.linalg.svd(alone, full_matrices=False)
+    left, sizes, right = linalg.svd(alone, full_matrices=False)
     shown = sizes > _UNDETERMINED * np.linalg.norm(by_zeros)  # of the zeros as they are, not of what is left of them
     x = right[shown].T @ ((left[:, shown].T @ change) / sizes[shown])
-    y = np.linalg.lstsq(by_places, change - by_zeros @ x, rcond=_UNDETERMINED)[0]
+    y = linalg.lstsq(by_places, change - by_zeros @ x, rcond=_UNDETERMINED)
     return x, y
 
 

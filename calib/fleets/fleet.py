@@ -16,6 +16,7 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.results.comparing_results import geometry, readings_of
+from calib.core.results.result_format import unchanged
 from calib.core.results.result_reading import load, load_uncertainty, read_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.fleet_prior import FleetSection
@@ -277,7 +278,10 @@ def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter
 
 def _require_different(folders: Sequence[Path]) -> None:
     """Raise `DataError` if two results used the same readings: then they are of one robot."""
-    used = [set(readings_of(folder / "residuals.csv").get("identification", {})) for folder in folders]
+    used = [
+        set(readings_of(unchanged(folder, "residuals.csv", read_result(folder))).get("identification", {}))
+        for folder in folders
+    ]
     for k, readings in enumerate(used):
         for other in range(k):
             if readings & used[other]:

@@ -48,6 +48,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 
 _WEIGHT = 4.0  # nu of the module docstring
@@ -131,7 +132,7 @@ def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: Floa
         freedom: Degrees of freedom of the noise, which was found: Student's variance stands for it.
     """
     inverse = np.linalg.inv(covariance)
-    sizes, axes = np.linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
+    sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
     kept = axes[:, sizes > _NOTHING]
     shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
     pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
@@ -219,10 +220,10 @@ def likeness(result: Told, mean: FloatArray, expected: FloatArray, freedom: Floa
     shown = known > _SHOWN * np.diag(before)
     distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
     p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances) * np.sqrt(freedom / (freedom - 2.0)))
-    sizes, axes = np.linalg.eigh(result.precision)
+    sizes, axes = linalg.eigh(result.precision)
     kept = sizes > _NOTHING
     root = axes[:, kept] * np.sqrt(sizes[kept])
-    ratios, turned = np.linalg.eigh(root.T @ expected @ root)
+    ratios, turned = linalg.eigh(root.T @ expected @ root)
     wide = 1.0 + ratios > _WIDER
     if not np.any(wide) or not np.any(shown):
         return Likeness(distances, p_values, np.nan, np.nan)

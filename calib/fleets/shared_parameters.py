@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.parameter import Parameter, index_of
+from calib.core.numerics import linalg
 from calib.core.robots.fleet_prior import FleetParameter, FleetSection
 from calib.core.robots.robot import Robot
 from calib.core.rows.unknowns import Unknowns
@@ -79,7 +80,7 @@ def section_of(
     """Return what has been learned as a section of a robot description."""
     scales, _ = _scales(shared)
     spread = np.sqrt(learned.variance)
-    sizes, axes = np.linalg.eigh(learned.covariance / spread[:, None] / spread)
+    sizes, axes = linalg.eigh(learned.covariance / spread[:, None] / spread)
     kept = np.flatnonzero(sizes > _SMALL)[::-1]
     unsure = axes[:, kept] * np.sqrt(sizes[kept])
     return FleetSection(

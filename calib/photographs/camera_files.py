@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.files import read_text
+from calib.core.base.sections import parse_yaml
 from calib.core.instruments.camera import NAMES
 
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala-brandt", "omni", "mei", "double_sphere")
@@ -42,16 +42,6 @@ class CameraFile:
     image: tuple[int, int] | None
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices."""
-
-
-_Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix",
-    lambda loader, node: loader.construct_mapping(node, deep=True),  # type: ignore[arg-type]
-)
-
-
 def read_camera(path: Path | str) -> CameraFile:
     """Return what a file says of a camera.
 
@@ -60,11 +50,7 @@ def read_camera(path: Path | str) -> CameraFile:
     """
     text = read_text(path, _WANTED, DescriptionError)
     text = re.sub(r"\A%YAML[: ].*\n(---\s*\n)?", "", text)  # OpenCV writes `%YAML:1.0`, which YAML does not know
-    try:
-        content = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        raise DescriptionError(f"{path}{f', line {mark.line + 1}' if mark else ''}: not valid YAML") from None
+    content = parse_yaml(text, path)
     if not isinstance(content, dict):
         raise DescriptionError(f"{path}: holds no {_WANTED}")
     _check_model(content, path)
@@ -76,7 +62,7 @@ def read_camera(path: Path | str) -> CameraFile:
 
 def _check_model(content: Mapping[str, Any], path: Path | str) -> None:
     model = str(content.get("distortion_model") or content.get("camera_model") or "").casefold()
-    if model in _FISHEYE or any(key.casefold().startswith("fisheye") and content[key] for key in content):
+    if model in _FISHEYE or any(str(key).casefold().startswith("fisheye") and content[key] for key in content):
         raise DescriptionError(
             f"{path}: is of a fish-eye camera ({model or 'fisheye'}), but only the pinhole model with"
             " k1 k2 p1 p2 k3 is known here; undistort the images first, and give the intrinsics of those"
@@ -90,7 +76,7 @@ def _numbers(value: Any, path: Path | str, key: str) -> list[float]:
     flat = np.ravel(np.array(data, dtype=object)) if isinstance(data, (list, tuple)) else np.zeros(0)
     try:
         return [float(number) for number in flat]
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         raise DescriptionError(f"{path}: {key}: holds something that is not a number") from None
 
 
@@ -145,6 +131,6 @@ def _size(content: Mapping[str, Any], path: Path | str) -> tuple[int, int] | Non
         if width is not None and height is not None:
             try:
                 return int(width), int(height)
-            except (TypeError, ValueError):
+            except (OverflowError, TypeError, ValueError):
                 raise DescriptionError(f"{path}: width and height of the image are not numbers") from None
     return None

@@ -24,6 +24,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
+from calib.core.numerics import linalg
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
 from calib.photographs.scene import Placed, Scene, linearised
@@ -207,7 +208,7 @@ def _finished(
 def require_determined(a: FloatArray, scene: Scene) -> None:
     """Raise `NotIdentifiableError` unless all that is sought shows in A of the module docstring, (k, k)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
-    values = np.linalg.eigvalsh(scale[:, None] * a * scale)
+    values = linalg.eigvalsh(scale[:, None] * a * scale)
     if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):
         return
     axes = turning(scene.tool)
@@ -227,6 +228,4 @@ def turning(poses: FloatArray) -> FloatArray:
     rotations = poses[:, :3, :3]
     middle = scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix()
     turns = scipy.spatial.transform.Rotation.from_matrix(middle.T @ rotations).as_rotvec()
-    return (
-        np.linalg.svd(turns, compute_uv=False)[:3] * 2 / np.sqrt(max(len(poses), 1)) if len(poses) > 2 else np.zeros(3)
-    )
+    return linalg.singular_values(turns)[:3] * 2 / np.sqrt(max(len(poses), 1)) if len(poses) > 2 else np.zeros(3)

@@ -126,10 +126,8 @@ def report(result: HandEye, frames: Frames) -> str:
     worst = np.argsort(-by_image)[:3]
     lines.append("Largest: " + listed([f"image {scene.names[i]} {by_image[i]:.2f} px" for i in worst]))
     if result.intrinsics_given is not None and result.lens_found:
-        lines.append(
-            f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px;"
-            f" {result.rms_given:.3f} px with the intrinsics given)"
-        )
+        given = f"; {result.rms_given:.3f} px with the intrinsics given" if np.isfinite(result.rms_given) else ""
+        lines.append(f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px{given})")
     elif result.lens_found:
         lines.append("Lens: found from these images, because none was given")
     else:
@@ -159,7 +157,7 @@ def report(result: HandEye, frames: Frames) -> str:
 
 def _shares(result: HandEye, usable: bool) -> str:
     """What the camera alone leaves, and what comes with the robot; if usable, what to do about it."""
-    all_, alone, noise = rms(result.pixels), rms(result.alone), result.fitted.noise
+    all_, alone = rms(result.pixels), rms(result.alone)
     if not np.isfinite(alone):
         return "What the camera alone leaves is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
@@ -169,8 +167,6 @@ def _shares(result: HandEye, usable: bool) -> str:
         f" the squared error,"
         f" {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, comes from the robot's poses"
     )
-    if noise.shift > 0 or noise.turn > 0:
-        text += f" (about {_MM * noise.shift:.2f} mm and {np.rad2deg(noise.turn):.3f} deg per axis)"
     if usable and share > _ROBOT_SHARE:
         text += "; calibrating its kinematics with joint values (calib init --measure camera) can remove part of that"
     return text

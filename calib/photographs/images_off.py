@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
+from calib.core.numerics import linalg
 from calib.photographs.estimation import plain
 from calib.photographs.left_out import predicted, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
@@ -134,7 +135,7 @@ def named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, ..
     for i in np.flatnonzero(~kept):
         part = scene.only(np.arange(len(scene)) == i)
         linear = linearised(part, placed, ())
-        error = -np.linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)[0]
+        error = -linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)
         named.append(
             OffImage(
                 scene.names[i],

@@ -28,6 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 from calib.photographs.shared_errors import (
     ErrorSizes,
@@ -86,7 +87,7 @@ def intervals(
     unit = np.eye(len(logs))[sizes] * _STEP
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)
-    variance = np.einsum("ik,ij,jk->k", slope, np.linalg.pinv(curvature / 2, hermitian=True), slope)
+    variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(curvature / 2, hermitian=True), slope)
     with np.errstate(over="ignore"):  # sizes that are known exactly
         freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
     return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)

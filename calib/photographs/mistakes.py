@@ -24,6 +24,7 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
+from calib.core.numerics import linalg
 from calib.photographs.estimation import HandEyeEstimate, estimate, solve
 from calib.photographs.left_out import predicted, rms
 from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
@@ -192,7 +193,7 @@ def _likelihood(
     s = noise.sizes
     inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
     log_v = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
-    step = -np.linalg.lstsq(a, b, rcond=1e-12)[0]
+    step = -linalg.lstsq(a, b, rcond=1e-12)
     return -(log_v + c + float(b @ step)), step
 
 
@@ -232,13 +233,13 @@ def _moved(scene: Scene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None)
     linear = linearised(scene, fitted.placed, free)
     before, _ = _likelihood(linear, fitted, prior, now)
     a, b, _ = normal_equations(linear, fitted.noise, prior, now)
-    unmoved = float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
+    unmoved = float(b @ linalg.lstsq(a, b, rcond=1e-12))
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
         promised = []  # with the noise as it is: which image it may be
         for k in range(3, n - 2):
             a, b, _ = normal_equations(_extended(linear, np.arange(n) >= k, first), fitted.noise, prior, now)
-            promised.append((float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0]) - unmoved, k))
+            promised.append((float(b @ linalg.lstsq(a, b, rcond=1e-12)) - unmoved, k))
         k = max(promised)[1]
         likelihood, step = _likelihood(_extended(linear, np.arange(n) >= k, first), fitted, prior, now)
         if likelihood - before > best[0]:
@@ -292,7 +293,7 @@ def _explains(scene: Scene, fitted: HandEyeEstimate, k: int, which: str) -> bool
         scale = 1.0 / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
         for i in range(len(scene)):
             at = np.repeat(scene.image == i, 2)
-            step_ = np.linalg.lstsq(flat[~at] * scale, -r.ravel()[~at], rcond=1e-9)[0] * scale
+            step_ = linalg.lstsq(flat[~at] * scale, -r.ravel()[~at], rcond=1e-9) * scale
             total += float(np.sum((r.ravel()[at] + flat[at] @ step_) ** 2))
         return total
 

@@ -33,6 +33,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
@@ -168,7 +169,7 @@ def _polished(cost: Callable[[FloatArray], float], at: FloatArray, low: FloatArr
     for _ in range(4):
         free = known_sizes(at)
         gradient, curvature = differences(cost, at, free)
-        values, vectors = np.linalg.eigh(curvature)
+        values, vectors = linalg.eigh(curvature)
         if len(values) == 0 or values.min() <= 1e-6:
             break
         step = vectors @ ((vectors.T @ gradient) / values)

@@ -23,6 +23,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.instruments.camera import LEAST_POINTS, rays, view_poses
 from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.losses import median_length
 from calib.photographs.scene import Mount, Placed, Scene, in_camera, linearised, residuals, rows
@@ -98,7 +99,7 @@ def _homography(body: FloatArray, seen: FloatArray) -> FloatArray | None:
     x = np.hstack([(body - centre) / size, np.ones((len(body), 1))])
     zeros = np.zeros_like(x)
     design = np.vstack([np.hstack([x, zeros, -seen[:, :1] * x]), np.hstack([zeros, x, -seen[:, 1:] * x])])
-    _, values, vt = np.linalg.svd(design)
+    _, values, vt = linalg.svd(design)
     if values[-2] < 1e-6 * values[0]:
         return None
     return vt[-1].reshape(3, 3)
@@ -257,7 +258,7 @@ def _board_free(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()
     alone = replace(used, tool=views, mount="base")
     for _ in range(_ROUNDS):
         linear = linearised(alone, placed, free)
-        if not np.all(np.isfinite(linear.gg)) or np.max(np.linalg.cond(linear.gg)) > _LOST:
+        if not np.all(np.isfinite(linear.gg)) or np.max(linalg.cond(linear.gg)) > _LOST:
             return None
         inverse = np.linalg.inv(linear.gg)
         pull = linear.gr
@@ -265,7 +266,7 @@ def _board_free(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()
             jg, jj, jr = linear.jg[:, 12:], linear.jj[:, 12:, 12:], linear.jr[:, 12:]
             a = np.sum(jj - jg @ inverse @ jg.transpose(0, 2, 1), axis=0)
             b = np.sum(jr - np.einsum("nab,nbc,nc->na", jg, inverse, linear.gr), axis=0)
-            change = -np.linalg.lstsq(a, b, rcond=1e-12)[0]
+            change = -linalg.lstsq(a, b, rcond=1e-12)
             pull = linear.gr + np.einsum("nba,b->na", jg, change)
             placed = placed.moved(np.concatenate([np.zeros(12), change]), free)
         steps = -np.einsum("nab,nb->na", inverse, pull)
@@ -333,7 +334,7 @@ def _over_leverage(alone: _Alone) -> tuple[FloatArray, FloatArray]:
     r, _, g = rows(alone.scene, alone.placed, ())
     inverse = np.linalg.inv(linearised(alone.scene, alone.placed, ()).gg)[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
-    values, vectors = np.linalg.eigh(left)
+    values, vectors = linalg.eigh(left)
     turned = np.einsum("mba,mb->ma", vectors, r)
     squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
     return np.sqrt(np.sum(squares, axis=1)), np.linalg.norm(r, axis=1)

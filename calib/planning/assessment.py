@@ -27,13 +27,21 @@ from calib.core.base.units import in_si, millimetres
 from calib.core.base.words import counted, data_frame, listed, titled_html
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate
 from calib.core.numerics.null_space import UnseenGroup, null_groups
 from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.core.rows.candidates import (
+    WHITENED,
+    assumed_sigma,
+    positions_at,
+    require_free,
+    rows_of_measured,
+    rows_of_poses,
+)
 from calib.core.rows.determination import Determination, determination
 from calib.core.rows.observed import looks_at, observe
 from calib.core.rows.prediction import beside_common_motion
@@ -223,8 +231,10 @@ def check(
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]
     elimination = eliminate(determined.columns, order)
-    counting = Poses(poses.joints, poses.labels, poses.names, poses.path, ()) if task is None else task
-    _, positions, task_rows = rows_of_measured(robot, counting, sigma)
+    if task is None:
+        positions, task_rows = positions_at(robot, configurations)
+    else:
+        _, positions, task_rows = rows_of_measured(robot, task, sigma)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
     beside = known.position_errors(beside_common_motion(positions[:, robot.located], task_rows))
@@ -333,7 +343,7 @@ def accuracy_by_count(
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
     if problem.known.rank.rank == 0:  # no number of poses determines anything
         return ()
-    rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    rank_left = problem.known.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
@@ -357,7 +367,7 @@ def accuracy_by_count(
 
 def _directions_of_a_pose(rows: FloatArray) -> int:
     """How many directions a pose determines at most; its rows, (n, n_rows, n_parameters), may repeat each other."""
-    strengths = np.linalg.svd(rows, compute_uv=False)
+    strengths = linalg.singular_values(rows)
     return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 
 

@@ -83,7 +83,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 def _heading(a: Assessment, source: str) -> str:
     noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
     noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
-    return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}"
+    return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} measured values{noise}"
 
 
 def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:

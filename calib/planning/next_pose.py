@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.measurements import Poses
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import ways
@@ -84,7 +85,7 @@ def next_pose(
     problem, usable = setting.problem, setting.space.usable
     if not np.any(usable):
         return None
-    determined = bool(np.linalg.eigvalsh(problem.before)[0] > DETERMINED)
+    determined = bool(linalg.eigvalsh(problem.before)[0] > DETERMINED)
     if determined:
         scores: Task | Determinant = Task(problem, problem.before)
     else:

@@ -37,6 +37,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Comparison
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import near_measured
 from calib.core.rows.observed import seen_by
@@ -276,9 +277,9 @@ def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, Float
             continue
         read = np.isfinite(compared.residuals).all(axis=1)
         by_motion = compared.by_twist[read] / np.repeat([1.0, robot.mechanism.length], 3)
-        motion = np.einsum("nxr,nr->nx", np.linalg.pinv(by_motion), compared.residuals[read])
+        motion = np.einsum("nxr,nr->nx", linalg.pinv(by_motion), compared.residuals[read])
         squares = np.full(len(readings), np.nan)
-        n_seen = np.clip(np.linalg.matrix_rank(by_motion), 0, 3)
+        n_seen = np.clip(linalg.matrix_rank(by_motion), 0, 3)
         squares[read] = np.where(n_seen > 0, 3.0 / np.maximum(n_seen, 1) * np.sum(motion**2, axis=1), np.nan)
         yield name, squares
 

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.numerics import linalg
 from calib.planning.selection_problem import SelectionProblem, Sparing
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
@@ -86,7 +87,7 @@ class Determinant(_Gathered):
         gathered = self.gathered + sign * rows.T @ rows
         left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
-        if self.age >= _REFRESH or left < _UPDATED or np.linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
+        if self.age >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
             return Determinant.of(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
@@ -100,7 +101,7 @@ def _root(matrix: FloatArray) -> FloatArray:
     try:
         return np.asarray(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(matrix)
+        values, vectors = linalg.eigh(matrix)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

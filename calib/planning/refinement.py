@@ -32,6 +32,7 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress, in_order
+from calib.core.numerics import linalg
 from calib.core.robots.closure import residual
 from calib.core.robots.continuation import closing_tolerance
 from calib.core.robots.joint_errors import actual_joints, term_columns
@@ -208,7 +209,7 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
         try:
             passive[active] -= np.linalg.solve(slope, values[:, :, None])[:, :, 0]
         except np.linalg.LinAlgError:  # one of them is exactly singular
-            passive[active] -= (np.linalg.pinv(slope) @ values[:, :, None])[:, :, 0]
+            passive[active] -= (linalg.pinv(slope) @ values[:, :, None])[:, :, 0]
     values = residual(mechanism, q, passive)[0]
     inside = np.all((passive >= mechanism.lower) & (passive <= mechanism.upper), axis=1)
     passive[~inside | (np.max(np.abs(values), axis=1) > _CLOSED)] = np.nan

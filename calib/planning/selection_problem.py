@@ -39,6 +39,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.memory import zeros_with_room
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Rank, reduced
 from calib.core.numerics.observability import OUTSIDE, Information, information
 
@@ -95,7 +96,7 @@ class SelectionProblem:
 
     def determined_by(self, chosen: BoolArray) -> bool:
         """Return whether a choice (n_candidates,) determines every direction that all candidates together do."""
-        return bool(np.linalg.eigvalsh(self.gathered(chosen.astype(float)))[0] > DETERMINED)
+        return bool(linalg.eigvalsh(self.gathered(chosen.astype(float)))[0] > DETERMINED)
 
 
 def build_problem(
@@ -121,8 +122,8 @@ def build_problem(
     priors = np.zeros((0, width)) if priors is None else priors
     known = information(rows, measured)
     directions, strengths = known.directions, known.strengths
-    others = np.linalg.svd(directions)[0][:, known.rank.rank :] if known.rank.rank else np.eye(width)
-    held = np.linalg.pinv(priors @ others, rcond=OUTSIDE)  # P_NN^+ = held held^T
+    others = linalg.svd(directions)[0][:, known.rank.rank :] if known.rank.rank else np.eye(width)
+    held = linalg.pinv(priors @ others, rcond=OUTSIDE)  # P_NN^+ = held held^T
     clear = directions - others @ (held @ (priors @ directions))  # V - N P_NN^+ P_NV
     whiten = directions / strengths
     before = measured @ whiten
@@ -162,7 +163,7 @@ def _task(
     factor = reduced(flat @ clear).T / np.sqrt(n_positions)
     outside = flat @ others
     held_part = outside @ held
-    unheld = outside - held_part @ np.linalg.pinv(held) if held.size else outside
+    unheld = outside - held_part @ linalg.pinv(held) if held.size else outside
     if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
         return factor, float("inf")
     return factor, float(np.sum(held_part**2)) / n_positions
@@ -192,7 +193,7 @@ class Sparing:
         """
         diagonal = np.diag(gathered)
         scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
-        values, vectors = np.linalg.eigh(scale[:, None] * gathered * scale)
+        values, vectors = linalg.eigh(scale[:, None] * gathered * scale)
         rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
         if not values[0] > rounding:
             return cls(np.zeros_like(gathered), 1.0)
@@ -209,5 +210,5 @@ class Sparing:
         """
         seen = rows @ self.whiten
         left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
-        result: BoolArray = np.linalg.eigvalsh(left)[:, 0] > self.least
+        result: BoolArray = linalg.eigvalsh(left)[:, 0] > self.least
         return result

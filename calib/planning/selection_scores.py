@@ -24,6 +24,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import InputError, nearest
+from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
 from calib.planning.rank_three_scores import Determinant, Task
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem, Sparing
@@ -100,11 +101,11 @@ def values_of_rows(problem: SelectionProblem, rows: FloatArray, unit: float) -> 
     """Return the indices of whitened rows, (n_poses, n_rows_per_pose, r), with what is known before."""
     flat = rows.reshape(-1, rows.shape[2])
     gathered = flat.T @ flat + problem.before
-    eigenvalues, vectors = np.linalg.eigh(gathered)
+    eigenvalues, vectors = linalg.eigh(gathered)
     determined = bool(eigenvalues[0] > DETERMINED)
     # of a factor, not of S K S: products carry half the digits, and strengths may differ by more than that
     factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
-    singular = np.linalg.svd(factor * problem.strengths, compute_uv=False)
+    singular = linalg.singular_values(factor * problem.strengths)
     if not determined:
         singular[-1] = 0.0
     values = observability(unit * singular, len(rows) + problem.n_before)
@@ -149,13 +150,13 @@ class Spectrum:
     @cached_property
     def value(self) -> float:
         """The index."""
-        return float(spectral_index(np.linalg.eigvalsh(self.matrix)[None], self.index)[0])
+        return float(spectral_index(linalg.eigvalsh(self.matrix)[None], self.index)[0])
 
     def best(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
         sign = 1.0 if add else -1.0
         candidates = np.flatnonzero(allowed)
-        eigenvalues, vectors = np.linalg.eigh(self.matrix)
+        eigenvalues, vectors = linalg.eigh(self.matrix)
         turned = self.problem.rows[candidates] @ (self.problem.strengths[:, None] * vectors)
         bounds = spectral_index(_pinched(eigenvalues, turned, sign), self.index)
         order = np.argsort(-bounds, kind="stable")
@@ -165,7 +166,7 @@ class Spectrum:
             if bounds[batch[0]] <= best_value:
                 break
             changed = np.diag(eigenvalues) + sign * np.matmul(turned[batch].transpose(0, 2, 1), turned[batch])
-            exact = spectral_index(np.linalg.eigvalsh(changed), self.index)
+            exact = spectral_index(linalg.eigvalsh(changed), self.index)
             if np.max(exact) > best_value:
                 best, best_value = int(candidates[batch[np.argmax(exact)]]), float(np.max(exact))
         return best
@@ -189,7 +190,7 @@ def _pinched(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatA
     low = turned[:, :, :_PINCHED]
     block = np.diag(eigenvalues[:_PINCHED]) + sign * np.matmul(low.transpose(0, 2, 1), low)
     diagonal = eigenvalues[_PINCHED:] + sign * np.sum(turned[:, :, _PINCHED:] ** 2, axis=1)
-    result: FloatArray = np.concatenate([np.linalg.eigvalsh(block), diagonal], axis=1)
+    result: FloatArray = np.concatenate([linalg.eigvalsh(block), diagonal], axis=1)
     return result
 
 

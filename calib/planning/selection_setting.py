@@ -16,6 +16,7 @@ from calib.core.base.errors import InputError, NotIdentifiableError, nearest
 from calib.core.base.memory import require_memory
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import (
     Candidates,
@@ -228,7 +229,7 @@ def require_count(setting: SelectionSetting) -> None:
     request, pairs, usable = setting.request, setting.pairs, setting.space.usable
     _require_candidates(request, usable, pairs)
     problem = setting.problem
-    missing = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    missing = problem.known.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, pairs.n_read, 0)
     coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if coordinates < missing:

@@ -16,6 +16,7 @@ import scipy
 from calib.core.base.errors import DataError
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.base.words import listed
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM, FEWEST
 from calib.printers.linear_delta import (
     ANGLE,
@@ -207,7 +208,7 @@ def left_out(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
     off, chance = np.empty(len(rows)), np.empty(len(rows))
     for k in range(len(rows)):
         kept = np.arange(len(rows)) != k
-        inverse = np.linalg.pinv(np.vstack([slope[kept], prior[0]]))
+        inverse = linalg.pinv(np.vstack([slope[kept], prior[0]]))
         change = -inverse @ np.concatenate([error[kept], prior[1]])
         freedom = np.sum(kept) - np.trace(slope[kept] @ inverse[:, : np.sum(kept)])
         if freedom < FEWEST:

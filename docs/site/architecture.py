@@ -55,7 +55,7 @@ CORE = (
     Room("Base", 0, ("core.base",)),
     Room("Numerics", 1, ("core.numerics",)),
     Room("Joint terms", 1, ("core.robots.terms",)),
-    Room("URDF", 1, ("core.robots.urdf",)),
+    Room("URDF", 2, ("core.robots.urdf",)),
     Room("Instruments", 2, ("core.instruments",)),
     Room("Robots", 3, ("core.robots",)),
     Room("Data", 4, ("core.data",)),

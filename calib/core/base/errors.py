@@ -9,9 +9,11 @@ Two families, one for each exit code of the command line:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import SequenceMatcher
 from itertools import takewhile
+
+from calib.core.base.letters import brief, visible
 
 _ALIKE = 0.6
 """Part of two names that must agree for one to be a misspelling of the other."""
@@ -20,9 +22,16 @@ _LISTED = 100
 
 
 class CalibrationError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose.
+
+    Args:
+        message: What is wrong, where, and what to do; what it quotes of files is shown as far as a person reads it.
+    """
 
     exit_code = 3
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(brief(visible(message)))
 
 
 class InputError(CalibrationError):
@@ -94,9 +103,25 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     return f"; {what} {', '.join(names[:_LISTED])}{more}"
 
 
-def nearest_column(name: str, columns: Iterable[str]) -> str:
-    """Return the hint of `nearest` for a column that a file lacks; the list is what the file has."""
-    return nearest(name, columns, "the file has")
+def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:
+    """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
+
+    Args:
+        name: The column.
+        columns: Those of the file.
+        taken: Of these, columns that mean something else and are not offered.
+    """
+    hint = nearest(name, [column for column in columns if column not in taken], "the file has")
+    if not hint.endswith("?"):
+        return f"; the file has {listed_columns(columns)}"
+    return f"{hint} The file has {listed_columns(columns)}"
+
+
+def listed_columns(columns: Collection[str]) -> str:
+    """Return the columns of a file as a list; of very many the first ones."""
+    names = list(columns)
+    more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (", ".join(names[:_LISTED]) or "no columns") + more
 
 
 def _alike(name: str, other: str) -> bool:

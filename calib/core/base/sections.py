@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.files import read_text
+from calib.core.base.letters import unseen
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension, quantity
 
@@ -26,6 +27,9 @@ COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
 _SCALE = 0.01  # by which an unknown length without any expectation is scaled [m]
 _KEYS = ("value", "sigma")
 _MERGE = "tag:yaml.org,2002:merge"
+_OPENCV_MATRIX = "tag:yaml.org,2002:opencv-matrix"
+_MOST_BY_ALIASES = 10_000
+"""Entries that aliases may add: a few lines of them stand for more than any memory holds."""
 
 
 def _reader(dimension: Dimension) -> BeforeValidator:
@@ -41,7 +45,8 @@ def _reader(dimension: Dimension) -> BeforeValidator:
 def _number_or_text(value: Any) -> float | str:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
-    return value
+    huge = isinstance(value, int) and abs(value) >= 10**300  # `quantity` refuses it with its own sentence
+    return value if huge or isinstance(value, str) else float(value)
 
 
 Length = Annotated[float, _reader("length")]
@@ -179,8 +184,33 @@ LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_w
 """`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML silently keeps the last of two equal keys; here that is an error."""
+class _Loader(yaml.SafeLoader):
+    """The YAML that is read here: no key twice, of which YAML silently keeps the last, and no boundless aliases."""
+
+    def compose_document(self) -> yaml.Node | None:
+        """Return the nodes of a document; aliases that make much more of it, or contain themselves, are an error."""
+        document = super().compose_document()
+        sizes: dict[int, int] = {}
+        if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:
+            raise yaml.composer.ComposerError(
+                None, None, f"its aliases stand for more than {_MOST_BY_ALIASES} further entries", document.start_mark
+            )
+        return document
+
+
+def _size(node: yaml.Node, sizes: dict[int, int]) -> int:
+    """Number of entries of a node with everything that aliases in it stand for; `sizes` has those that are known."""
+    if id(node) not in sizes:
+        sizes[id(node)] = 0  # while its parts are counted
+        if isinstance(node, yaml.ScalarNode) and (problem := unseen(node.value)):
+            raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
+        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+        sizes[id(node)] = 1 + sum(
+            _size(part, sizes) for entry in parts for part in (entry if isinstance(entry, tuple) else (entry,))
+        )
+    elif sizes[id(node)] == 0:
+        raise yaml.composer.ComposerError(None, None, "an entry contains itself by an alias", node.start_mark)
+    return sizes[id(node)]
 
 
 def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -198,11 +228,12 @@ def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any
 
 
 # No, Yes, On and Off are words, such as names of columns; true and false alone are truth values
-_UniqueKeyLoader.yaml_implicit_resolvers = {
+_Loader.yaml_implicit_resolvers = {
     first: [kind for kind in kinds if kind[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
     for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+for _tag in (yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _OPENCV_MATRIX):
+    _Loader.add_constructor(_tag, _unique_mapping)
 
 
 def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
@@ -215,11 +246,23 @@ def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URD
     Raises:
         DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
     """
-    text = read_text(path, what, DescriptionError)
+    return parse_yaml(read_text(path, what, DescriptionError), path)
+
+
+def parse_yaml(text: str, where: Path | str) -> Any:
+    """Return what YAML says.
+
+    Args:
+        text: The YAML.
+        where: Its file, for messages.
+
+    Raises:
+        DescriptionError: Broken YAML, or aliases that stand for very much; the message names the line.
+    """
     try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
+        return yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
-        raise DescriptionError(f"{path}{line}: not valid YAML ({problem})") from None
+        raise DescriptionError(f"{where}{line}: not valid YAML ({problem})") from None

@@ -19,6 +19,7 @@ from rich.console import Console
 from calib.core.base.arrays import BoolArray, IntArray
 from calib.core.base.errors import CalibrationError, InputError
 from calib.core.base.files import check_file, check_folder, write_file
+from calib.core.base.letters import visible
 from calib.core.base.own_files import inputs_noted
 from calib.core.base.units import quantity
 from calib.core.base.words import as_data
@@ -61,12 +62,12 @@ class Output:
     def say(self, text: str) -> None:
         """Print text for people."""
         if not self.quiet and self.json_target != "-":
-            click.echo(text)
+            click.echo(visible(text))
 
     def note(self, text: str) -> None:
         """Print a warning or remark to standard error."""
         if not self.quiet:
-            click.echo(text, err=True)
+            click.echo(visible(text), err=True)
 
     def remarks(self, remarks: Sequence[str]) -> None:
         """Print remarks on single poses to standard error, the first few of them."""
@@ -206,7 +207,7 @@ class _ToStandardError(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print it."""
-        click.echo(f"note: {record.getMessage()}", err=True)
+        click.echo(f"note: {visible(record.getMessage())}", err=True)
 
 
 def _tell_warnings(quiet: bool) -> None:

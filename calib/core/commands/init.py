@@ -13,6 +13,7 @@ import yaml
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
 from calib.core.base.registry import brought, installed
+from calib.core.base.sections import parse_yaml
 from calib.core.base.units import millimetres
 from calib.core.commands.common import Output, shared_options
 from calib.core.commands.first_files import FirstFiles
@@ -218,7 +219,7 @@ def _loaded(urdf: UrdfText, description: str) -> Robot:
     """The robot of a description that is not written yet; only a loaded one knows its columns and where it reaches."""
     with TemporaryDirectory() as folder:
         (Path(folder) / "robot.urdf").write_bytes(urdf.source)
-        said = yaml.safe_load(description) | {"urdf": "robot.urdf"}
+        said = parse_yaml(description, "robot.yaml") | {"urdf": "robot.urdf"}
         (Path(folder) / "robot.yaml").write_text(yaml.safe_dump(said), encoding="utf-8")
         return load(Path(folder) / "robot.yaml")
 

@@ -10,14 +10,14 @@ import traceback
 import click
 
 from calib.core.base.errors import CalibrationError
+from calib.core.base.letters import brief, visible
 from calib.core.base.other_words import way
 
 _COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
 
 
 def _one_line(message: str) -> str:
-    text = " ".join(message.split())
-    return "".join(letter if letter.isprintable() else "?" for letter in text)  # no control codes from broken files
+    return brief(visible(" ".join(message.split())))
 
 
 class OneLineError(click.ClickException):

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.letters import unseen
 from calib.core.data.joining import joined
 from calib.core.data.measurement_files import read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -54,6 +55,8 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
         numbers = range(len(joints))
         return Poses(joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, (), robot=robot)
     called = tuple(str(name) for name in names)
+    if problem := next(filter(None, map(unseen, called)), ""):
+        raise DataError(f"names: {problem}")
     return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, (), robot=robot)
 
 

@@ -13,6 +13,7 @@ from calib.core.data.on_demand import Numbered, picked
 from calib.core.data.robot_tables import odd_unit
 from calib.core.data.tables import Table
 from calib.core.instruments.kind import Instrument, Readings
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 
 
@@ -29,8 +30,23 @@ def columns_in(instrument: Instrument, table: Table) -> list[str]:
     return [name for name in names if name in table.names]
 
 
-def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArray) -> Readings:
-    """Return what an instrument read in the rows of a table, whose visits are given, (n_table_rows,).
+def nearest_free_column(name: str, robot: Robot, table: Table) -> str:
+    """Return the hint for a column that a table lacks; no column that another joint or instrument reads is offered."""
+    read = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
+    return nearest_column(name, table.names, read | {*robot.joint_names, "pose", "setup"})
+
+
+def readings_in(
+    robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
+) -> Readings:
+    """Return what an instrument read in the rows of a table.
+
+    Args:
+        robot: The robot.
+        instrument: One of its instruments.
+        table: The table.
+        rows: Visit of each row, (n_table_rows,).
+        own_lines: Whether readings keep their file and line, because other files have the joint values.
 
     Raises:
         DataError: The message names file, line and column.
@@ -41,9 +57,9 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
         if hint is not None:
             raise DataError(f"{table.path}, {hint}")
         raise DataError(
-            f"{table.path}: no column '{lacking}'{nearest_column(lacking, table.names)} (the robot description has"
-            f" '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml' writes a"
-            " description)"
+            f"{table.path}: no column '{lacking}'{nearest_free_column(lacking, robot, table)} (the robot description"
+            f" has '{instrument.name}': change this name there, or the column; 'calib init URDF --out robot.yaml'"
+            " writes a description)"
         )
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
@@ -53,7 +69,7 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
         if name not in table.names:
-            raise DataError(f"{table.path}: no column '{name}'{nearest_column(name, table.names)}")
+            raise DataError(f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
     belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))
@@ -70,7 +86,12 @@ def readings_in(robot: Robot, instrument: Instrument, table: Table, rows: IntArr
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
     numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
-    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine])
+    labels = tuple(picked(Numbered(wheres.before, table.lines, _pose_names(table)), kept)) if own_lines else None
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine], labels)
+
+
+def _pose_names(table: Table) -> tuple[str, ...] | None:
+    return tuple(table.texts("pose")) if "pose" in table.names else None
 
 
 def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:
@@ -131,7 +152,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
         correlation[:, i, j] = correlation[:, j, i] = _of_readings(instrument, table, kept, name, None)
-    smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
+    smallest = linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
         raise DataError(

@@ -106,10 +106,12 @@ def joined_readings(parts: Sequence[Readings]) -> Readings:
     with_covariance = [part.covariance for part in parts if part.covariance is not None]
     if with_covariance and len(with_covariance) < len(parts):
         raise DataError("standard deviations are given in one file and not in another; give them in all, or in none")
+    labels = [part.labels for part in parts if part.labels is not None]
     return Readings(
         np.concatenate([part.visits for part in parts]),
         np.concatenate([part.pairs for part in parts]),
         np.concatenate([part.values for part in parts]),
         np.concatenate(with_covariance) if with_covariance else None,
         np.concatenate([part.details for part in parts]),
+        tuple(chain.from_iterable(labels)) if len(labels) == len(parts) else None,
     )

@@ -16,8 +16,8 @@ from typing import cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, InputError, nearest, nearest_column
-from calib.core.data.instrument_cells import columns_in, named_columns, readings_in, setups_of
+from calib.core.base.errors import DataError, InputError, listed_columns, nearest
+from calib.core.data.instrument_cells import columns_in, named_columns, nearest_free_column, readings_in, setups_of
 from calib.core.data.joining import joined_poses, joined_readings
 from calib.core.data.measurement_columns import APPROACH, header, shown
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -93,10 +93,13 @@ def read_measurements(
         else:
             rows = _visits_by_pose(table, poses)
         for instrument in _seen_in(robot, table):
-            parts.setdefault(instrument.name, []).append(readings_in(robot, instrument, table, rows))
+            own_lines = len(with_joints) < len(tables)
+            parts.setdefault(instrument.name, []).append(
+                readings_in(robot, instrument, table, rows, own_lines=own_lines)
+            )
     data = measurements(poses, {name: joined_readings(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
-        raise DataError(f"{tables[0].path}: has no column of any instrument; expected: {_expected(robot)}")
+        raise DataError(f"{tables[0].path}: {_no_instrument(robot, tables[0])}")
     if data.n_readings == 0 and growing is None:
         where = f"{tables[0].path}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
@@ -212,7 +215,7 @@ def _joints_of_table(
             raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")
         if name not in table.names and sensor is None:
             raise DataError(
-                f"{table.path}: no column '{name}'{nearest_column(name, table.names)} (if your file has"
+                f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)} (if your file has"
                 " another name for it, translate that name under 'columns' in the robot description)"
             )
         if name not in table.names and sensor not in reading:
@@ -322,12 +325,13 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
     if not instruments and set(robot.commanded_names) <= set(table.names):
         return []
     if not instruments:
-        raise DataError(f"{table.path}: has no column of any instrument; expected: {_expected(robot)}")
+        raise DataError(f"{table.path}: {_no_instrument(robot, table)}")
     return instruments
 
 
-def _expected(robot: Robot) -> str:
-    return "; ".join(dict.fromkeys(", ".join(named_columns(instrument)) for instrument in robot.instruments))
+def _no_instrument(robot: Robot, table: Table) -> str:
+    expected = "; ".join(dict.fromkeys(", ".join(named_columns(instrument)) for instrument in robot.instruments))
+    return f"has no column of any instrument; expected: {expected}; the file has {listed_columns(table.names)}"
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:

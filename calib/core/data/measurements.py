@@ -243,12 +243,7 @@ class Measurements(Poses):
         Args:
             numbers: Which readings of each instrument, by its name: indices (n,); none of others.
         """
-        chosen = {}
-        for name, own in numbers.items():
-            readings = self.readings[name]
-            covariance = None if readings.covariance is None else readings.covariance[own]
-            parts = (readings.visits[own], readings.pairs[own], readings.values[own])
-            chosen[name] = Readings(*parts, covariance, readings.details[own])
+        chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
         return replace(self, readings=chosen).subset(visits)
 
@@ -342,13 +337,7 @@ def of_visits(readings: Readings, index: IntArray) -> Readings:
     first, last = (np.searchsorted(readings.visits[order], index, side=side) for side in ("left", "right"))
     counts = last - first
     kept = order[np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))]
-    return Readings(
-        np.repeat(np.arange(len(index)), counts),
-        readings.pairs[kept],
-        readings.values[kept],
-        None if readings.covariance is None else readings.covariance[kept],
-        readings.details[kept],
-    )
+    return readings.subset(kept, np.repeat(np.arange(len(index)), counts))
 
 
 def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArray:

@@ -109,28 +109,34 @@ def apart(joints: FloatArray, used: FloatArray) -> BoolArray:
     return np.asarray(near.query(joints / unit)[0] > limit)
 
 
-def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
+def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> list[IntArray]:
     """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
+
+    Nothing here depends on the order of the joints, or on the side on which their values are positive. Of joints that
+    spread alike, the one nearest to the base is cut; of these, the one whose values differ first, pose by pose. Where
+    the poses cannot be halved, the side to which a joint's values lean has one more.
 
     Args:
         joints, by_name: As of `repeated_poses`.
         count: Number of boxes; no more than there are different poses.
+        depths: How far each joint is from the base, (n_actuated,), such as `Mechanism.depths`.
 
     Returns:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
     order, starts = _by_pose(joints, by_name)
     sizes = np.diff(starts, append=len(order))
-    centres = np.add.reduceat(joints[order], starts) / sizes[:, None]
-    spread = np.ptp(centres, axis=0)
-    centres = centres / np.where(spread > 0, spread, 1.0)
+    centres = _both_ways_alike(np.add.reduceat(joints[order], starts) / sizes[:, None])
+    sizes_in_order = np.abs(centres.T).astype(">f8")  # the bytes of such numbers are sorted as the numbers are
+    by_base = sorted(range(len(depths)), key=lambda joint: (depths[joint], sizes_in_order[joint].tobytes()))
+    centres = centres[:, by_base]
 
     def cut(part: IntArray, into: int) -> list[IntArray]:
         if into == 1:
             return [part]
         # rounded, so that of joints that spread alike the first is cut on every processor
         joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
-        arranged = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        arranged = part[np.argsort(centres[part, joint], kind="stable")]
         left = into // 2
         middle = len(arranged) * left // into
         return cut(arranged[:middle], left) + cut(arranged[middle:], into - left)
@@ -142,3 +148,16 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
     of_row = np.empty(len(order), dtype=np.intp)
     of_row[order] = np.repeat(box, sizes)
     return [np.flatnonzero(of_row == number) for number in range(len(parts))]
+
+
+def _both_ways_alike(centres: FloatArray) -> FloatArray:
+    """Return joint values (n, k) about the middle of their range, in units of it, the same if an axis is reversed.
+
+    They lean to the positive side: towards the middle of the range, or, where they lean to none, with the first pose.
+    """
+    low, high = np.min(centres, axis=0), np.max(centres, axis=0)
+    spread = np.where(high > low, high - low, 1.0)
+    values = np.round((centres - (low + high) / 2) / spread, 9)
+    lean = np.round(np.mean(values, axis=0), 9)
+    first = values[np.argmax(values != 0.0, axis=0), np.arange(values.shape[1])]
+    return values * np.where(np.where(lean != 0.0, lean, first) < 0.0, -1.0, 1.0)

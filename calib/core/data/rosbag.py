@@ -17,6 +17,7 @@ The package rosbags reads them, without ROS. It is not needed for anything else.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -82,11 +83,11 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
     """
     joints, places = _series(path)
     if not joints:
-        raise DataError(f"{path}: has no joint states (sensor_msgs/JointState); record their topic too")
+        raise DataError(f"{path}: has no joint states (sensor_msgs/JointState); record their topic too{_topics(path)}")
     if not places:
         raise DataError(
             f"{path}: has no measurements (geometry_msgs/PointStamped, PoseStamped or TransformStamped); record their"
-            " topic too"
+            f" topic too{_topics(path)}"
         )
     all_series = [*joints.values(), *places.values()]
     stamped = all(stamp > 0 for series in all_series for stamp in series.stamps)
@@ -169,8 +170,25 @@ def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], Float
     return list(joints), q, (spread <= _STILL) & bool(joints)
 
 
+def _topics(path: Path | str) -> str:
+    """The topics of a bag with their types, as the end of a message."""
+    with _opened(path) as reader:
+        named = sorted({f"{connection.topic} ({connection.msgtype})" for connection in reader.connections})
+    return f"; the bag has {', '.join(named)}" if named else "; the bag has no topics"
+
+
 def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
     """Topic, type, time of recording [s] and message of all messages of some types."""
+    with _opened(path) as reader:
+        connections = [connection for connection in reader.connections if connection.msgtype in kinds]
+        for connection, recorded, raw in reader.messages(connections) if connections else ():
+            message = reader.deserialize(raw, connection.msgtype)
+            yield connection.topic, connection.msgtype, recorded / 1e9, message
+
+
+@contextmanager
+def _opened(path: Path | str) -> Iterator[Any]:
+    """The reader of a bag; what goes wrong with it is a `DataError`."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -182,10 +200,7 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
         raise DataError(f"{path}: no such file; give a CSV file or a bag")
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            connections = [connection for connection in reader.connections if connection.msgtype in kinds]
-            for connection, recorded, raw in reader.messages(connections) if connections else ():
-                message = reader.deserialize(raw, connection.msgtype)
-                yield connection.topic, connection.msgtype, recorded / 1e9, message
+            yield reader
     except DataError:
         raise
     except Exception as error:  # of rosbags, of SQLite, of what a broken file makes of them

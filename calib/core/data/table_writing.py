@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.letters import visible
 
 _PART = 8192  # rows that are written together
 _JSON = TypeAdapter(list[float])
@@ -77,7 +78,7 @@ def table_pieces(columns: Written, comments: Sequence[str] = ()) -> Iterator[str
     """
     stream = io.StringIO()
     for comment in comments:
-        apart = _FORMULA_IN_COMMENT.sub(r"\1 ", comment)  # what follows a comma is a cell to a spreadsheet
+        apart = _FORMULA_IN_COMMENT.sub(r"\1 ", visible(comment))  # what follows a comma is a cell to a spreadsheet
         stream.write(f"# {apart}\n")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([_written_text(header) for header, _ in columns])

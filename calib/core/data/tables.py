@@ -26,6 +26,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, nearest_column
 from calib.core.base.files import read_lines
+from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
 from calib.core.base.units import Dimension, per_si, split_column
 from calib.core.data.layouts import (
@@ -42,7 +43,8 @@ from calib.core.data.on_demand import TextRows, cells_of, is_plain
 from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
-_LARGEST = 1e6  # [m or rad]
+_LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
+_LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
 _LOG = logging.getLogger("calib")
 IN_MEMORY = "table in memory"
 """What a table that is no file is called in messages."""
@@ -125,10 +127,10 @@ class Table:
         if self.units[index] is None and dimension is not None:
             check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
         values = values / divisor
-        if dimension in _SUSPICIOUS and abs(values[worst]) > _LARGEST:
+        if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
-                f"{self._where(worst, index)}: {self.rows[worst][index]} is beyond what any robot reaches; correct it,"
-                " or leave the row out"
+                f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what is measured; correct it, or"
+                " leave the row out"
             )
         return values
 
@@ -145,7 +147,12 @@ class Table:
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
         index = self.names.index(name)
-        return (text_of(cell.strip()) for cell in self._column(index))
+        return (self._name(text_of(cell.strip()), row, index) for row, cell in enumerate(self._column(index)))
+
+    def _name(self, text: str, row: int, index: int) -> str:
+        if problem := unseen(text):
+            raise DataError(f"{self._where(row, index)}: {problem}")
+        return text
 
     def _column(self, index: int) -> Iterator[str]:
         """Cells of a column, as they stand in the file."""
@@ -309,7 +316,7 @@ def read_table(
         raise DataError(f"{path}: has a header but no rows")
     first, last = numbers[1], numbers[-1]
     where = numbers[1:] if last - first >= len(rows) else range(first, last + 1)
-    return Table(str(path), names, units, rows, where, tuple(comments), separator)
+    return Table(str(path), names, units, rows, where, tuple(map(visible, comments)), separator)
 
 
 @functools.lru_cache(maxsize=64)

@@ -38,6 +38,7 @@ from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import Solved
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, placed_as, seen_from, solve_from, uncertainty_at
+from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import BeyondLinear
 from calib.core.robots.configurations import Configurations
@@ -243,7 +244,7 @@ def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scal
         factor: FloatArray = rows.factor[:, :-1][:, problem.unknowns.family < 0] * (scales.groups / units)
     else:
         factor = problem.derivative(final, units, own).factor()
-    return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
+    return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
 
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:

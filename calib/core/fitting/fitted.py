@@ -231,7 +231,8 @@ class Fit(ReadOnlyArrays, Hinting):
         """Regions that do not agree on the parameters, if there are any."""
         if self.computed:
             return None
-        return disagreeing(self.identification.data, self.weighted_rows, self.statistics)
+        depths = self.robot.mechanism.depths
+        return disagreeing(self.identification.data, depths, self.weighted_rows, self.statistics)
 
     @property
     def widened(self) -> float:

@@ -21,6 +21,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.words import joints_named, listed
 from calib.core.data.measurements import Measurements
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 
 _ALL_SIGNS = 8  # motors up to which every pattern of signs and every two changes are tried
@@ -155,7 +156,7 @@ def _mirrored(robot: Robot, data: Measurements, pattern: Pattern) -> bool:
     if robot.description.base.pose != "unknown":
         return False
     system = _systems(robot, data, [pattern])[0]
-    matrix = np.linalg.lstsq(system[:, :-1], system[:, -1])[0][:9].reshape(3, 3)
+    matrix = linalg.lstsq(system[:, :-1], system[:, -1])[:9].reshape(3, 3)
     return bool(np.linalg.det(matrix) < -_MIRRORED)
 
 

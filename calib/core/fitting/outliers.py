@@ -97,7 +97,7 @@ def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -
                 target=name,
                 looked_at=" ".join(word for words in texts.values() for word in words),
                 together=int(together[visit]),
-                label=error_set.data.labels[visit],
+                label=error_set.data.labels[visit] if readings.labels is None else readings.labels[number],
                 distance=float(_lengths(instrument, errors)[0]),
                 size=size_in_words(instrument, errors),
                 studentised=float(studentised.ratio[k]),

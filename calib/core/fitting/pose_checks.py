@@ -13,6 +13,8 @@ from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.numerics import linalg
+from calib.core.numerics.graphs import connected_parts
 from calib.core.robots.configurations import close
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
@@ -20,6 +22,7 @@ from calib.core.rows.determination import Determination, determination
 from calib.core.rows.unknowns import Unknowns
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
+_TIED = 0.02  # entry of the projector onto directions that no pose shows, from which joints take part in one
 _ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
 _LINE = 1e-3  # width over length below which positions lie on one line
 
@@ -100,7 +103,7 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     )
     if len(points) == 0 or turned:
         return
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    spread = linalg.singular_values(points - points.mean(axis=0))
     same = len(unmoved_joints(robot, data.joints)) == len(robot.joint_names)
     if len(spread) > 1 and spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
         return
@@ -116,14 +119,30 @@ def unmoved_joints(robot: Robot, joints: FloatArray) -> list[str]:
     return [name for name, reach in zip(robot.joint_names, np.ptp(joints, axis=0), strict=True) if reach < _STILL]
 
 
-def directions_moved(joints: FloatArray) -> int:
-    """Return along how many directions of joint space (each joint by its range) the poses (n_poses, n_actuated) lie."""
+def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...], int]]:
+    """Return groups of actuated joints that moved only together, and along how many directions each group moved.
+
+    The joints (each by its range) span fewer directions than there are joints. A joint is tied if it takes part in a
+    direction that no pose shows; joints that share such directions are a group.
+
+    Args:
+        robot: The robot.
+        joints: Of all poses, (n_poses, n_actuated) [m, rad].
+    """
     reach = np.ptp(joints, axis=0)
-    moved = joints[:, reach >= _STILL]
-    if moved.shape[1] == 0:
-        return 0
-    spread = np.linalg.svd((moved - moved.mean(axis=0)) / np.ptp(moved, axis=0), compute_uv=False)
-    return int(np.sum(spread > _ALONE * spread[0]))
+    moved = np.flatnonzero(reach >= _STILL)
+    if len(moved) == 0:
+        return []
+    scaled = (joints[:, moved] - joints[:, moved].mean(axis=0)) / reach[moved]
+    _, spread, directions = linalg.svd(scaled, full_matrices=len(scaled) < len(moved))
+    unseen = directions[int(np.sum(spread > _ALONE * spread[0])) :]
+    projector = np.abs(unseen.T @ unseen) > _TIED
+    groups = [part for part in connected_parts(projector) if projector[part[0], part[0]]]
+    unseen_of = [round(float(np.sum(unseen[:, part] ** 2))) for part in groups]  # the trace of its projector
+    return [
+        (tuple(robot.joint_names[moved[k]] for k in part), len(part) - fewer)
+        for part, fewer in zip(groups, unseen_of, strict=True)
+    ]
 
 
 def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: bool = False) -> Determination:
@@ -149,7 +168,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
-    null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
+    null = linalg.svd(determined.open_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(

@@ -43,16 +43,17 @@ class Regions:
     surely: bool
 
 
-def disagreeing(data: Measurements, rows: Rows, statistics: Statistics) -> Regions | None:
+def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: Statistics) -> Regions | None:
     """Return the regions by which parameters disagree most; None where they agree as well as noise lets them.
 
     Args:
         data: The visits that were used.
+        depths: `Mechanism.depths` of the robot.
         rows: Whitened rows at the solution, with the weights of a robust loss.
         statistics: What is known of the parameters.
     """
     block = np.zeros(len(data), dtype=np.intp)
-    for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS)):
+    for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):
         block[visits] = k
     cuts = {"boxes of joint space": block}
     if data.setups is not None and np.ptp(data.setups) > 0:

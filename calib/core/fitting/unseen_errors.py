@@ -68,7 +68,8 @@ def of_errors(errors: ErrorSet, poses: SeenAt) -> Accuracy:
     lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
     rms = errors.rms("after")
     before, limit = errors.rms("before"), limit95(lengths)
-    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, rms, limit, part.is_position)
+    read = (part.is_position, part.readings)
+    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, rms, limit, *read)
 
 
 def limit95(lengths: FloatArray) -> float:

@@ -35,6 +35,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics import linalg
 from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -249,7 +250,7 @@ def resection(points: FloatArray, seen: FloatArray) -> list[FloatArray]:
     Fewer than six points, or four in a plane, give none.
     """
     middle = points.mean(axis=0)
-    _, size, axes = np.linalg.svd(points - middle, full_matrices=False)
+    _, size, axes = linalg.svd(points - middle, full_matrices=False)
     scale = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))) or 1.0
     if len(points) < LEAST_POINTS or len(size) < 3 or size[1] < _FLAT * size[0]:
         return []
@@ -273,7 +274,7 @@ def _smallest(seen: FloatArray, numbers: FloatArray) -> FloatArray:
     rows = np.zeros((n, 2, 3, k))
     rows[:, 0, 0], rows[:, 0, 2] = numbers, -seen[:, :1] * numbers
     rows[:, 1, 1], rows[:, 1, 2] = numbers, -seen[:, 1:] * numbers
-    matrix: FloatArray = np.linalg.svd(rows.reshape(2 * n, 3 * k), full_matrices=False)[2][-1].reshape(3, k)
+    matrix: FloatArray = linalg.svd(rows.reshape(2 * n, 3 * k), full_matrices=False)[2][-1].reshape(3, k)
     return matrix * (np.sign(np.sum(numbers @ matrix[2])) or 1.0)
 
 
@@ -281,7 +282,7 @@ def _from_space(local: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatA
     matrix = _smallest(seen, np.hstack([local, np.ones((len(local), 1))]))
     size = np.cbrt(np.linalg.det(matrix[:, :3]))
     if size <= 0:  # a mirror image: rounding or noise decides; the nearest rotation is as good as any
-        size = float(np.mean(np.linalg.svd(matrix[:, :3])[1]))
+        size = float(np.mean(linalg.svd(matrix[:, :3])[1]))
     return nearest_rotation(matrix[:, :3]), matrix[:, 3] / max(float(size), 1e-12)
 
 

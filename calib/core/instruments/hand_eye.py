@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from calib.core.numerics.rigid import nearest_rotation
 
 _ROUNDS = 50
@@ -41,7 +42,7 @@ def fixed_rotations(
     if second is not None:
         return _first_of(links, seen, second), second
     form = np.einsum("kad,kbc->abdc", links, seen).reshape(9, 9)
-    u, _, vt = np.linalg.svd(form)
+    u, _, vt = linalg.svd(form)
     candidates = [(sign * u[:, 0].reshape(3, 3), sign * vt[0].reshape(3, 3)) for sign in (1.0, -1.0)]
     best: tuple[float, FloatArray, FloatArray] | None = None
     for _, start in candidates:
@@ -85,6 +86,6 @@ def fixed_poses(
     moved = np.concatenate([first[:3, 3], second[:3, 3]])
     right_side = (links[:, :3, 3] - seen[:, :3, 3] @ first[:3, :3].T).reshape(-1) - columns @ moved
     free = np.repeat(np.logical_not(known), 3)
-    moved[free] += np.linalg.lstsq(columns[:, free], right_side, rcond=1e-9)[0]
+    moved[free] += linalg.lstsq(columns[:, free], right_side, rcond=1e-9)
     first[:3, 3], second[:3, 3] = moved[:3], moved[3:]
     return first, second

@@ -42,6 +42,7 @@ class Part:
         is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
             is told in them, and the noise of positions is theirs.
         is_distance: Whether its row is how far its two frames are apart: pictures show it as a wire.
+        plural: What its readings are called in a sentence; the name with an s if not given.
     """
 
     name: str
@@ -51,6 +52,12 @@ class Part:
     largest: float = float("inf")
     is_position: bool = False
     is_distance: bool = False
+    plural: str = ""
+
+    @property
+    def readings(self) -> str:
+        """What its readings are called in a sentence."""
+        return self.plural or f"{self.name}s"
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,8 @@ class Readings(ReadOnlyArrays):
         values: The numbers, (n, n_values); NaN where a component was not read.
         covariance: Their noise where the file states it, (n, n_rows, n_rows) [SI]; None where it does not.
         details: Further numbers of each reading that a kind needs, (n, n_details).
+        labels: File, line and pose name of each, where they stand in another file than the joint values; None: those
+            of its visit.
     """
 
     visits: IntArray
@@ -114,9 +123,21 @@ class Readings(ReadOnlyArrays):
     values: FloatArray
     covariance: FloatArray | None
     details: FloatArray
+    labels: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.visits)
+
+    def subset(self, index: IntArray, visits: IntArray | None = None) -> Readings:
+        """Return the readings with these indices (n,), in this order, with new visits (n,) if given."""
+        return Readings(
+            self.visits[index] if visits is None else visits,
+            self.pairs[index],
+            self.values[index],
+            None if self.covariance is None else self.covariance[index],
+            self.details[index],
+            None if self.labels is None else tuple([self.labels[k] for k in index]),
+        )
 
 
 @dataclass(frozen=True, eq=False)

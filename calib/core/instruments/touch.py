@@ -44,9 +44,9 @@ from calib.core.instruments.touch_places import first_touches
 from calib.core.instruments.touch_sections import Surface, TouchSection
 
 _PARTS: dict[Surface, Part] = {
-    "socket": Part("contact", LENGTH_COMPONENTS, "length"),
-    "plane": Part("gap", ("gap",), "length"),
-    "sphere": Part("gap", ("gap",), "length"),
+    "socket": Part("contact", LENGTH_COMPONENTS, "length", plural="points of contact"),
+    "plane": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
+    "sphere": Part("gap", ("gap",), "length", plural="distances from the touched surface"),
 }
 _RADIUS = 0.01  # where an unknown radius starts [m]
 

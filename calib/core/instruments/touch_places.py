@@ -18,6 +18,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.sections import ANGLE_COMPONENTS, LENGTH_COMPONENTS, OwnLength
 from calib.core.instruments.kind import Guess, Scene
 from calib.core.instruments.touch_sections import Surface
+from calib.core.numerics import linalg
 from calib.core.numerics.rigid import best_transform, centre, centre_of_sphere
 
 _TURNS = {"rx", "ry"}
@@ -205,7 +206,7 @@ def sockets_and_targets(
         rows[k, axis, socket_column[socket[k], axis]] = -1.0
     stay = _STAY * np.eye(n_targets, n_targets + n_sockets)
     both = np.vstack([rows.reshape(-1, n_targets + n_sockets), stay])
-    change = np.linalg.lstsq(both, np.append(-gap.ravel(), np.zeros(n_targets)))[0]
+    change = linalg.lstsq(both, np.append(-gap.ravel(), np.zeros(n_targets)))
     found_sockets, found_targets = sockets.xyz.copy(), targets.xyz.copy()
     found_targets[targets.unknown] += change[:n_targets]
     found_sockets[sockets.unknown] += change[n_targets:]
@@ -223,7 +224,7 @@ def posed_artefact(points: FloatArray, seen: FloatArray, now: FloatArray, held: 
     """
     result = now.copy()
     from_centre, seen_from_centre = points - points.mean(axis=0), seen - seen.mean(axis=0)
-    _, sizes, directions = np.linalg.svd(np.vstack([from_centre, np.zeros((2, 3))]))
+    _, sizes, directions = linalg.svd(np.vstack([from_centre, np.zeros((2, 3))]))
     if sizes[1] > _FLAT * sizes[0]:
         result[:3, :3] = best_transform(points, seen)[0]
     elif sizes[0] > 0:
@@ -258,7 +259,7 @@ def plane_through(points: FloatArray, now: FloatArray, radius: float, along: int
         turns: Whether its normal is to be found.
     """
     result, middle = now.copy(), points.mean(axis=0)
-    _, sizes, directions = np.linalg.svd(np.vstack([points - middle, np.zeros((2, 3))]))
+    _, sizes, directions = linalg.svd(np.vstack([points - middle, np.zeros((2, 3))]))
     if turns and sizes[1] > _FLAT * sizes[0]:
         normal = now[:3, :3].T @ directions[2]
         result[:3, :3] = now[:3, :3] @ _turn(np.eye(3)[2], normal * (1.0 if normal[2] >= 0 else -1.0), 2)

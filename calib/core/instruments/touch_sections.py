@@ -19,6 +19,7 @@ from calib.core.base.sections import (
     PositiveLength,
 )
 from calib.core.instruments.kind import InstrumentSection, Place
+from calib.core.numerics import linalg
 
 Surface = Literal["socket", "plane", "sphere"]
 _ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
@@ -90,7 +91,7 @@ class ArtefactSection(PosedSection):
     def _turns(self) -> tuple[Component, ...]:
         """Turns that the points tell: all, all but one where they lie on a line, none of a single point."""
         points = np.array(list(self.points.values()))
-        _, sizes, directions = np.linalg.svd(points - points.mean(axis=0))
+        _, sizes, directions = linalg.svd(points - points.mean(axis=0))
         width = np.append(sizes, [0.0, 0.0])
         if width[0] <= _ON_A_LINE:
             return ()

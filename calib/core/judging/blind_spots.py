@@ -10,6 +10,7 @@ from calib.core.base.units import millimetres
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
+from calib.core.judging.effect_kinds import Trait
 from calib.core.judging.effects import has_time, scale
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
@@ -29,7 +30,9 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
     """Return what the measurements of a fit cannot show, a line each."""
     if fit.computed:
         return ()
-    return (*_scale(fit), *_whose_noise(fit), *unordered(fit.identification.data), *terms_beyond(fit))
+    seen_in_order = any(Trait.IN_COURSE in p.kind.traits for p in findings.patterns(fit) if p.significant)
+    order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
+    return (*_scale(fit), *_whose_noise(fit), *order, *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:

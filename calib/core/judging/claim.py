@@ -131,7 +131,7 @@ class Claim:
     def words(self) -> str:
         """The claim as a sentence."""
         told = self.told
-        subject = "The tool is" if told.is_position else f"Readings ({told.part}) are"
+        subject = "The tool is" if told.is_position else f"{told.readings.capitalize()} are"
         if np.isfinite(told.limit95):
             off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
             off += f" RMS {told.shown(told.rms)}"
@@ -151,6 +151,7 @@ class Claim:
             "unit": ERROR_UNIT[told.dimension],
             "dimension": told.dimension,
             "is_position": told.is_position,
+            "readings": told.readings,
             "limit95": scale * told.limit95,
             "rms": scale * told.rms,
             "rms_before": scale * told.before if np.isfinite(told.before) else None,
@@ -187,7 +188,8 @@ class Claim:
         def seen(of: Mapping[str, Any], poses: SeenAt) -> Accuracy:
             before, rms, limit95 = (error(of.get(key)) for key in ("rms_before", "rms", "limit95"))
             n_poses, part = int(of["n_poses"]), str(entry["part"])
-            return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position)
+            readings = str(entry.get("readings", f"readings ({part})"))
+            return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position, readings)
 
         shown = [(seen(other, SeenAt[other["poses"].upper()]), bool(other["holds"])) for other in entry["not_used"]]
         return cls(

@@ -50,6 +50,8 @@ SLIPS = 15
 """At how many places in the course of the measurement a target is supposed to have slipped."""
 _DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
+_ON_GRID = 0.99  # length of the mean of a wave of length 1 from which it is the same at all visits
+_VISITS_LOOKED_AT = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +197,9 @@ class JointWaves:
         phase: Phase of the first order at each visit, (n_visits,) [rad].
         words: What follows the number of cycles.
 
-    Only orders of which the joint went through half a cycle count: the height of less is not known.
+    Only orders of which the joint went through half a cycle count: the height of less is not known. Of joint values on
+    a grid (every 5 degrees), an order is at all poses the same as a lower one beyond half the cycles of the grid in a
+    turn (36): only the lower one counts.
     """
 
     kind: ClassVar[Kind] = Kind.WAVE
@@ -209,7 +213,20 @@ class JointWaves:
     def orders(self) -> range:
         """Orders that count."""
         reach = float(np.ptp(self.phase))
-        return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), ORDERS.stop), ORDERS.stop) if reach > 0 else range(0)
+        if reach == 0:
+            return range(0)
+        stop = min(self._grid // 2 + 1, ORDERS.stop)
+        return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
+
+    @cached_property
+    def _grid(self) -> int:
+        """Lowest order, of one cycle or more, whose wave is the same at all visits; a large one if there is none."""
+        first = int(np.ceil(TURN / float(np.ptp(self.phase)) - _SAME))
+        few = self.phase[:: len(self.phase) // _VISITS_LOOKED_AT + 1]
+        for order in range(first, 2 * ORDERS.stop):
+            if all(abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID for phase in (few, self.phase)):
+                return order
+        return 2 * ORDERS.stop
 
     def detail(self, order: int) -> str:
         """Return the cycles of one order in words."""

@@ -43,6 +43,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Part
 from calib.core.judging.repeatability import repeatability
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
 from calib.core.numerics.tall import Tall, in_parts
 from calib.core.robots.robot import Robot
@@ -267,7 +268,7 @@ def _root_of_span(columns: FloatArray) -> FloatArray:
     factor = reduced(columns)
     length = np.linalg.norm(factor, axis=0)
     nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
-    _, s, right = np.linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
+    _, s, right = linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
     kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
     root = np.zeros((columns.shape[1], int(np.sum(kept))))
     root[nonzero] = (right[kept] / s[kept, None]).T / length[nonzero, None]

@@ -21,7 +21,7 @@ from calib.core.judging.effect_kinds import Kind, Trait
 from calib.core.judging.effects import Effect, EffectSetting, effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget
 from calib.core.judging.residual_patterns import LinearFit, Pattern
-from calib.core.numerics import losses
+from calib.core.numerics import linalg, losses
 from calib.core.numerics.losses import Studentised
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
@@ -45,7 +45,7 @@ def validation_studentised(fit: Fit) -> Studentised | None:
     if rows is None:
         return None
     known = fit.covariance.values / np.outer(fit.unknowns.scales, fit.unknowns.scales)
-    values, vectors = np.linalg.eigh(known)
+    values, vectors = linalg.eigh(known)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scale = studentised(fit).scale / _factor(fit)
     return losses.studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, fit.statistics.freedom, scale)

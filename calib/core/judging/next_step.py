@@ -13,7 +13,9 @@ from calib.core.fitting.validation import stretches
 from calib.core.judging.reasons import Answer
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
+from calib.core.robots.held import Holds
 from calib.core.robots.parametrisation import result_use
+from calib.core.robots.robot_files import lost_by
 
 _OPTIONS: dict[Answer, tuple[str, ...]] = {
     Answer.LEAVE_OUT: ("fit again without the outliers", "--exclude-outliers"),
@@ -122,4 +124,10 @@ def _use(fit: Fit) -> NextStep:
     program = f"calib compensate {FOLDER} program.csv --out compensated.csv"
     if why_no_origins(fit):
         return NextStep("correct a program by the whole model", program)
-    return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)
+    if not lost_by(fit.robot, Holds.ORIGINS):
+        return NextStep(f"use {FOLDER}/calibrated.urdf, or correct a program for the real robot", program)
+    origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
+    both = f"{whole.shown(whole.rms)} with them, {origins.shown(origins.rms)} without, RMS at {whole.where}"
+    if fit.terms is not None and whole.rms > origins.rms:
+        return _again(fit, f"leave the joint terms out, which make it no better ({both})", "--terms", "none")
+    return NextStep(f"correct a program by the whole model, whose joint terms a URDF cannot hold ({both})", program)

@@ -22,6 +22,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
 from calib.core.robots.robot import Robot
@@ -192,7 +193,7 @@ class System:
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
         kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
-        values, vectors = np.linalg.eigh(covariance[np.ix_(kept, kept)])
+        values, vectors = linalg.eigh(covariance[np.ix_(kept, kept)])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         known = np.asarray(rows.jacobian[:, kept] @ root)
         candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
@@ -259,9 +260,7 @@ class System:
         k = known.shape[1]
         unit = unit_columns(places)[0] if places.shape[1] else places
         spanned = np.vstack([np.hstack([known, unit]), np.hstack([np.eye(k), np.zeros((k, unit.shape[1]))])])
-        left, values, _ = np.linalg.svd(
-            spanned / np.maximum(np.linalg.norm(spanned, axis=0), 1e-300), full_matrices=False
-        )
+        left, values, _ = linalg.svd(spanned / np.maximum(np.linalg.norm(spanned, axis=0), 1e-300), full_matrices=False)
         rank = int(np.sum(values > RANK_TOLERANCE * values[0])) if len(values) else 0
         return left[:, :rank], rank - k
 
@@ -294,7 +293,7 @@ class System:
         for reading in np.unique(self.reading[order]):
             rows = order[self.reading[order] == reading]
             spread = np.eye(len(rows)) - basis[rows] @ basis[rows].T
-            values, vectors = np.linalg.eigh(spread)
+            values, vectors = linalg.eigh(spread)
             determined = values > 1e-6
             square = float(np.sum((vectors.T @ left[rows])[determined] ** 2 / values[determined]))
             n = int(np.sum(determined))
@@ -398,7 +397,7 @@ def _promised(
     if not n:
         return float("nan"), float("nan")
     slope = np.concatenate(slopes)
-    placed = np.linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
+    placed = linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
     basis = placed[0][:, placed[1] > RANK_TOLERANCE]
     spread = slope[:, kept] @ root
     spread -= basis @ (basis.T @ spread)

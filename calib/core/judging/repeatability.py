@@ -276,6 +276,12 @@ def _missing(
         result.append(f"{len(several)} repeated poses where ISO 9283 has five")
     if min(cycles) < CYCLES:
         result.append(f"{min(cycles)} cycles of a pose where ISO 9283 has {CYCLES}")
+    places = errors.data.places
+    if all(np.ptp(places[scatter.visits]) < len(scatter.visits) for scatter in several):
+        result.append(
+            "readings of a pose follow each other: if the robot did not leave the pose between them, RP is the scatter"
+            " of the instrument alone"
+        )
     if not turned:
         result.append("no orientation was read: no AP and RP of angles")
     present = {figure.name for figure in figures}

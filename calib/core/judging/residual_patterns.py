@@ -47,6 +47,7 @@ from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_s
 from calib.core.base.words import joints_named
 from calib.core.judging.effect_kinds import Family, Kind, Trait
 from calib.core.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
 from calib.core.numerics.clusters import LeftOut
 from calib.core.numerics.tall import Span, in_parts
@@ -60,6 +61,7 @@ _COLUMNS_AT_ONCE = 128  # of effects that are tested together
 _ROWS_AT_ONCE = 1 << 12  # of these
 _NUMBERS_AT_ONCE = 1 << 24  # of what findings explain
 _VISITS_AT_ONCE = 512  # their powers stay in the processor's cache
+_ALIKE = 9.2  # of the noise squared: chance makes a sine and cosine explain more in 1 % of cases
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
 
@@ -117,7 +119,7 @@ class LinearFit:
         size = np.linalg.norm(effects, axis=0)
         columns = effects[:, size > 0] / size[size > 0]
         left = self.after_fit(columns)
-        values, vectors = np.linalg.eigh(columns.T @ left)
+        values, vectors = linalg.eigh(columns.T @ left)
         seen = values > _ABSORBED
         root = vectors[:, seen] / np.sqrt(values[seen])
         absorbed, fewer = left @ root, int(np.sum(seen))
@@ -156,6 +158,8 @@ class _Moments:
     squares: FloatArray
     absorbed: FloatArray
     score: FloatArray
+    order: int = 0
+    """Cycles of a wave."""
 
 
 @dataclass(frozen=True)
@@ -208,9 +212,8 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
             if Trait.BY_THE_DOZEN in effect.kind.traits
             else _only(test.coefficients)
         )
-        result.append(
-            Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, effect.detail)
-        )
+        detail = _cycles(test, tests, _ALIKE * residuals.factor**2)
+        result.append(Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, detail))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
@@ -244,6 +247,25 @@ def _best(tests: list[_Tested]) -> list[_Tested]:
         if key not in kept or (test.p_value, -test.gain) < (kept[key].p_value, -kept[key].gain):
             kept[key] = test
     return list(kept.values())
+
+
+def _cycles(best: _Tested, tests: Iterable[_Tested], margin: float) -> str:
+    """Return the detail of an effect; of a wave with all numbers of cycles that explain the residuals as well.
+
+    Args:
+        best: The effect.
+        tests: All tests.
+        margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
+    """
+    effect = best.effect
+    others = (test for test in tests if (test.effect.kind, test.effect.name) == (effect.kind, effect.name))
+    orders = sorted(test.effect.order for test in others if test.gain > best.gain - margin)
+    if effect.kind is not Kind.WAVE or len(orders) < 2:
+        return effect.detail
+    unit = effect.detail.partition(" ")[2]
+    if orders[-1] - orders[0] == len(orders) - 1:
+        return f"{orders[0]} to {orders[-1]} {unit}"
+    return f"a number of {unit} that these poses do not determine"
 
 
 def _only(coefficients: FloatArray) -> float:
@@ -332,7 +354,7 @@ def _moments_of_waves(residuals: LinearFit, waves: JointWaves) -> Iterator[_Mome
         k = order - ORDERS.start
         normal = squares[[[0, 1], [1, 2]], k]
         own = slice(2 * k, 2 * k + 2)
-        yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, absorbed[:, own], score[own])
+        yield _Moments(Kind.WAVE, waves.name, waves.detail(order), normal, absorbed[:, own], score[own], order)
 
 
 def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray, IntArray]]:
@@ -397,7 +419,7 @@ def _tests_at_once(residuals: LinearFit, effects: list[_Moments]) -> tuple[list[
     size = np.where(shown[:, None], size, 1.0)
     absorbed = np.array([effect.absorbed for effect in effects]) / size[:, None, :]
     left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
-    values, vectors = np.linalg.eigh(left)
+    values, vectors = linalg.eigh(left)
     determined = values > _ABSORBED
     score = np.array([effect.score for effect in effects]) / size
     score = np.where(determined, np.matmul(score[:, None, :], vectors)[:, 0], 0.0)
@@ -429,7 +451,7 @@ def _chance(residuals: LinearFit, tested: _Tested, effect: Effect, explained: Fl
     """
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
-    basis = scipy.linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
+    basis = linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
     k = tested.freedom[0]
     left_over = max(residuals.pose_freedom - k, 1.0)
 

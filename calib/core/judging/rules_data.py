@@ -15,7 +15,7 @@ from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
 from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
-from calib.core.fitting.pose_checks import directions_moved, unmoved_joints
+from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import beyond_repeatability
@@ -64,12 +64,14 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             f"{joints_named(*still, shown=len(still))} never moved: poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated"
         )
+    tied = tied_joints(fit.nominal, data.joints)
     n_moved = len(fit.nominal.joint_names) - len(still)
-    directions = directions_moved(data.joints)
-    if directions < min(n_moved, len(data) - 1):
+    unseen = sum(len(names) - count for names, count in tied)
+    if unseen > max(n_moved - (len(data) - 1), 0):  # fewer poses than joints cannot show more
+        groups = [f"{joints_named(*names)} along {counted(count, 'direction')}" for names, count in tied]
         yield Code.JOINTS_MOVE_TOGETHER.says(
-            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space: the"
-            " errors of single joints come from priors alone. Move each joint by itself"
+            f"joints moved only together: {listed(groups, '; ')}. The error of each of them alone comes from priors."
+            " Move each of these joints by itself"
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]

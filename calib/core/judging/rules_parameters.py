@@ -14,6 +14,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import reduced_with
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import in_parts
@@ -142,7 +143,7 @@ def _cost_with(
     """
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
-    solution = np.linalg.lstsq(columns / size, -right, rcond=None)[0]
+    solution = linalg.lstsq(columns / size, -right, rcond=None)
     squares = (columns / size @ solution + right) ** 2
     first = float(solution[0] / size[0]) if len(size) else 0.0
     noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0

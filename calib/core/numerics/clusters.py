@@ -39,6 +39,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.tall import Span
 
 _OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
@@ -171,10 +172,10 @@ def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Flo
     n_rows, k = span.shape[-2:]
     across, errors = np.swapaxes(span, -1, -2), residuals[..., None]
     if n_rows <= k:
-        values, vectors = np.linalg.eigh(np.matmul(span, across))
+        values, vectors = linalg.eigh(np.matmul(span, across))
         turned = np.swapaxes(vectors, -1, -2)
         return np.clip(values, 0.0, 1.0), np.matmul(turned, errors)[..., 0], np.matmul(turned, span)
-    values, vectors = np.linalg.eigh(np.matmul(across, span))
+    values, vectors = linalg.eigh(np.matmul(across, span))
     values, turned = np.clip(values, 0.0, 1.0), np.swapaxes(vectors, -1, -2)
     size = np.sqrt(values)
     felt = np.matmul(turned, np.matmul(across, errors))[..., 0]
@@ -201,7 +202,7 @@ def moved_without(
     for rows in of_equal_length(block):
         own, numbers = span[rows], block[rows[:, 0]]
         if seen is span and rows.shape[1] <= span.shape[1]:  # U_b c_b = H_b (1 - H_b)^-1 r_b
-            values, vectors = np.linalg.eigh(np.matmul(own, own.transpose(0, 2, 1)))
+            values, vectors = linalg.eigh(np.matmul(own, own.transpose(0, 2, 1)))
             values = np.clip(values, 0.0, 1.0)
             along = np.matmul(residuals[rows][:, None], vectors) * (values / np.maximum(1.0 - values, _NONE))[:, None]
             moved[rows] = np.matmul(along, vectors.transpose(0, 2, 1))[:, 0]
@@ -248,13 +249,13 @@ class LeftOut:
             if hat is not None:
                 if further is not None:
                     hat = hat + np.matmul(further, further.transpose(0, 2, 1))
-                values, vectors = np.linalg.eigh(hat)
+                values, vectors = linalg.eigh(hat)
                 gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
                 added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
             else:
                 own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
                 across = own.transpose(0, 2, 1)
-                values, vectors = np.linalg.eigh(np.matmul(across, own))
+                values, vectors = linalg.eigh(np.matmul(across, own))
                 gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
                 pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
                 added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))

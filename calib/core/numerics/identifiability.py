@@ -30,6 +30,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
 _BLOCK = 32  # columns that it works on at a time
@@ -164,7 +165,7 @@ def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
     """Return the rank of a Jacobian whose columns are scaled, (n_rows, n_columns)."""
-    return rank_of(np.linalg.svd(scaled_jacobian, compute_uv=False), scaled_jacobian.shape[1])
+    return rank_of(linalg.singular_values(scaled_jacobian), scaled_jacobian.shape[1])
 
 
 def rank_of(singular_values: FloatArray, n_columns: int) -> Rank:
@@ -222,7 +223,7 @@ def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: fl
     condition_of = {}
     for column in columns:
         rest = [other for other in columns if other != column]
-        values = np.linalg.svd(factor[:, rest], compute_uv=False)
+        values = linalg.singular_values(factor[:, rest])
         if rank == 0 or values[rank - 1] > threshold:
             condition_of[column] = float(values[0] / values[rank - 1]) if rank else 1.0
     return condition_of

@@ -39,6 +39,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 
 CYCLES = 30
 """Cycles of each pose that the standard asks for."""
@@ -84,7 +85,7 @@ def pose_repeatability(errors: FloatArray, rng: np.random.Generator) -> Figure:
         rng: Source of the draws that make the interval.
     """
     value = repeatability(errors)
-    axes = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(errors.T)), 0.0))
+    axes = np.sqrt(np.maximum(linalg.eigvalsh(np.cov(errors.T)), 0.0))
     if not np.any(axes > 0):
         return Figure(value, value, value)
     drawn = rng.standard_normal((_DRAWS, len(errors), 3)) * axes

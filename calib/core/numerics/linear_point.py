@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 from calib.core.numerics.tall import Tall
 
 ON_RADIUS = 0.1
@@ -53,7 +54,7 @@ class LinearPoint:
         """Newton's step f; the shortest one where the rows do not see every direction, (n,)."""
         if self.sees_all:
             return -_solved(self.triangle, self.projected)
-        return np.asarray(-np.linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR)[0])
+        return np.asarray(-linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR))
 
     @cached_property
     def decrease(self) -> float:
@@ -117,10 +118,10 @@ class LinearPoint:
         """
         scaled = self.triangle / scale
         if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
-            left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+            left, singular, rows = linalg.svd(scaled, full_matrices=False)
             values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
         else:
-            values, vectors = np.linalg.eigh(scaled.T @ hessian @ scaled)
+            values, vectors = linalg.eigh(scaled.T @ hessian @ scaled)
             pull = vectors.T @ (scaled.T @ right)
         low = max(0.0, -float(values.min()))
         high = low + float(np.linalg.norm(pull)) / limit  # there it is shorter

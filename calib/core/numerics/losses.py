@@ -63,6 +63,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.statistics import Factors
 from calib.core.numerics.tall import ROWS_AT_ONCE, in_parts
@@ -289,14 +290,14 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     sizes, leverages, largest = [], [], []
     for block in blocks:
         leverage = _leverage(block.columns, root)
-        values, vectors = np.linalg.eigh(
+        values, vectors = linalg.eigh(
             np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
         )
         turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
         squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
         sizes.append(np.sqrt(np.sum(squares, axis=1)))
         leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
-        largest.append(np.linalg.eigvalsh(leverage)[:, -1])
+        largest.append(linalg.eigvalsh(leverage)[:, -1])
     size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)

@@ -36,6 +36,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
+from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.numerics.identifiability import rank_of, reduced
 
@@ -106,13 +107,13 @@ def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) ->
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
     """Orthonormal basis, (n_columns, nullity)."""
     factor = reduced(scaled_jacobian)
-    _, values, directions = np.linalg.svd(factor)
+    _, values, directions = linalg.svd(factor)
     return directions[rank_of(values, factor.shape[1]).rank :].T
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:
     """Shortest basis of the null vectors that live on `columns`."""
-    u, s, _ = np.linalg.svd(null[columns], full_matrices=False)
+    u, s, _ = linalg.svd(null[columns], full_matrices=False)
     basis = u[:, s > 0.5]  # the columns are a whole part, so s is 1 or 0
     vectors = shortest_basis(basis, np.isin(columns, list(dropped)))
     result = np.zeros((len(vectors), len(null)))
@@ -142,7 +143,7 @@ def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:
         Unit vectors, (k, n), shortest first; zeros are exact.
     """
     n, k = basis.shape
-    complement = np.linalg.svd(basis)[0][:, k:]
+    complement = linalg.svd(basis)[0][:, k:]
     chosen: list[FloatArray] = []
     tried = 0
     for size in range(1, n - k + 2):
@@ -168,7 +169,7 @@ def _extend(chosen: list[FloatArray], candidates: list[FloatArray], avoided: Boo
         if len(chosen) == dimension:
             return
         unit = vector / np.linalg.norm(vector)
-        if np.linalg.svd(np.array([*chosen, unit]), compute_uv=False)[-1] > ZERO:
+        if linalg.singular_values(np.array([*chosen, unit]))[-1] > ZERO:
             chosen.append(unit)
 
 
@@ -180,7 +181,7 @@ def _of_size(complement: FloatArray, size: int) -> Iterator[FloatArray]:
         index = np.array(batch, dtype=np.intp)
         # with as many zero columns appended as make it wide enough, the last left singular vector is the null vector
         rows = np.concatenate([complement[index], np.zeros((len(index), size, max(0, size - rank)))], axis=2)
-        u, s, _ = np.linalg.svd(rows, full_matrices=False)
+        u, s, _ = linalg.svd(rows, full_matrices=False)
         unique = (s[:, -1] < _DEPENDENT) & (s[:, -2] > ZERO if size > 1 else True)
         full = np.min(np.abs(u[:, :, -1]), axis=1) > ZERO
         for j in np.flatnonzero(unique & full):
@@ -232,7 +233,7 @@ def _echelon(basis: FloatArray) -> Iterator[FloatArray]:
 def _on_support(basis: FloatArray, support: BoolArray) -> FloatArray | None:
     """The vector that is exactly zero outside `support`; None unless it is the only one, and full there."""
     outside = basis[~support]
-    _, s, vt = np.linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(basis.shape[1]))
+    _, s, vt = linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(basis.shape[1]))
     if basis.shape[1] - int(np.sum(s > ZERO)) != 1:
         return None
     vector: FloatArray = np.where(support, basis @ vt[-1], 0.0)

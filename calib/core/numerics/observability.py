@@ -43,6 +43,7 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import PER_SI
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Rank, inverse_of_triangle, numerical_rank, rank_of, reduced
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
@@ -147,7 +148,7 @@ class Information(ReadOnlyArrays):
     @cached_property
     def _decomposed(self) -> tuple[Rank, FloatArray]:
         """The rank, and V^T of all directions, (n_parameters, n_parameters)."""
-        _, values, directions = np.linalg.svd(self.factor)
+        _, values, directions = linalg.svd(self.factor)
         return rank_of(values, self.factor.shape[1]), directions
 
     @property

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError
+from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import reduced, reduced_with
 from calib.core.numerics.rigid import cross_matrices
 from calib.core.numerics.tall import in_parts
@@ -219,7 +220,7 @@ def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
     distances = np.zeros((n_free, n_free + 10))
     distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
     rows = np.vstack([system.rows, distances])
-    left, values, right = np.linalg.svd(rows[:, :n_free], full_matrices=False)
+    left, values, right = linalg.svd(rows[:, :n_free], full_matrices=False)
     determined = values > _RANK * system.weight
     left, inverse = left[:, determined], right[determined].T / values[determined]
     coordinates = left.T @ rows[:, n_free:]
@@ -271,7 +272,7 @@ def _ended(system: _System, noise: float, rotation: FloatArray) -> FloatArray:
     exact = _reduced(system, noise)
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
-        left, values, right = np.linalg.svd(_slope(exact.F, rotation), full_matrices=False)
+        left, values, right = linalg.svd(_slope(exact.F, rotation), full_matrices=False)
         determined = values > max(_OPEN * values[0], least)
         error = exact.F @ rotation.ravel() - exact.f
         rotation = rotation @ pin.exp3(-right[determined].T @ ((left.T @ error)[determined] / values[determined]))

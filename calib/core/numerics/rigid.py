@@ -29,6 +29,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.numerics import linalg
 
 _TOLD = 1e-3  # singular values below this part of the largest tell nothing
 _SMALLEST = 1e-9  # length below which there is none [m]
@@ -37,7 +38,7 @@ _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror i
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
-    u, _, vt = np.linalg.svd(matrix)
+    u, _, vt = linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
 
 
@@ -66,7 +67,7 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     middle = points.mean(axis=0)
     q = points - middle
     squares = np.sum(q**2, axis=1) - lengths**2
-    left, values, right = np.linalg.svd(2.0 * q, full_matrices=False)
+    left, values, right = linalg.svd(2.0 * q, full_matrices=False)
     n_told = int(np.sum(values > max(_TOLD * values[0], _SMALLEST)))
     along = (left.T @ (squares - squares.mean()))[:n_told] / values[:n_told]
     candidates = []
@@ -91,7 +92,7 @@ def _across(directions: FloatArray, near: FloatArray, square: float) -> FloatArr
             1.0 if across @ np.cross(directions[0], directions[1]) >= 0 else -1.0
         )
     elif np.linalg.norm(across) < _SMALLEST:
-        across = np.linalg.svd(np.vstack([directions, np.zeros((1, 3))]))[2][-1]
+        across = linalg.svd(np.vstack([directions, np.zeros((1, 3))]))[2][-1]
     return np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)
 
 
@@ -109,7 +110,7 @@ def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, o
     columns = 2.0 * np.column_stack([q, distances.mean() - distances])
     squares = np.sum(q**2, axis=1) - distances**2
     guess = np.append(near - middle, offset)
-    change = np.linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)[0]
+    change = linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)
     return offset + float(change[3])
 
 
@@ -119,5 +120,5 @@ def centre_of_sphere(points: FloatArray, near: FloatArray) -> tuple[FloatArray, 
     q = points - middle
     squares = np.sum(q**2, axis=1)
     columns, guess = 2.0 * q, near - middle
-    x = guess + np.linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)[0]
+    x = guess + linalg.lstsq(columns, squares - squares.mean() - columns @ guess, rcond=_TOLD)
     return middle + x, float(np.sqrt(x @ x + squares.mean()))

@@ -51,6 +51,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.base.threads import one_blas_thread
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
@@ -243,15 +244,9 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
 def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues (rank,) and eigenvectors (rank, rank) of S of the module docstring.
 
-    Many eigenvalues are 1 but for rounding. With the sums of some processors, divide and conquer does not converge
-    there; QR iterations, which take longer, do.
+    Many eigenvalues are 1 but for rounding: `calib.core.numerics.linalg` says what that does to some methods.
     """
-    matrix = prior_shares(known, prior)
-    try:
-        shares, directions = np.linalg.eigh(matrix)
-    except np.linalg.LinAlgError:
-        shares, directions = scipy.linalg.eigh(matrix, driver="ev")
-    return shares, directions
+    return linalg.eigh(prior_shares(known, prior))
 
 
 def effective_parameters(known: Information, prior: Prior) -> float:

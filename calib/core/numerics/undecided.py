@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 
 _SIZES = np.geomspace(0.05, 3.0, 12)
 """Sizes over what is expected."""
@@ -53,7 +54,7 @@ def averaged(inner: FloatArray, pull: FloatArray) -> Averaged:
     """Return what is known of a kind, from M (n, n) and z (n,); see the module docstring."""
     density = _SIZES * np.exp(-0.5 * _SIZES**2)  # of log a
     density *= _CHANCE / (1.0 - _CHANCE) / density.sum()
-    values, vectors = np.linalg.eigh(inner)
+    values, vectors = linalg.eigh(inner)
     known = np.maximum(values, _NOTHING * values.max(initial=0.0))
     pulled = vectors.T @ pull
     left = 1.0 / (known + _SIZES[:, None] ** -2.0)  # G of each size, along each direction
@@ -61,5 +62,5 @@ def averaged(inner: FloatArray, pull: FloatArray) -> Averaged:
     odds = rise + np.log(density)
     chance, coefficients = np.exp(odds - scipy.special.logsumexp(np.append(odds, 0.0))), left * pulled
     square = np.diag(chance @ left) + (coefficients.T * chance) @ coefficients
-    size, directions = np.linalg.eigh(square)
+    size, directions = linalg.eigh(square)
     return Averaged(float(np.sum(chance)), vectors @ (directions * np.sqrt(np.maximum(size, 0.0))))

@@ -33,6 +33,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.observability import Information, information
@@ -67,7 +68,7 @@ class SharedError:
         self._place = np.arange(len(block)) - np.repeat(np.cumsum(counts) - counts, counts)
         self._shape = len(counts), int(counts.max())
         self._columns = self._packed(columns)
-        self._left, self._values, self._right = np.linalg.svd(self._columns, full_matrices=False)
+        self._left, self._values, self._right = linalg.svd(self._columns, full_matrices=False)
 
     def _packed(self, rows: FloatArray) -> FloatArray:
         """Rows block by block, filled up with zeros, (n_blocks, most rows, k)."""

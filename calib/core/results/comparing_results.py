@@ -41,8 +41,10 @@ from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.words import counted, distinct_names
 from calib.core.data.tables import read_table
 from calib.core.fitting.fitted import Fit
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.comparison_report import Difference, Pair, ResultComparison
+from calib.core.results.result_format import unchanged
 from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.core.results.results import save
 from calib.core.robots import loading
@@ -75,7 +77,8 @@ class _Result:
         known = load_uncertainty(folder, robot)
         free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
         freedom = float(content["degrees_of_freedom"])
-        return cls(name, content, robot, free, known.covariance, freedom, readings_of(folder / "residuals.csv"))
+        readings = readings_of(unchanged(folder, "residuals.csv", content))
+        return cls(name, content, robot, free, known.covariance, freedom, readings)
 
     def parameters(self, names: Sequence[str]) -> list[Parameter]:
         """Return the parameters of these names."""
@@ -256,7 +259,7 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     p = np.where(testable, 2.0 * scipy.special.stdtr(freedom, -t), np.nan)
     of_robot = np.array([not p.placement for p in first.parameters(common)])
     scale = np.sqrt(total[of_robot])
-    sizes, axes = np.linalg.eigh(both[np.ix_(of_robot, of_robot)] / np.outer(scale, scale))
+    sizes, axes = linalg.eigh(both[np.ix_(of_robot, of_robot)] / np.outer(scale, scale))
     kept = sizes > _OWN
     squares = (axes[:, kept].T @ (change[of_robot] / scale)) ** 2 / sizes[kept]
     n, least = int(np.sum(kept)), min(first.freedom, other.freedom)

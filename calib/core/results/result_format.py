@@ -1,13 +1,18 @@
-"""What every reader of `result.json` may rely on: the shape of what is read back, checked in one place.
+"""What every reader of a result may rely on: the shape of `result.json`, and that its other files are as written.
 
 Entries that are not read back are not checked; null stands for a number that is not known.
 """
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from calib.core.base.errors import DataError
 
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Count = Annotated[int, Field(strict=True, ge=0)]
@@ -103,6 +108,26 @@ class _Result(_Part):
     excluded: list[Any]
     joint_terms: _Terms
     sha256: dict[str, str]
+
+
+def unchanged(folder: Path | str, name: str, content: Mapping[str, Any]) -> Path:
+    """Return the path of a file of a result, which is as the fit wrote it.
+
+    Args:
+        folder: Of the result.
+        name: Of the file.
+        content: What `result.json` holds. Results of earlier versions have digests of few files; others are believed.
+
+    Raises:
+        DataError: The file is missing, or was changed.
+    """
+    path = Path(folder) / name
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; run the fit again")
+    digest = content.get("sha256", {}).get(name)
+    if digest is not None and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        raise DataError(f"{path}: was changed after the fit, so the result is no longer valid; run the fit again")
+    return path
 
 
 def damage(content: object) -> str:

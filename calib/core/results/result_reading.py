@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from calib.core.fitting.terms.joint_curves import beyond_learned
 from calib.core.judging.promise import Promise
 from calib.core.judging.reasons import Code
 from calib.core.results.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML, UNDECIDED
-from calib.core.results.result_format import damage
+from calib.core.results.result_format import damage, unchanged
 from calib.core.results.sections.files_held import file_entry, stored_files
 from calib.core.robots import loading
 from calib.core.robots.held import Holds
@@ -64,23 +63,17 @@ def load(path: Path | str) -> Robot:
         )
     if not folder.is_dir():
         return loading.load(path)
-    checksums = read_result(folder).get("sha256", {})
+    content = read_result(folder)
     for name in (NOMINAL_YAML, NOMINAL_URDF):
-        if not (folder / name).is_file():
-            raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
-        if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
-            raise DataError(
-                f"{folder / name}: was changed after the fit, so the result is no longer valid; run the fit again"
-            )
+        unchanged(folder, name, content)
     return replace(load_calibrated(folder, loading.load(folder / NOMINAL_YAML)), path=str(path))
 
 
 def joints_used(folder: Path | str, robot: Robot) -> FloatArray:
     """Return the joint values from which a result was identified, (n, n_actuated) [m or rad]; none if not stored."""
-    path = Path(folder) / "residuals.csv"
-    if not path.is_file():
+    if not (Path(folder) / "residuals.csv").is_file():
         return np.zeros((0, len(robot.joint_names)))
-    table = read_table(path)
+    table = read_table(unchanged(folder, "residuals.csv", read_result(folder)))
     used = np.array(table.text("set")) == "identification"
     joints = [table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names]
     return np.stack(joints, axis=1)[used]
@@ -109,7 +102,9 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
             f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
             " if you want these numbers anyway"
         )
-    calibrated = robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
+    calibrated = robot.with_parameters(
+        read_parameters(unchanged(folder, "parameters.csv", content), robot, complete=True)
+    )
     for row, parameter, value in zip(content["parameters"], robot.parameters, calibrated.values, strict=True):
         shown, per_si = row.get("value"), parameter.per_si
         if not isinstance(shown, (int, float)) or not abs(shown / per_si - value) <= _AGREE:
@@ -179,9 +174,7 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
     """
     content = read_result(folder)
     entry = file_entry(content, holds)
-    path = Path(folder) / (f"{entry['values']}_covariance.csv" if entry.get("values") else "covariance.csv")
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; run the fit again")
+    path = unchanged(folder, f"{entry['values']}_covariance.csv" if entry.get("values") else "covariance.csv", content)
     table = read_table(path)
     names = table.text("parameter") if "parameter" in table.names else []
     known = [p for p in robot.parameters if p.name in names]
@@ -211,9 +204,7 @@ def _undecided_terms(folder: Path | str, content: dict[str, Any], robot: Robot) 
     entries = (content.get("joint_terms") or {}).get("undecided")
     if not entries:
         return None
-    path = Path(folder) / UNDECIDED
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; run the fit again")
+    path = unchanged(folder, UNDECIDED, content)
     table = read_table(path)
     directions = [k for k, name in enumerate(table.names) if name.startswith("direction_")]
     try:

@@ -92,19 +92,22 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": NOMINAL_URDF})).encode(),
         NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
     }
-    checksums = {name: hashlib.sha256(content).hexdigest() for name, content in nominal.items()}
-    result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
     remark = _said_inside(verdict, "not to be used") if failed else []
-    files = {
-        "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
+    read_again = {
         "parameters.csv": _parameter_table(fit, remark).encode(),
         "covariance.csv": _covariance_table(fit).encode(),
         "residuals.csv": _residual_table(fit),
         **nominal,
+        **_values_of_files(fit, remark),
     }
     if fit.undecided is not None:
-        files[UNDECIDED] = _undecided_table(fit.robot, fit.undecided).encode()
-    files |= _values_of_files(fit, remark)
+        read_again[UNDECIDED] = _undecided_table(fit.robot, fit.undecided).encode()
+    checksums = {name: hashlib.sha256(content).hexdigest() for name, content in read_again.items()}
+    result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
+    files = {
+        "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
+        **read_again,
+    }
     if force or not (failed or why_no_origins(fit)):
         files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
     files |= pages or {}

@@ -10,6 +10,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Sequence
 
+from calib.core.base.letters import visible
 from calib.core.base.version import PROGRAM
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
@@ -17,6 +18,8 @@ from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf, quote
 
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
+_ROUNDING = 1e-9
+"""Change of a parameter in its unit [mm, deg], up to which it is not told: a thousandth of a nanometre or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 
@@ -51,15 +54,17 @@ def source_lines(robot: Robot) -> list[str]:
 
 
 def provenance_lines(robot: Robot) -> list[str]:
-    """Return what a file was made from, and every value that was changed."""
+    """Return what a file was made from, and every value in it that was changed by more than rounding."""
     lines, changed = source_lines(robot), []
-    for parameter, value in zip(robot.parameters, robot.values, strict=True):
-        if value != parameter.nominal_si:
-            shown = float(value) * parameter.per_si
+    places = {robot.mechanism.origin(place) for place in robot.mechanism.places}
+    own = [p.name.rpartition(".")[0] not in places for p in robot.parameters]  # a URDF has no instrument and no target
+    for parameter, value, held in zip(robot.parameters, robot.values, own, strict=True):
+        shown = float(value) * parameter.per_si
+        if held and abs(shown - parameter.nominal) > _ROUNDING:
             changed.append(f"  {parameter.name}: {parameter.nominal:.9g} -> {shown:.9g} {parameter.unit}")
     if not changed:
         return [*lines, "parameters: nominal"]
-    return [*lines, f"parameters that differ from nominal ({len(changed)} of {len(robot.parameters)}):", *changed]
+    return [*lines, f"parameters that differ from nominal ({len(changed)} of {sum(own)}):", *changed]
 
 
 def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
@@ -76,4 +81,4 @@ def numbers(values: Iterable[float]) -> str:
 def comment(lines: Sequence[str]) -> str:
     """Return an XML comment, one line each; ASCII, so that it fits every encoding."""
     text = "\n".join(lines).encode("ascii", "backslashreplace").decode()
-    return "<!-- " + re.sub(r"-(?=-|$)", "- ", text) + "\n-->"
+    return "<!-- " + re.sub(r"-(?=-|$)", "- ", visible(text)) + "\n-->"

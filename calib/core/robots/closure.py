@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.units import millimetres
+from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
@@ -132,7 +133,7 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
     """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
     if not mechanism.passive:
         return np.full(len(slope_passive), np.inf)
-    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
+    values: FloatArray = linalg.singular_values(scaled(mechanism, slope_passive))
     return values[:, -1]
 
 

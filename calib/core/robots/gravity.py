@@ -21,6 +21,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
+from calib.core.numerics import linalg
 from calib.core.robots import kinematics
 from calib.core.robots.description import Description
 from calib.core.robots.mechanism import Mechanism
@@ -143,7 +144,7 @@ def turned_joints(
             slope = np.stack(
                 [np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], measured) for i in places], axis=1
             )
-            step, _, rank, _ = np.linalg.lstsq(slope, down[k] - measured, rcond=_SAME_AXIS)
+            step, rank = linalg.solution_and_rank(slope, down[k] - measured, rcond=_SAME_AXIS)
             if rank < 2:
                 break
             value = value + step

@@ -59,6 +59,7 @@ class Accuracy:
         limit95: What the error at one more such pose stays below with a chance of 95 % or more [SI]; NaN where the
             poses are too few to say.
         is_position: Whether positions were read (`calib.core.instruments.kind.Part`).
+        readings: What was read there in a sentence, such as `distances`.
     """
 
     poses: SeenAt
@@ -69,6 +70,7 @@ class Accuracy:
     rms: float
     limit95: float
     is_position: bool = False
+    readings: str = "readings"
 
     @property
     def where(self) -> str:

@@ -26,6 +26,7 @@ from calib.core.base.errors import DescriptionError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
 from calib.core.base.words import joints_named
+from calib.core.numerics import linalg
 from calib.core.robots.closure import (
     AssemblyMode,
     block_signs,
@@ -256,6 +257,6 @@ def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where:
 
 def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
     """Loops whose rows make up the direction in which the closures hold nothing."""
-    left = np.linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
+    left = linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
     lengths, angles = open_by(mechanism, left[None])
     return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

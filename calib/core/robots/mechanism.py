@@ -178,6 +178,12 @@ class Mechanism(ReadOnlyArrays):
         """Which of the driven joints tilt links, (n_driven,)."""
         return np.arange(len(self.driven)) >= len(self.actuated)
 
+    @cached_property
+    def depths(self) -> IntArray:
+        """How many actuated joints move the link behind each of them, itself included, (n_actuated,)."""
+        moving = np.any(self.select_actuated[:, : len(self.actuated)] != 0.0, axis=1)
+        return np.rint(self.support[[self.frames[name] for name in self.actuated]] @ moving).astype(np.intp)
+
     def untilted(self, actuated: FloatArray) -> FloatArray:
         """Return the driven joints, (n, n_driven), where no link is tilted, from the actuated ones (n, n_actuated)."""
         return np.pad(actuated, ((0, 0), (0, len(self.tilts)))) if self.tilts else actuated

@@ -266,10 +266,22 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)
     whitened = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
-    linear = linearise(robot, configurations)
-    located = linear.jacobian[:, robot.located]
-    position_rows = (located[..., unknowns.index] * unknowns.scales).reshape(len(poses), -1, len(unknowns))
-    return whitened.jacobian, linear.positions, position_rows
+    return whitened.jacobian, *positions_at(robot, configurations)
+
+
+def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:
+    """Return positions of the targets, and the rows of those that count.
+
+    Args:
+        robot: The robot, linearised at its present values.
+        configurations: The poses, assembled.
+
+    Returns:
+        (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
+    """
+    unknowns, linear = Unknowns.chosen_by_poses(robot), linearise(robot, configurations)
+    located = linear.jacobian[:, robot.located][..., unknowns.index] * unknowns.scales
+    return linear.positions, located.reshape(len(linear.positions), -1, len(unknowns))
 
 
 def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:

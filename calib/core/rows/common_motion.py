@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.mechanism import RelativeFrame
@@ -132,7 +133,7 @@ class CommonMotion(ReadOnlyArrays):
         motion = replace(motion, robot=robot, centre=centre, basis=np.eye(loose.n_motions))
         configurations = robot.assemble(joints)  # no place of base or tool is part of a loop
         rows = motion._fitted(motion.columns(*target_poses(robot, configurations)))
-        _, values, right = np.linalg.svd(rows / np.sqrt(len(joints) * len(loose.counts)), full_matrices=False)
+        _, values, right = linalg.svd(rows / np.sqrt(len(joints) * len(loose.counts)), full_matrices=False)
         motion = replace(motion, basis=right[values > _HARDLY_MOVES].T)
         for _ in range(_ROUNDS):
             x, turned = target_poses(motion.robot, configurations)
@@ -178,7 +179,7 @@ class CommonMotion(ReadOnlyArrays):
 
     def _best(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
         """The z that come nearest to changes (n, n_targets, 6, m) that are to be made, (k, m)."""
-        return np.asarray(np.linalg.lstsq(self._fitted(columns), self._fitted(changes), rcond=None)[0])
+        return np.asarray(linalg.lstsq(self._fitted(columns), self._fitted(changes), rcond=None))
 
     def _fitted(self, columns: FloatArray) -> FloatArray:
         """Rows that are to agree, (n_rows, k), of columns (n, n_targets, 6, k)."""

@@ -24,6 +24,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
+from calib.core.numerics import linalg
 from calib.core.numerics.halton import halton
 from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
 from calib.core.robots.robot import Robot
@@ -57,9 +58,9 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         now, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
         changed = now - before
         seen, unseen = _split(jacobian[:, free] * sigma)
-        back = -seen @ np.linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)[0]
+        back = -seen @ linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)
         start = (robot.values[free] - expected) / sigma + back
-        step = back - unseen @ np.linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)[0]
+        step = back - unseen @ linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)
         values = robot.values.copy()
         values[free] += sigma * step
         robot = robot.with_parameters(values)
@@ -70,7 +71,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
 
 def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Combinations of the columns that count, and those that vanish, orthonormal, (n_columns, n) each."""
-    _, singular, right = np.linalg.svd(reduced(scaled), full_matrices=True)
+    _, singular, right = linalg.svd(reduced(scaled), full_matrices=True)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return right[:rank].T, right[rank:].T
 

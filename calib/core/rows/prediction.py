@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
+from calib.core.numerics import linalg
 from calib.core.robots.acceleration import compiled_for, many
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
@@ -194,7 +195,7 @@ def beside_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
     points = positions.reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
     common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
-    basis = scipy.linalg.orth(common)
+    basis = linalg.orth(common)
     flat = rows.reshape(len(common), -1)
     return np.asarray(flat - basis @ (basis.T @ flat)).reshape(rows.shape)
 

@@ -23,6 +23,7 @@ from calib.core.base.units import in_si, millimetres
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, of_visits
 from calib.core.instruments.kind import Instrument, Readings
+from calib.core.numerics import linalg
 from calib.core.robots.configurations import Configurations, configured
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
@@ -206,7 +207,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     free = np.where(held[:, None, :], 0.0, slopes)
     size = np.einsum("nij,nij->n", slopes, slopes) / slopes.shape[2] + 1e-300
     # By singular values: in J^T J, rounding over little damping would move the joints along what no gap feels.
-    left, values, right = np.linalg.svd(free, full_matrices=False)
+    left, values, right = linalg.svd(free, full_matrices=False)
     felt = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
     step: FloatArray = -np.matmul((felt * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[:, 0]
     longest = np.max(np.abs(step), axis=1, keepdims=True)

@@ -7,6 +7,7 @@ The functions below say in words how large they are, in which frame, and what is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,15 +151,16 @@ def expected_now(subject: str, expected: dict[str, float], unit: str) -> str:
 
 
 def before_and_now(subject: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
-    """Say how large an error was, and is expected to be.
+    """Say how large an error is expected to be without and with the correction; both hold the same uncertainty.
 
     Args:
         subject: Of what it is.
-        before: Its `summary` without compensation.
-        expected: Its `summary` now.
+        before: `summary` of what the correction takes away.
+        expected: `summary` of the error that is expected with it.
         unit: Of both.
     """
+    without = math.hypot(before["rms"], expected["rms"])
     return (
-        f"{subject} was off by {before['rms']:.4f} {unit} (RMS); expected now: {expected['rms']:.4f} {unit},"
-        f" {expected['max']:.4f} {unit} at worst"
+        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst;"
+        f" without the correction by {without:.4f} {unit} (RMS)"
     )

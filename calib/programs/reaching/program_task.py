@@ -12,6 +12,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.data.measurements import Poses
+from calib.core.numerics import linalg
 from calib.core.robots.closure import actuated_jacobian
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.robot import Robot
@@ -101,7 +102,7 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
     """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
     if len(jacobian) == 0 or jacobian.shape[2] < 6:
         return False
-    values = np.linalg.svd(jacobian / np.repeat([length, 1.0], 3)[:, None], compute_uv=False)
+    values = linalg.singular_values(jacobian / np.repeat([length, 1.0], 3)[:, None])
     return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
 
 

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.numerics import linalg
 from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, descend
 
 _STEPS = 60
@@ -145,7 +146,7 @@ def _step(
 
 def _inverse(rows: FloatArray, held: _Held) -> tuple[FloatArray, FloatArray]:
     """A^+ (n, n_actuated, n_rows) and P (n, n_actuated, n_actuated), both zero in the rows of held joints."""
-    left, values, right = np.linalg.svd(np.where(held.joints[:, None, :], 0.0, rows), full_matrices=False)
+    left, values, right = linalg.svd(np.where(held.joints[:, None, :], 0.0, rows), full_matrices=False)
     used = values > 1e-9 * values[:, :1]
     weights = np.where(used, 1 / np.where(used, values, 1.0), 0.0)
     inverse = (right * weights[:, :, None]).transpose(0, 2, 1) @ left.transpose(0, 2, 1)

@@ -28,6 +28,7 @@ from calib.core.data.pose_groups import boxes
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.terms.candidate_terms import Candidate
 from calib.core.fitting.validation import stretches
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.prior import Prior
@@ -139,9 +140,10 @@ def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
     standing: list[IntArray] = []  # a parameter whose prior each column has
     for label in dict.fromkeys(labels):
         members = np.array([k for k, other in enumerate(labels) if other == label])
-        part, first = np.eye(len(members)), members
+        part: FloatArray = np.eye(len(members))
+        first = members
         if label and owner[members[0]] and len(members) > 1:
-            _, values, directions = np.linalg.svd(reduced(rows.jacobian[:, members]), full_matrices=False)
+            _, values, directions = linalg.svd(reduced(rows.jacobian[:, members]), full_matrices=False)
             kept = max(int(np.sum(values > _NOTHING * values[0])), 1)
             part, first = directions[:kept].T, np.full(kept, members[0])
         parts.append((members, part))
@@ -222,7 +224,7 @@ class Trials:
         self._by_column = {
             name: self._design.columns(block.by(unknowns.index) * unknowns.scales) for name, block in observed.items()
         }
-        partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
+        partitions = [boxes(data.joints, data.pose_numbers, BLOCKS, self.robot.mechanism.depths)]
         if np.ptp(data.conditions.time) > 0:
             partitions.append(stretches(data, BLOCKS))
         if data.setups is not None and np.ptp(data.setups) > 0:
@@ -401,7 +403,7 @@ class Trials:
             divisor = np.where(group >= 0, scales[group], 1.0)
             rows = self._design.rows[np.ix_(part.which, use)] / divisor[:, None]
             right = self._design.residuals[part.which] / divisor
-            step[lost] = -np.linalg.lstsq(rows[:, lost], right + rows @ step, rcond=None)[0]
+            step[lost] = -linalg.lstsq(rows[:, lost], right + rows @ step, rcond=None)
         return step
 
 

@@ -10,6 +10,9 @@ from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
+_NOT_SEEN = "none to be seen"
+"""Remark on a difference of mean squares that chance made negative: a square that is no number for people."""
+
 
 def budget_table(fit: Fit) -> dict[str, Any] | None:
     """Return the error budget in the unit of errors and its square; see `calib.core.judging.error_budget`.
@@ -29,7 +32,7 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
             "std": scale**2 * std,
             "rms": scale * math.sqrt(mean_square) if positive else math.nan,
             "share": mean_square / budget.before if positive and budget.before > 0 else math.nan,
-            "remark": "" if positive else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
+            "remark": "" if positive else "makes it larger" if mean_square < -2.0 * std else _NOT_SEEN,
         }
 
     return {
@@ -67,7 +70,7 @@ def budget_grid(fit: Fit) -> Grid | None:
         (
             row["cause"],
             GridNumber(row["rms"]),
-            GridNumber(row["mean_square"], row["std"], ".3g"),
+            GridNumber(math.nan if row["remark"] == _NOT_SEEN else row["mean_square"], row["std"], ".3g"),
             GridNumber(row["std"], row["std"], ".3g"),
             row["remark"] or f"{100 * row['share']:.1f} %",
         )

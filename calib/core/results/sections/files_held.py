@@ -19,6 +19,7 @@ from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_s
 from calib.core.data.parameter_files import read_parameters
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
+from calib.core.results.result_format import unchanged
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
@@ -161,7 +162,7 @@ def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -
     """
     try:
         entries = {Holds[entry["holds"].upper()]: entry for entry in content.get("files") or ()}
-        files = {holds: _stored(Path(folder), entry, holds, robot) for holds, entry in entries.items()}
+        files = {holds: _stored(Path(folder), entry, holds, robot, content) for holds, entry in entries.items()}
         if content["verdict"]["grade"] == "FAIL":  # who has its files has forced them already
             return {holds: replace(file_robot, withheld="") for holds, file_robot in files.items()}
         return files
@@ -169,7 +170,9 @@ def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -
         raise DataError(f"{folder}: the entry `files` of its result.json cannot be read; run the fit again") from None
 
 
-def _stored(folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot) -> FileRobot:
+def _stored(
+    folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot, content: Mapping[str, Any]
+) -> FileRobot:
     dimension: Dimension = entry["dimension"]
     scale = error_scale(dimension)
 
@@ -191,11 +194,13 @@ def _stored(folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot) 
         scales = [display_scale(robot.mechanism.dimensions[name]) for name in robot.joint_names]
         numbers = [(named[name]["sign"], named[name]["offset"]) for name in robot.joint_names]
         zeros = np.array(numbers, dtype=float).T / np.array([np.ones(len(scales)), scales])
-    values = {} if rows else _stored_values(folder, entry["values"], holds, robot)
+    values = {} if rows else _stored_values(folder, entry["values"], holds, robot, content)
     return FileRobot(values, accuracy, entry["withheld"] or "", zeros[0], zeros[1])
 
 
-def _stored_values(folder: Path, name: str | None, holds: Holds, robot: Robot) -> dict[str, float]:
+def _stored_values(
+    folder: Path, name: str | None, holds: Holds, robot: Robot, content: Mapping[str, Any]
+) -> dict[str, float]:
     if name is None:
         return dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
-    return read_parameters(folder / f"{name}.csv", without_terms(robot, holds), complete=True)
+    return read_parameters(unchanged(folder, f"{name}.csv", content), without_terms(robot, holds), complete=True)

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
+from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import UrdfText
 
 _KINDS = ("box", "cylinder", "sphere", "mesh")
@@ -173,7 +174,7 @@ def possible_inertia(inertia: FloatArray) -> FloatArray:
     Args:
         inertia: About the centre of mass, (3, 3) [kg m^2], symmetric.
     """
-    moments, axes = np.linalg.eigh(inertia)
+    moments, axes = linalg.eigh(inertia)
     fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
     excess = fixed[2] - fixed[0] - fixed[1]
     if excess > 0:

@@ -40,6 +40,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError
+from calib.core.numerics import linalg
 
 _DRAWN = 12  # configurations at which directions of a loop are looked at
 _SPREAD = 0.3  # how far from those of the file [m, rad]
@@ -359,7 +360,7 @@ class _Reader:
                 mujoco.mj_jac(model, data, jacobian, None, where, body)
                 jacobians.append(jacobian)
             columns.append(turn.T @ (jacobians[0] - jacobians[1]))
-        directions, values, _ = np.linalg.svd(np.hstack(columns), full_matrices=False)
+        directions, values, _ = linalg.svd(np.hstack(columns), full_matrices=False)
         count = int(np.sum(values > _MOVES * max(values[0], 1e-12)))
         if count == 3:
             return np.eye(3), 3

@@ -17,6 +17,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from calib.core.base.errors import UrdfError, nearest
+from calib.core.base.letters import unseen
 
 Triple = tuple[float, float, float]
 Span = tuple[int, int]
@@ -27,7 +28,7 @@ NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
 """More would fill the memory: Pinocchio's data grow with the third power."""
-_LARGEST = 1e9  # of an origin [m or rad]: squares and products of such numbers stay finite
+_LARGEST = 1e9  # of origins, and of joints that follow others [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
 _NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also take the no-break space, which other programs refuse
@@ -209,12 +210,13 @@ class UrdfReader:
                     f"{self.path}, {where}: the lower limit {lower:g} is above the upper one {upper:g};"
                     " correct the <limit>"
                 )
-            joint["lower"], joint["upper"] = lower, upper
+            joint["lower"] = -math.inf if lower < -_LARGEST else lower  # such numbers are written for "none"
+            joint["upper"] = math.inf if upper > _LARGEST else upper
         elif tag == "mimic":
             joint["mimic"] = (
                 self._required(attributes, "joint", f"<mimic> of {where}"),
-                self._number(attributes.get("multiplier", "1"), f"{where}, mimic multiplier"),
-                self._number(attributes.get("offset", "0"), f"{where}, mimic offset"),
+                self._bounded(attributes.get("multiplier", "1"), f"{where}, mimic multiplier"),
+                self._bounded(attributes.get("offset", "0"), f"{where}, mimic offset"),
             )
 
     def _axis(self, attributes: dict[str, str], where: str, moving: bool) -> Triple:
@@ -240,6 +242,8 @@ class UrdfReader:
     def _required(self, attributes: dict[str, str], key: str, where: str) -> str:
         if not attributes.get(key):
             raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
+        if problem := unseen(attributes[key]):
+            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {problem}")
         return attributes[key]
 
     def _number(self, text: str, where: str) -> float:
@@ -254,12 +258,16 @@ class UrdfReader:
 
     def _triple(self, text: str, where: str) -> Triple:
         parts = [text] if "$" in text else re.split(f"[{_SPACE}]+", text.strip(_SPACE))
-        numbers = tuple(self._number(part, where) for part in parts)
+        numbers = tuple(self._bounded(part, where) for part in parts)
         if len(numbers) != 3:
             raise UrdfError(f"{self.path}, {where}: '{text}' is not three numbers separated by spaces")
-        if max(map(abs, numbers)) > _LARGEST:
-            raise UrdfError(f"{self.path}, {where}: '{text}' is beyond 1e9, more than any robot needs; correct it")
         return numbers
+
+    def _bounded(self, text: str, where: str) -> float:
+        value = self._number(text, where)
+        if abs(value) > _LARGEST:
+            raise UrdfError(f"{self.path}, {where}: '{text}' is beyond 1e9, more than any robot needs; correct it")
+        return value
 
 
 def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:

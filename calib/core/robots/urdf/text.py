@@ -34,6 +34,7 @@ from calib.core.robots.urdf.reader import (
     UrdfJoint,
     UrdfReader,
 )
+from calib.core.robots.urdf.xacro_files import expanded
 
 __all__ = [
     "HELD_TYPES",
@@ -158,7 +159,7 @@ def read_urdf(path: Path | str) -> UrdfText:
     """
     source = read_bytes(path, "the path of a URDF", UrdfError)
     if Path(path).suffix == ".xacro":
-        source = _expanded(path)
+        source = expanded(path)
     elif is_mjcf(source):
         source = read_mjcf(path).source
     return parse_urdf(source, str(path))
@@ -177,22 +178,6 @@ def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
                 f"{where}: joint '{joint.name}' is {joint.type}; planar and floating joints are not supported: make it"
                 " of prismatic and revolute joints, or fixed if it stands still while the robot is measured"
             )
-
-
-def _expanded(path: Path | str) -> bytes:
-    """The URDF that a xacro file stands for, with the package xacro, which not everybody has."""
-    try:
-        import xacro
-    except ImportError:
-        raise UrdfError(
-            f"{path}: is a xacro file, and the package that expands them is not installed: pip install xacro; or expand"
-            f" it elsewhere: xacro {path} > robot.urdf"
-        ) from None
-    try:
-        expanded: bytes = xacro.process_file(str(path)).toprettyxml(indent="  ", encoding="utf-8")
-    except Exception as error:  # of xacro, of the XML parser, of expressions in the file
-        raise UrdfError(f"{path}: xacro cannot expand it ({type(error).__name__}: {error})") from None
-    return expanded
 
 
 def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:

@@ -1,0 +1,59 @@
+"""Letters that nobody sees: controls, escapes of terminals, marks of direction. No name has them, no message either.
+
+A name with a line end cannot be read from the table that it is written to; two names that differ by a mark of no width
+look the same; U+202E turns around what follows, and an escape moves the cursor, wherever the text is shown.
+"""
+
+from __future__ import annotations
+
+import re
+
+_UNSEEN = (
+    "\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff"
+    "\U000e0000-\U000e007f"
+)
+_IN_NAMES = re.compile(f"[{_UNSEEN}]")
+_IN_TEXT = re.compile(f"(?![\n\t])[{_UNSEEN}]")
+_WORD, _WORD_SHOWN = 400, 60
+_TEXT, _TEXT_SHOWN = 8000, 2000
+_LONG_WORD = re.compile(rf"\S{{{_WORD},}}")
+
+
+def visible(text: str) -> str:
+    r"""Return a text in which letters that nobody sees are spelt; line ends and tabs stay.
+
+    >>> visible("a\x1b[31mb")
+    'a\\x1b[31mb'
+    """
+    return _IN_TEXT.sub(_spelt, text)
+
+
+def unseen(name: str) -> str:
+    r"""Return what is wrong with a name that holds letters that nobody sees; nothing if it holds none.
+
+    >>> unseen("P\n1"), unseen("P 1")
+    ("'P\\n1' holds \\n, which nobody sees; write the name without it", '')
+    """
+    found = None if name.isascii() and name.isprintable() else _IN_NAMES.search(name)
+    if found is None:
+        return ""
+    shown = _IN_NAMES.sub(_spelt, name[:_WORD_SHOWN])
+    return f"'{shown}' holds {_spelt(found)}, which nobody sees; write the name without it"
+
+
+def brief(text: str) -> str:
+    """Return a text whose longest words, and that itself, are cut down to what a person reads.
+
+    >>> brief("not a number: " + 50_000 * "9")[:50], len(brief(50_000 * "a b "))
+    ('not a number: 999999999999999999999999999999999999', 4040)
+    """
+    words = _LONG_WORD.sub(lambda word: _cut(word[0], _WORD_SHOWN), text)
+    return words if len(words) <= _TEXT else _cut(words, _TEXT_SHOWN)
+
+
+def _cut(text: str, kept: int) -> str:
+    return f"{text[:kept]}... ({len(text) - 2 * kept} further characters) ...{text[-kept:]}"
+
+
+def _spelt(letter: re.Match[str]) -> str:
+    return letter[0].encode("unicode_escape").decode()

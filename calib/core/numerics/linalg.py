@@ -1,0 +1,163 @@
+"""Singular values and eigenvalues of every finite matrix: numpy's functions, and where these fail, slower ones.
+
+numpy uses LAPACK's divide and conquer (`syevd`, `gesdd`, `gelsd`), the fastest method. It cuts a matrix of more than 25
+rows into halves and joins their eigenvalues by roots of a secular equation
+
+    1 + rho sum_i z_i^2 / (d_i - x) = 0        d: eigenvalues of both halves; z: what couples them
+
+Where many eigenvalues are the same but for rounding (readings of x, y and z with a noise each leave three values, some
+60 times each), poles d_i of both halves nearly meet, couplings z_i are as small as rounding, and the search for a root
+between two poles may stop without it: `Eigenvalues did not converge`, of a finite symmetric matrix. Whether it does
+depends on the last digits, and so on the processor: OpenBLAS adds in another order on each family. QR iterations
+(`syev`, `gesvd`) have no such equation; they take some times longer. So each function here asks numpy first, and
+its answer stays as it is to the last bit; QR iterations answer for those matrices of a stack that failed.
+
+Matrices up to 25 x 25 have QR iterations in numpy, too, so nothing is lost for stacks of small ones. LAPACK's QR and
+Cholesky factors, solutions and inverses take a fixed number of steps and cannot fail in this way: they are called as
+they are. Eigenvalues of matrices that are not symmetric are needed nowhere.
+
+When it fails. A matrix that is not finite raises `numpy.linalg.LinAlgError`, or gives NaN, as numpy has it.
+
+Reference: lapack1999.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray, IntArray
+
+_EPSILON = float(np.finfo(float).eps)
+_QR_ITERATIONS = {"driver": "ev"}
+
+
+def eigh(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, (..., n, n), of symmetric matrices.
+
+    Args:
+        matrix: (..., n, n); the lower triangle counts.
+    """
+    return _first_or_second(np.linalg.eigh, lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS), matrix)
+
+
+def eigvalsh(matrix: FloatArray) -> FloatArray:
+    """Return the eigenvalues of symmetric matrices (..., n, n), ascending, (..., n)."""
+    (values,) = _first_or_second(
+        lambda part: (np.linalg.eigvalsh(part),), lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS)[:1], matrix
+    )
+    return values
+
+
+def svd(matrix: FloatArray, full_matrices: bool = True) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return left vectors, singular values, descending, and right vectors in rows, of matrices (..., m, n).
+
+    Args:
+        matrix: (..., m, n).
+        full_matrices: Whether vectors without a singular value are among them, (..., m, m) and (..., n, n); else there
+            are min(m, n).
+    """
+    return _first_or_second(
+        lambda part: np.linalg.svd(part, full_matrices),
+        lambda part: scipy.linalg.svd(part, full_matrices, lapack_driver="gesvd"),
+        matrix,
+    )
+
+
+def singular_values(matrix: FloatArray) -> FloatArray:
+    """Return the singular values of matrices (..., m, n), descending, (..., min(m, n))."""
+    (values,) = _first_or_second(
+        lambda part: (np.linalg.svd(part, compute_uv=False),),
+        lambda part: scipy.linalg.svd(part, full_matrices=False, lapack_driver="gesvd")[1:2],
+        matrix,
+    )
+    return values
+
+
+def lstsq(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> FloatArray:
+    """Return the shortest x of all that make |A x - b| least.
+
+    Args:
+        matrix: A, (m, n).
+        right: b, (m,) or (m, k).
+        rcond: Part of the largest singular value below which one counts as 0; if not given, what rounding leaves.
+    """
+    return solution_and_rank(matrix, right, rcond)[0]
+
+
+def solution_and_rank(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> tuple[FloatArray, int]:
+    """Return x of `lstsq` and the rank of its matrix."""
+    try:
+        solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond)
+    except np.linalg.LinAlgError:
+        if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right))):
+            raise
+        cut = max(np.shape(matrix)) * _EPSILON if rcond is None else rcond
+        solution, _, rank, _ = scipy.linalg.lstsq(matrix, right, cut, lapack_driver="gelss")
+    return solution, int(rank)
+
+
+def pinv(matrix: FloatArray, rcond: float = 1e-15, *, hermitian: bool = False) -> FloatArray:
+    """Return the pseudo-inverses (..., n, m) of matrices (..., m, n).
+
+    Args:
+        matrix: (..., m, n).
+        rcond: Part of the largest singular value below which one counts as 0.
+        hermitian: Whether they are symmetric, which is faster.
+    """
+
+    def from_svd(part: FloatArray) -> tuple[FloatArray]:
+        left, values, right = scipy.linalg.svd(part, full_matrices=False, lapack_driver="gesvd")
+        kept = values > rcond * np.max(values)
+        return ((right[kept].T / values[kept]) @ left[:, kept].T,)
+
+    (inverse,) = _first_or_second(lambda part: (np.linalg.pinv(part, rcond, hermitian),), from_svd, matrix)
+    return inverse
+
+
+def matrix_rank(matrix: FloatArray, *, hermitian: bool = False) -> IntArray:
+    """Return how many singular values of matrices are more than rounding leaves, (...).
+
+    Args:
+        matrix: (..., m, n).
+        hermitian: Whether they are symmetric, which is faster.
+    """
+    values = np.abs(eigvalsh(matrix)) if hermitian else singular_values(matrix)
+    least = np.max(values, axis=-1, keepdims=True, initial=0.0) * max(np.shape(matrix)[-2:]) * _EPSILON
+    return np.asarray(np.count_nonzero(values > least, axis=-1))
+
+
+def cond(matrix: FloatArray) -> FloatArray:
+    """Return the largest singular values of matrices (..., m, n) over their smallest, (...); infinite if singular."""
+    values = singular_values(matrix)
+    largest, smallest = values[..., 0], values[..., -1]
+    return np.divide(largest, smallest, out=np.full_like(largest, np.inf), where=smallest > 0)
+
+
+def orth(matrix: FloatArray, rcond: float | None = None) -> FloatArray:
+    """Return an orthonormal basis of what the columns of a matrix (m, n) span, (m, rank).
+
+    Args:
+        matrix: (m, n).
+        rcond: As of `lstsq`.
+    """
+    left, values, _ = svd(matrix, full_matrices=False)
+    cut = max(matrix.shape) * _EPSILON if rcond is None else rcond
+    return left[:, values > cut * np.max(values, initial=0.0)]
+
+
+def _first_or_second(first: Callable[..., Any], second: Callable[..., Any], matrix: FloatArray) -> Any:
+    """Return what the first method gives; where it fails, what it gives of each matrix, or the second method does."""
+    try:
+        return first(matrix)
+    except np.linalg.LinAlgError:
+        if not np.all(np.isfinite(matrix)):
+            raise
+    if np.ndim(matrix) == 2:
+        return second(matrix)
+    stack = np.asarray(matrix)
+    each = [_first_or_second(first, second, part) for part in stack.reshape(-1, *stack.shape[-2:])]
+    return tuple(np.stack(parts).reshape(*stack.shape[:-2], *parts[0].shape) for parts in zip(*each, strict=True))

@@ -60,10 +60,10 @@ ELSEWHERE = [
     "the fit of",  # failed fits: tests/test_result_comparison.py
 ]
 SOURCES = {
-    "verify": ["reporting/acceptance_text.py"],
-    "check": ["reporting/assessment_text.py", "rows/determination.py"],
-    "select": ["reporting/selection_text.py"],
-    "compare": ["reporting/comparison_report.py", "reporting/comparing_results.py"],
+    "verify": ["core/results/acceptance_text.py"],
+    "check": ["planning/assessment_text.py", "core/rows/determination.py"],
+    "select": ["planning/selection_text.py"],
+    "compare": ["core/results/comparison_report.py", "core/results/comparing_results.py"],
     "watch": ["planning/progress.py"],
 }
 

@@ -174,8 +174,7 @@ def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generat
     """The joint values (n, n_actuated) of poses; of a robot whose kinds say where they read something, near there."""
     joints, n = first.joints, len(first)
     for instrument in robot.instruments:
-        sights = instrument.sights(n, generator) if isinstance(instrument, FrameInstrument) else None
-        if sights is None:
+        if not isinstance(instrument, FrameInstrument) or (sights := instrument.sights(n, generator)) is None:
             continue
         frames = instrument.pairs(MEASUREMENT_FRAME)
         stand_in = _Sighted(

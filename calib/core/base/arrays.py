@@ -129,7 +129,7 @@ class ReadOnlyArrays:
 
     def __post_init__(self) -> None:
         kept = self.__dict__
-        for name in _names_of_fields(type(self)):
+        for name in _names_of_fields(type(self)):  # type: ignore[arg-type]  # classes have a hash
             value = kept[name]
             if isinstance(value, _HOLDING):
                 kept[name] = _held_fast(value)

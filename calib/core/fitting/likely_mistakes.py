@@ -3,8 +3,8 @@
 Each usual mistake is undone in turn, and the nominal robot compared.
 
 Tried are: columns of joint values in another order; joints counted the other way, from a zero that is a quarter or half
-of a turn off, or on another scale, several at once (`calib.core.fitting.column_maps`); values mapped to a range such as -100
-to 100; joint values up to five rows above or below their measurements; angles that are degrees read as radians or
+of a turn off, or on another scale, several at once (`calib.core.fitting.column_maps`); values mapped to a range such as
+-100 to 100; joint values up to five rows above or below their measurements; angles that are degrees read as radians or
 radians read as degrees; positions in another unit, which their size tells; axes of the measurement frame mirrored, or
 in another order. Readings of exactly 0, 0, 0 are left out before, and named with the rest. Base and targets are placed
 by a rigid fit where they are not known. What brings the nominal robot much closer to the data than they stand, and to

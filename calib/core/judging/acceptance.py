@@ -29,10 +29,10 @@ chance of 90 %, or the number of poses that a given change takes, are known befo
 
 Unlike poses. The noise that a calibration finds is, for the most part, what its model leaves out. At poses drawn as
 those that were used it is another error at each pose, as noise is. Elsewhere, or where poses crowd together
-(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger. Then the n rows read there tell as
-much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off there as
-if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that the robot has
-changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
+(`calib.core.data.pose_groups.drawn_alike`), it may be one error of all, though no larger. Then the n rows read there
+tell as much as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be off
+there as if k of the N rows used had decided them: N / k times C. If the readings agree by this, nothing says that the
+robot has changed, and the verdict is about the poses. If a change stands out even so, the robot has drifted.
 
 Millimetres. The mean square of distances sums squares of unequal size. It is judged as an F of the same mean and
 variance, at a chance of 0.1 %, so that no verdict contradicts the distances beside it.

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.core.base.words import counted, joints_named, listed

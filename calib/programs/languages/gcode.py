@@ -5,13 +5,13 @@ without a G meaning the motion before it. A program begins in G90 and G21.
 
 Whatever a move depends on is known, or the move is refused with its line: where the machine stands, axis by axis;
 whether numbers are relative; their unit; the zero and the tool that they belong to. A word leaves all this as it is
-only where `calib.programs.languages.gcode_dialects` says so. Any other word (a macro, a change of tools) may change all of
-it, and position and modes are unknown until the program sets them again. Zero and tool cannot be set again: after the
-first move such a word ends what can be compensated; before it, the word prepares the machine, and the program's zero is
-the one that it leaves. Homing of all axes leads to where the user says; homing of one may move the others. Words that
-certainly change what X, Y and Z mean, lines that are run elsewhere, again or under a condition, and moves that are not
-straight are refused wherever they stand. If the firmware is not known, a line is taken to be run whole, and refused
-where firmwares would read other numbers or commands in it.
+only where `calib.programs.languages.gcode_dialects` says so. Any other word (a macro, a change of tools) may change all
+of it, and position and modes are unknown until the program sets them again. Zero and tool cannot be set again: after
+the first move such a word ends what can be compensated; before it, the word prepares the machine, and the program's
+zero is the one that it leaves. Homing of all axes leads to where the user says; homing of one may move the others.
+Words that certainly change what X, Y and Z mean, lines that are run elsewhere, again or under a condition, and moves
+that are not straight are refused wherever they stand. If the firmware is not known, a line is taken to be run whole,
+and refused where firmwares would read other numbers or commands in it.
 
 G90 and G91 change what E means on some machines and on others not; a program that has E behind them must say so (M82,
 M83).

@@ -26,7 +26,6 @@ from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
-from calib.core.numerics.tall import squares_of_rows
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.held import Holds
 from calib.core.robots.robot import Robot
@@ -377,11 +376,18 @@ class Fit(ReadOnlyArrays, Hinting):
         """
         if self.computed:
             return 0.0
-        scale, layout = self.robot.mechanism.joint_scale, self.whitening.layout
+        scale = self.robot.mechanism.joint_scale
         by_joint = self.whitening.flatten(self.by_joint)[:, : len(scale)] * scale
-        residuals = self.whitening.flatten(self.identification.after)
-        leverage = squares_of_rows(self.weighted_rows.span)
-        return unexplained_joint_error(layout, residuals, by_joint, self.weights[layout.reading], leverage)
+        weighing = self.whitening.weighing(self.scales.ratios)
+        plain = self.rows.jacobian if weighing is None else weighing.unwhiten(self.rows.jacobian)
+        rows = replace(
+            self.rows,
+            residuals=self.whitening.flatten(self.identification.after),
+            jacobian=plain * self.whitening.row_scale(self.scales.groups)[:, None],
+        )
+        return unexplained_joint_error(
+            rows.weighted(self.weights), np.sqrt(self.weights)[rows.layout.reading, None] * by_joint
+        )
 
     @cached_property
     def by_joint(self) -> dict[str, FloatArray]:

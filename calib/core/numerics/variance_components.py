@@ -83,18 +83,19 @@ class SharedError:
 
     def whiten(self, rows: FloatArray) -> FloatArray:
         """Return (I + C C^T)^(-1/2) rows, (n_rows,) or (n_rows, k)."""
-        gain = 1.0 / np.sqrt(1.0 + self._values**2) - 1.0
-        packed = self._packed(rows[:, None] if rows.ndim == 1 else rows)
-        packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
-        result = self._unpacked(packed)
-        return result[:, 0] if rows.ndim == 1 else result
+        return self._stretched(rows, 1.0 / np.sqrt(1.0 + self._values**2))
 
     def unwhiten(self, rows: FloatArray) -> FloatArray:
-        """Return (I + C C^T)^(1/2) rows, (n_rows,): the way back."""
-        gain = np.sqrt(1.0 + self._values**2) - 1.0
-        packed = self._packed(rows[:, None])
-        packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
-        return self._unpacked(packed)[:, 0]
+        """Return (I + C C^T)^(1/2) rows, (n_rows,) or (n_rows, k): the way back."""
+        return self._stretched(rows, np.sqrt(1.0 + self._values**2))
+
+    def _stretched(self, rows: FloatArray, factors: FloatArray) -> FloatArray:
+        """Return rows times a factor along each direction of C in a block, (n_blocks, k)."""
+        packed = self._packed(rows[:, None] if rows.ndim == 1 else rows)
+        along = np.matmul(self._left.transpose(0, 2, 1), packed)
+        packed += np.matmul(self._left, (factors - 1.0)[:, :, None] * along)
+        result = self._unpacked(packed)
+        return result[:, 0] if rows.ndim == 1 else result
 
     def diagonal(self) -> FloatArray:
         """Return the diagonal of (I + C C^T)^-1, (n_rows,)."""

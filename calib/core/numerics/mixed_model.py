@@ -1,0 +1,398 @@
+"""One linear model with coefficients whose sizes are found: all kinds of columns at once, in place of a choice of them.
+
+Problem. Rows y of a linear problem have columns of many kinds: some of them are surely there (origins, places), others
+may be (gears, bending), and beside them is what no column describes. Which kinds are there, and how large, is to be
+found from the same rows, and what is not known of it is to be counted.
+
+Model. With u the coefficients of all columns X,
+
+    y = X u + H_k e_k + noise
+    u_c ~ N(0, s_f^2)     of a column of family f; s_f is the size of the family, found
+    u_c ~ N(0, 1)         of a column whose prior is known
+    u_c                   flat of a column without a prior
+    e_k ~ N(0, d^2 I)     scatter of what H moves (joints), another one at each pose k; d is found
+    noise ~ N(0, s_g^2)   of the rows of group g; s_g = 1 where it is stated, else found
+
+Rows of a pose and group are rotated once, Q^T H H^T Q = diag(l). Then V = s_g^2 + d^2 l is diagonal, whatever the sizes
+are. (Rows of a pose in two groups are taken to feel scatters of their own.)
+
+Restricted likelihood. Scale the columns by their sizes, Z = X S (S = 1 where there is no size), and let P be 1 for
+columns with a prior, 0 for flat ones. With A = Z^T V^-1 Z + P, v = A^-1 Z^T V^-1 y and r = y - Z v,
+
+    -2 log L = log |V| + log |A| + r^T V^-1 r + |P v|^2 + constant
+
+The constant depends on the flat columns alone (patterson1971; harville1977). The marginal covariance of y is W =
+V + Z P Z^T, and its inverse with the flat columns projected out is Q = V^-1 - V^-1 Z A^-1 Z^T V^-1, so that Q y = r / V
+and (Q Z P) = V^-1 Z A^-1 P. With T = Z A^-1 and h_i = (T_i . Z_i) / V_i the leverage of row i, derivatives by
+logarithms of sizes, w_i = d log V_i / d(log size), are
+
+    gradient of -log L     family    sum over its columns c of 1 - (A^-1)_cc - v_c^2
+                           noise, d  1/2 sum of w_i (1 - h_i - r_i^2 / V_i)
+    Fisher's information   families  2 |1 - (A^-1)_ff|^2,   2 |(A^-1)_fg|^2
+                           mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
+                           noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
+
+Components. Columns of a family are replaced by their principal components. Those below a ten-thousandth of the largest
+are put aside: rows do not see them. They keep their prior, which counts where one predicts.
+
+Another row, of derivatives b, has the variance  b S A^-1 S b^T + sum over f of s_f^2 |b_f aside|^2 + d^2 |h|^2. And a
+pose that was used is predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k,
+and its covariance Q_kk^-1, the noise of the pose included.
+
+When it fails. What is far from linear, and families of which the sizes are as large as the rows are (`size_search` has
+priors for them). A family of a size says: its coefficients are about as large as each other.
+
+Reference: patterson1971; harville1977; mackay1992.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics.prior import Prior
+
+FLAT, KNOWN = -2, -1
+"""In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
+_ASIDE = 1e-4  # of the largest singular value of a family, below which its components are put aside
+_UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
+_DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
+_RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding might make singular
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseOfRows(ReadOnlyArrays):
+    """Which rows share noise; as of `MixedRows`."""
+
+    group: IntArray
+    stated: BoolArray
+    pose: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class MixedRows(ReadOnlyArrays):
+    """Rows of the model.
+
+    Attributes:
+        columns: X, whitened by what is stated, (n_rows, n_columns).
+        values: y, whitened, (n_rows,).
+        family: Family of each column from 0 on, or `FLAT` or `KNOWN`, (n_columns,).
+        group: Group of the noise of each row, (n_rows,).
+        stated: Whether the noise of each group is 1, (n_groups,).
+        pose: Of each row, (n_rows,).
+        levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
+    """
+
+    columns: FloatArray
+    values: FloatArray
+    family: IntArray
+    group: IntArray
+    stated: BoolArray
+    pose: IntArray
+    levers: FloatArray
+
+    @staticmethod
+    def of(
+        rows: FloatArray,
+        residuals: FloatArray,
+        prior: Prior,
+        deviations: FloatArray,
+        family: IntArray,
+        noise: NoiseOfRows,
+        levers: FloatArray,
+    ) -> MixedRows:
+        """Return the rows of a linear problem whose residuals are those at some deviations from what is expected.
+
+        Args:
+            rows: Derivatives of the residuals by scaled parameters, (n_rows, n_columns).
+            residuals: Predicted minus read, (n_rows,).
+            prior: Of the parameters.
+            deviations: Of these, u, (n_columns,).
+            family: Family of each parameter whose size is found, -1 for others, (n_columns,).
+            noise: Of the rows.
+            levers: H, (n_rows, n_scattering).
+        """
+        kind = np.where(family >= 0, family, np.where(prior.has, KNOWN, FLAT))
+        values = rows @ np.where(prior.has, deviations, 0.0) - residuals
+        columns = rows @ (prior.root + np.diag(~prior.has)) if len(prior.together) else rows
+        return MixedRows(columns, values, kind, noise.group, noise.stated, noise.pose, levers)
+
+
+@dataclass(frozen=True, eq=False)
+class Part(ReadOnlyArrays):
+    """Columns that are replaced by components of them.
+
+    Attributes:
+        members: Their places, (n,).
+        kept: Components, (n, n_kept).
+        aside: Components that the rows do not see, (n, n_aside).
+        family: As of `MixedRows`.
+    """
+
+    members: IntArray
+    kept: FloatArray
+    aside: FloatArray
+    family: int
+
+    @staticmethod
+    def of(members: IntArray, columns: FloatArray, family: int) -> Part:
+        """Return that of the columns of a family, (n_rows, n)."""
+        size = columns.shape[1]
+        if family == KNOWN:
+            return Part(members, np.eye(size), np.zeros((size, 0)), family)
+        if family == FLAT:
+            lengths = np.linalg.norm(columns, axis=0)
+            lengths[lengths == 0.0] = 1.0
+            values, vectors = _principal(columns / lengths)
+            seen = values > _UNSEEN**2 * max(values[-1], 1e-300) if size else np.zeros(0, dtype=bool)
+            return Part(
+                members, vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None], np.zeros((size, 0)), family
+            )
+        values, vectors = _principal(columns)
+        seen = values > _ASIDE**2 * values[-1]
+        return Part(members, vectors[:, seen], vectors[:, ~seen], family)
+
+
+def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squares of singular values in rising order (n,), and right singular vectors (n, n)."""
+    values, vectors = scipy.linalg.eigh(columns.T @ columns, driver="evr")
+    return np.asarray(values), np.asarray(vectors)
+
+
+@dataclass(frozen=True, eq=False)
+class MixedModel(ReadOnlyArrays):
+    """The model with its rows rotated and its columns condensed.
+
+    Attributes:
+        rows: As they were given.
+        parts: What columns are made of, in their order.
+        x: Columns of all parts, rows rotated, (n_rows, n).
+        y: Values, rotated, (n_rows,).
+        spread: l of the module docstring, (n_rows,).
+        family: Of each column, as of `MixedRows`, (n,).
+        n_families: Number of families.
+        poses: Rows of each pose, (k,).
+        turns: Of the rows of each pose: rows are Q times the rotated ones, (k, k).
+    """
+
+    rows: MixedRows
+    parts: tuple[Part, ...]
+    x: FloatArray
+    y: FloatArray
+    spread: FloatArray
+    family: IntArray
+    n_families: int
+    poses: tuple[IntArray, ...]
+    turns: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(rows: MixedRows) -> MixedModel:
+        """Rotate rows, and condense their columns."""
+        numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
+        members = [np.flatnonzero(rows.family == number) for number in numbers]
+        parts = tuple(
+            Part.of(places, rows.columns[:, places], number)
+            for number, places in zip(numbers, members, strict=True)
+            if len(places)
+        )
+        x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
+        y, spread = rows.values.copy(), np.zeros(len(x))
+        poses, turns = tuple(_poses(rows.pose)), []
+        for places in poses:
+            turn, spread[places] = _turn(rows.levers[places], rows.group[places])
+            x[places], y[places] = turn.T @ x[places], turn.T @ y[places]
+            turns.append(turn)
+        family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
+        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2, poses, tuple(turns))
+
+    @property
+    def scatters(self) -> bool:
+        """Whether d is among the sizes."""
+        return self.rows.levers.shape[1] > 0
+
+    @cached_property
+    def unstated(self) -> IntArray:
+        """Groups whose noise is found, (n,)."""
+        return np.flatnonzero(~self.rows.stated)
+
+    @property
+    def n_sizes(self) -> int:
+        """Number of sizes: of families, of noise that is not stated, and of scatter."""
+        return self.n_families + len(self.unstated) + self.scatters
+
+    @cached_property
+    def has_prior(self) -> FloatArray:
+        """Diagonal of P, (n,)."""
+        return np.where(self.family == FLAT, 0.0, 1.0)
+
+    def sizes(self, logs: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return sizes of families (n_families,), noise of the groups (n_groups,) and d from logarithms (n_sizes,)."""
+        noise = np.ones(len(self.rows.stated))
+        noise[self.unstated] = np.exp(logs[self.n_families : self.n_families + len(self.unstated)])
+        return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
+
+    def components(self, derivative: FloatArray) -> FloatArray:
+        """Return derivatives by the condensed columns (..., n), from those by all columns (..., n_columns)."""
+        return np.concatenate([derivative[..., part.members] @ part.kept for part in self.parts], axis=-1)
+
+    def coefficients(self, condensed: FloatArray) -> FloatArray:
+        """Return those of all columns (n_columns,), from those of the condensed ones (n,)."""
+        result, start = np.zeros(self.rows.columns.shape[1]), 0
+        for part in self.parts:
+            end = start + part.kept.shape[1]
+            result[part.members] = part.kept @ condensed[start:end]
+            start = end
+        return result
+
+    def aside(self, derivative: FloatArray) -> FloatArray:
+        """Return |b_f aside|^2 of derivatives (n, n_columns), by family, (n_families, n)."""
+        squares = np.zeros((self.n_families, len(derivative)))
+        for part in self.parts:
+            if part.family >= 0:
+                squares[part.family] = np.sum((derivative[:, part.members] @ part.aside) ** 2, axis=1)
+        return squares
+
+    def solved(self, logs: FloatArray) -> SolvedModel:
+        """Solve it with sizes whose logarithms are given, (n_sizes,)."""
+        families, noise, scatter = self.sizes(logs)
+        variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
+        scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
+        z = self.x * scale
+        weighed = z / variance[:, None]
+        matrix = z.T @ weighed
+        matrix[np.diag_indices_from(matrix)] += self.has_prior + _RIDGE * np.diag(matrix)
+        upper = np.linalg.cholesky(matrix).T
+        inverse, _ = scipy.linalg.lapack.dpotri(upper)
+        inverse = np.triu(inverse) + np.triu(inverse, 1).T
+        v = inverse @ (weighed.T @ self.y)
+        left = self.y - z @ v
+        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
+        cost = float(np.sum(left**2 / variance) + np.sum(self.has_prior * v**2))
+        return SolvedModel(self, logs, scale, variance, z, inverse, v, left, 0.5 * (determinant + cost))
+
+
+def _poses(pose: IntArray) -> list[IntArray]:
+    """Rows of each pose."""
+    order = np.argsort(pose, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(pose[order])) + 1)
+
+
+def _turn(levers: FloatArray, group: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Q (k, k) and l (k,) of the rows of a pose, group by group."""
+    turn, spread = np.eye(len(levers)), np.zeros(len(levers))
+    for g in np.unique(group) if levers.shape[1] else ():
+        of_group = np.flatnonzero(group == g)
+        felt = levers[of_group] @ levers[of_group].T
+        values, turn[np.ix_(of_group, of_group)] = scipy.linalg.eigh(felt, driver="evr")
+        spread[of_group] = np.maximum(values, 0.0)
+    return turn, spread
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedModel(ReadOnlyArrays):
+    """The model with its sizes: symbols as of the module docstring.
+
+    Attributes:
+        model: The model.
+        logs: Logarithms of the sizes, (n_sizes,).
+        scale: Diagonal of S, (n,).
+        variance: Diagonal of V, (n_rows,).
+        z: Z, (n_rows, n).
+        inverse: A^-1, (n, n).
+        v: Scaled coefficients, (n,).
+        left: r, (n_rows,).
+        cost: -log L, up to a constant.
+    """
+
+    model: MixedModel
+    logs: FloatArray
+    scale: FloatArray
+    variance: FloatArray
+    z: FloatArray
+    inverse: FloatArray
+    v: FloatArray
+    left: FloatArray
+    cost: float
+
+    @cached_property
+    def _spanned(self) -> FloatArray:
+        """T, (n_rows, n)."""
+        return self.z @ self.inverse
+
+    @cached_property
+    def _leverage(self) -> FloatArray:
+        """h, (n_rows,)."""
+        return np.asarray(np.einsum("ij,ij->i", self._spanned, self.z) / self.variance)
+
+    @cached_property
+    def _members(self) -> list[IntArray]:
+        """Columns of each family."""
+        return [np.flatnonzero(self.model.family == f) for f in range(self.model.n_families)]
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares w of noise that is found, and of d, (n_noise, n_rows)."""
+        model = self.model
+        _, noise, scatter = model.sizes(self.logs)
+        group = model.rows.group
+        shares = [2.0 * np.where(group == g, noise[g] ** 2, 0.0) / self.variance for g in model.unstated]
+        if model.scatters:
+            shares.append(2.0 * scatter**2 * model.spread / self.variance)
+        return np.array(shares).reshape(-1, len(group))
+
+    @property
+    def gradient(self) -> FloatArray:
+        """That of `cost` by the logarithms of the sizes, (n_sizes,)."""
+        decided = 1.0 - np.diag(self.inverse) - self.v**2
+        of_rows = 1.0 - self._leverage - self.left**2 / self.variance
+        of_families = np.array([np.sum(decided[members]) for members in self._members])
+        return np.concatenate([of_families, 0.5 * self._shares @ of_rows])
+
+    @property
+    def information(self) -> FloatArray:
+        """Fisher's, of the logarithms of the sizes, (n_sizes, n_sizes)."""
+        n, shares = self.model.n_families, self._shares
+        result = np.zeros((self.model.n_sizes, self.model.n_sizes))
+        squares, diagonal = self.inverse**2, np.diag(self.inverse)
+        rows = shares / self.variance @ self._spanned**2  # (n_noise, n)
+        for f, members in enumerate(self._members):
+            by_column = np.sum(squares[members], axis=0)
+            result[f, :n] = [2.0 * np.sum(by_column[others]) for others in self._members]
+            result[f, f] += 2.0 * np.sum(1.0 - 2.0 * diagonal[members])
+            result[f, n:] = result[n:, f] = np.sum(rows[:, members], axis=1)
+        seen = [(self.z.T * (share / self.variance)) @ self._spanned for share in shares]
+        for a, (share, one) in enumerate(zip(shares, seen, strict=True)):
+            for b, (other, two) in enumerate(zip(shares, seen, strict=True)):
+                direct = float(np.sum(share * other * (1.0 - 2.0 * self._leverage)))
+                result[n + a, n + b] = 0.5 * (direct + float(np.sum(one * two.T)))
+        return result
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Coefficients u of all columns, (n_columns,)."""
+        return self.model.coefficients(self.scale * self.v)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """That of u of the condensed columns, (n, n)."""
+        return self.scale[:, None] * self.inverse * self.scale
+
+    def left_out(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+        """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).
+
+        The pose is predicted by all others. A pose that alone decides a direction is left out.
+        """
+        for places, turn in zip(self.model.poses, self.model.turns, strict=True):
+            over = 1.0 / self.variance[places, None]
+            inner = np.diag(over[:, 0]) - (over * self._spanned[places]) @ (over * self.z[places]).T
+            unit = np.sqrt(self.variance[places])
+            values, vectors = scipy.linalg.eigh(unit[:, None] * inner * unit, driver="evr")
+            if values[0] > _DECIDES:
+                root = turn @ (unit[:, None] * vectors / np.sqrt(values))
+                covariance = root @ root.T
+                yield places, covariance @ (turn @ (self.left[places] * over[:, 0])), covariance

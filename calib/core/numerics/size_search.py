@@ -1,0 +1,163 @@
+"""Sizes of a mixed model: the likeliest ones, and others that the rows do not exclude.
+
+Prior. A family that is there is about as large as is expected, s = 1: its size has a half-Cauchy density, 1 / (1 + s^2)
+(gelman2006), which lets sizes grow where rows ask for it. That of noise and of d is flat.
+
+Search. Newton's steps on the logarithms of the sizes with Fisher's information, which needs no second derivatives and
+is positive; the curvature of the prior is added. A step that does not lower the cost is damped (Levenberg, Marquardt)
+and tried again. From one start: families half as large as is expected, noise and scatter each a part of what flat
+columns leave. A size falls to no less than its bound, which is as good as zero.
+
+Others. The likelihood is even in every size s: a family that is not there has its maximum at s = 0, where log s has no
+scale. So the posterior is approximated by a normal one in s itself, and drawn sizes are turned to positive ones. With I
+Fisher's information of the logarithms and g the gradient of -log L,
+
+    information of s   =   I / s^2  +  max(g, 0) / s^2  +  2 / (1 + s^2)^2
+
+the first for a size that rows show, the second for one that they exclude (there, g / s^2 is the slope by s^2 / 2, which
+stays finite), the third of the prior. Noise and d have no prior; but neither is larger than what would explain all that
+is left, which takes its place.
+
+When it fails. Two families of columns that are alike share what is there, or one has all of it: the posterior has two
+maxima, and this finds one.
+
+Reference: gelman2006; patterson1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.numerics.mixed_model import FLAT, MixedModel, SolvedModel
+
+_LEAST = -6.0  # logarithm of the least size of a family
+_MOST = 4.0
+_LEAST_PART = 1e-3  # of noise and scatter, over what would explain all that is left
+_NOTHING = 1e-300
+_STEP = 1.5  # largest step of a logarithm
+_STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
+_GAIN = 5e-4  # least fall of the cost by a step that is worth another one
+_ROUNDS = 80
+_HOPELESS = 1e6  # damping beyond which no step lowers the cost
+
+
+def likeliest_sizes(model: MixedModel, start: FloatArray | None = None) -> SolvedModel:
+    """Return the model solved with the sizes of the largest posterior density.
+
+    Args:
+        model: The model.
+        start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
+    """
+    bounds = _Bounds.of(model)
+    at = model.solved(np.clip(bounds.first if start is None else start, bounds.least, None))
+    damping = 1e-3
+    for _ in range(_ROUNDS):
+        gradient = at.gradient + _slope(at)
+        free = ~((at.logs <= bounds.least + 1e-9) & (gradient > 0.0))
+        if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
+            break
+        information = at.information + np.diag(_curvature(at))
+        better, damping = _better(at, gradient, information, free, bounds, damping)
+        if better is None:
+            break
+        gain = _cost(at) - _cost(better)
+        at = better
+        if gain < _GAIN:
+            break
+        damping *= 0.3
+    return at
+
+
+def _better(
+    at: SolvedModel, gradient: FloatArray, information: FloatArray, free: BoolArray, bounds: _Bounds, damping: float
+) -> tuple[SolvedModel | None, float]:
+    """Where a step leads that lowers the cost, and its damping; None if none does."""
+    inner = information[np.ix_(free, free)]
+    while damping <= _HOPELESS:
+        step = np.zeros(len(gradient))
+        damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
+        step[free] = -np.linalg.solve(damped, gradient[free])
+        logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
+        tried = at.model.solved(logs)
+        if _cost(tried) < _cost(at):
+            return tried, damping
+        damping = max(6.0 * damping, 1e-2)
+    return None, damping
+
+
+def drawn_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return logarithms of sizes that the rows do not exclude, (n, n_sizes): draws of the module docstring.
+
+    Args:
+        at: The likeliest ones.
+        n: How many.
+        rng: Generator of the random numbers.
+    """
+    lower = np.linalg.cholesky(information_by_size(at))
+    steps = scipy.linalg.solve_triangular(lower.T, rng.standard_normal((len(at.logs), n)), lower=False).T
+    bounds = _Bounds.of(at.model)
+    return np.clip(np.log(np.abs(np.exp(at.logs) + steps) + 1e-300), bounds.least, bounds.most)
+
+
+def information_by_size(at: SolvedModel) -> FloatArray:
+    """Return the information about the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
+    sizes, n = np.exp(at.logs), at.model.n_families
+    information = at.information / np.outer(sizes, sizes)
+    more = np.maximum(at.gradient, 0.0) / sizes**2
+    more[:n] += 2.0 / (1.0 + sizes[:n] ** 2) ** 2
+    more[n:] += np.exp(-2.0 * _Bounds.of(at.model).most[n:])
+    return information + np.diag(more)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds(ReadOnlyArrays):
+    """Logarithms of the sizes that a search keeps to, (n_sizes,) each.
+
+    Attributes:
+        least: As good as zero.
+        most: Of a family, much more than is expected; of noise and scatter, what explains all that flat columns leave.
+    """
+
+    least: FloatArray
+    most: FloatArray
+
+    @staticmethod
+    def of(model: MixedModel) -> _Bounds:
+        flat = model.x[:, model.family == FLAT]
+        left = model.y - flat @ np.linalg.lstsq(flat, model.y, rcond=None)[0] if flat.shape[1] else model.y
+        squares = [float(np.mean(left[model.rows.group == g] ** 2)) for g in model.unstated]
+        if model.scatters:
+            squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
+        most = 0.5 * np.log(np.array(squares) + _NOTHING)
+        families = np.ones(model.n_families)
+        return _Bounds(np.append(_LEAST * families, most + np.log(_LEAST_PART)), np.append(_MOST * families, most))
+
+    @property
+    def first(self) -> FloatArray:
+        """Where a search begins."""
+        return np.where(self.most == _MOST, np.log(0.5), self.most - 1.0)
+
+
+def _cost(at: SolvedModel) -> float:
+    """Of the posterior."""
+    return at.cost + float(np.sum(np.log1p(np.exp(2.0 * at.logs[: at.model.n_families]))))
+
+
+def _slope(at: SolvedModel) -> FloatArray:
+    """Gradient of the prior's part of the cost, (n_sizes,)."""
+    n, slope = at.model.n_families, np.zeros(len(at.logs))
+    squares = np.exp(2.0 * at.logs[:n])
+    slope[:n] = 2.0 * squares / (1.0 + squares)
+    return slope
+
+
+def _curvature(at: SolvedModel) -> FloatArray:
+    """Its second derivatives, (n_sizes,)."""
+    n, curvature = at.model.n_families, np.zeros(len(at.logs))
+    squares = np.exp(2.0 * at.logs[:n])
+    curvature[:n] = 4.0 * squares / (1.0 + squares) ** 2
+    return curvature

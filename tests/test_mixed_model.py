@@ -1,0 +1,217 @@
+"""Sizes of families, noise and scatter: against dense matrices, closed forms, and simulated data."""
+
+import numpy as np
+import pytest
+import scipy
+
+from calib.core.numerics.mixed_model import FLAT, KNOWN, MixedModel, MixedRows
+from calib.core.numerics.size_search import drawn_sizes, information_by_size, likeliest_sizes
+
+GROUPS = np.tile([0, 0, 1], 20)
+POSES = np.repeat(np.arange(20), 3)
+FAMILY = np.array([0] * 5 + [1] * 4 + [KNOWN] * 2 + [FLAT] * 3)
+LOGS = np.array([-0.3, 0.4, 0.1, -0.5])
+
+
+@pytest.fixture
+def small():
+    """Sixty rows of two families, two groups of which one is stated, and scatter."""
+    rng = np.random.default_rng(0)
+    columns, levers, values = rng.normal(size=(60, len(FAMILY))), rng.normal(size=(60, 2)), rng.normal(size=60)
+    return MixedRows(columns, values, FAMILY, GROUPS, np.array([False, True]), POSES, levers)
+
+
+def one_way(sizes, rng, *, between, within):
+    """A one-way layout with a common mean: groups of these sizes, their number as columns."""
+    label = np.repeat(np.arange(len(sizes)), sizes)
+    effects = between * rng.standard_normal(len(sizes))
+    values = 3.0 + effects[label] + within * rng.standard_normal(len(label))
+    columns = np.column_stack([np.eye(len(sizes))[label], np.ones(len(label))])
+    family = np.array([0] * len(sizes) + [FLAT])
+    n = len(label)
+    none = np.zeros((n, 0))
+    return MixedRows(columns, values, family, np.zeros(n, dtype=int), np.array([False]), np.arange(n), none)
+
+
+def marginal_covariance(model, logs):
+    """W of the rows, term by term, the flat columns not among them."""
+    rows = model.rows
+    families, noise, scatter = model.sizes(logs)
+    covariance = np.diag(noise[rows.group] ** 2)
+    for block in {*zip(rows.pose, rows.group, strict=True)}:
+        places = np.flatnonzero((rows.pose == block[0]) & (rows.group == block[1]))
+        covariance[np.ix_(places, places)] += scatter**2 * rows.levers[places] @ rows.levers[places].T
+    for number, size in [*enumerate(families), (KNOWN, 1.0)]:
+        columns = rows.columns[:, rows.family == number]
+        covariance += size**2 * columns @ columns.T
+    return covariance
+
+
+def contrasts(model, logs):
+    """Rows that the flat columns do not touch, with their covariance and the matrix that makes them."""
+    rows = model.rows
+    away = scipy.linalg.null_space(rows.columns[:, rows.family == FLAT].T)
+    return away.T @ rows.values, away.T @ marginal_covariance(model, logs) @ away, away
+
+
+def dense_cost(model, logs):
+    """-log of the likelihood of the contrasts."""
+    values, covariance, _ = contrasts(model, logs)
+    return 0.5 * (np.linalg.slogdet(covariance)[1] + values @ np.linalg.solve(covariance, values))
+
+
+def test_the_cost_differs_from_that_of_contrasts_by_a_constant(small):
+    model = MixedModel.of(small)
+    others = [LOGS, LOGS + 0.5, LOGS * -2.0]
+    apart = [model.solved(logs).cost - dense_cost(model, logs) for logs in others]
+    np.testing.assert_allclose(apart, apart[0], atol=1e-8)
+
+
+def test_the_gradient_is_that_of_the_dense_likelihood(small):
+    model, step = MixedModel.of(small), 1e-5
+    slopes = [(dense_cost(model, LOGS + step * e) - dense_cost(model, LOGS - step * e)) / (2 * step) for e in np.eye(4)]
+    np.testing.assert_allclose(model.solved(LOGS).gradient, slopes, rtol=1e-6)
+
+
+def test_the_information_is_half_the_trace_of_dense_products(small):
+    model, step = MixedModel.of(small), 1e-5
+    _, covariance, away = contrasts(model, LOGS)
+    inverse = away @ np.linalg.solve(covariance, away.T)
+    moved = [
+        (marginal_covariance(model, LOGS + step * e) - marginal_covariance(model, LOGS - step * e)) / (2 * step)
+        for e in np.eye(4)
+    ]
+    dense = [[0.5 * np.trace(inverse @ one @ inverse @ two) for two in moved] for one in moved]
+    np.testing.assert_allclose(model.solved(LOGS).information, dense, rtol=1e-5, atol=1e-8)
+
+
+def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the_rows(small):
+    """By conditioning: prior covariance times columns, over W."""
+    model = MixedModel.of(small)
+    solved = model.solved(LOGS)
+    _, covariance, away = contrasts(model, LOGS)
+    prior = np.exp(2 * LOGS[0]) * (FAMILY == 0) + np.exp(2 * LOGS[1]) * (FAMILY == 1) + 1.0 * (FAMILY == KNOWN)
+    felt = prior[:, None] * (away.T @ small.columns).T
+    expected = felt @ np.linalg.solve(covariance, away.T @ small.values)
+    kept = FAMILY != FLAT
+    np.testing.assert_allclose(solved.coefficients[kept], expected[kept], rtol=1e-7)
+    derivative = np.random.default_rng(1).normal(size=(1, len(FAMILY))) * kept
+    b = model.components(derivative)[0]
+    spread = np.diag(prior) - felt @ np.linalg.solve(covariance, felt.T)
+    assert b @ solved.covariance @ b == pytest.approx(float((derivative @ spread @ derivative.T)[0, 0]), rel=1e-7)
+
+
+def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(small):
+    solved = MixedModel.of(small).solved(LOGS)
+    places, errors, covariance = list(solved.left_out())[3]
+    others = np.setdiff1d(np.arange(60), places)
+    kept = MixedModel.of(
+        MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others], small.stated, POSES[others],
+                  small.levers[others])
+    ).solved(LOGS)  # fmt: skip
+    expected = small.values[places] - small.columns[places] @ kept.coefficients
+    np.testing.assert_allclose(errors, expected, rtol=1e-6)
+    b = kept.model.components(small.columns[places])
+    noise = marginal_covariance(solved.model, LOGS)[np.ix_(places, places)]
+    columns = small.columns[places]
+    for number, size in ((0, LOGS[0]), (1, LOGS[1]), (KNOWN, 0.0)):
+        noise = noise - np.exp(2 * size) * columns[:, number == FAMILY] @ columns[:, number == FAMILY].T
+    np.testing.assert_allclose(covariance, b @ kept.covariance @ b.T + noise, rtol=1e-6)
+
+
+def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch):
+    """Restricted likelihood: within = MSW, between^2 = (MSB - MSW) / n, where the prior of the size is flat."""
+    monkeypatch.setattr("calib.core.numerics.size_search._slope", lambda at: np.zeros(len(at.logs)))
+    monkeypatch.setattr("calib.core.numerics.size_search._curvature", lambda at: np.zeros(len(at.logs)))
+    monkeypatch.setattr("calib.core.numerics.size_search._cost", lambda at: at.cost)
+    monkeypatch.setattr("calib.core.numerics.size_search._STANDS", 1e-7)
+    monkeypatch.setattr("calib.core.numerics.size_search._GAIN", 0.0)
+    rows = one_way([6] * 12, np.random.default_rng(2), between=0.8, within=0.3)
+    table = rows.values.reshape(12, 6)
+    within = np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / (12 * 5)
+    between = 6 * np.var(table.mean(axis=1), ddof=1)
+    family, noise, _ = MixedModel.of(rows).sizes(likeliest_sizes(MixedModel.of(rows)).logs)
+    assert noise[0] ** 2 == pytest.approx(within, rel=1e-4)
+    assert family[0] ** 2 == pytest.approx((between - within) / 6, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_other_sizes_are_likelier(seed):
+    """By the search of another package, from other starts, on an unbalanced layout."""
+    rows = one_way([2, 9, 4, 7, 3, 8], np.random.default_rng(seed), between=0.5, within=0.4)
+    model = MixedModel.of(rows)
+
+    def cost(logs):
+        return model.solved(logs).cost + np.log1p(np.exp(2.0 * logs[0]))
+
+    found = likeliest_sizes(model)
+    least = min(scipy.optimize.minimize(cost, start, method="Nelder-Mead").fun for start in ([-1, -1], [1, 0], [-3, 1]))
+    assert cost(found.logs) < least + 2e-3
+
+
+def test_a_family_that_is_not_there_gets_no_size():
+    rng = np.random.default_rng(3)
+    columns, values = rng.normal(size=(120, 8)), 0.1 * rng.standard_normal(120)
+    none = np.zeros((120, 0))
+    family = np.array([0] * 5 + [FLAT] * 3)
+    rows = MixedRows(columns, values, family, np.zeros(120, dtype=int), np.array([False]), np.arange(120), none)
+    found = likeliest_sizes(MixedModel.of(rows))
+    assert np.exp(found.logs[0]) < 0.02
+    drawn = np.exp(drawn_sizes(found, 200, np.random.default_rng(0)))
+    assert np.quantile(drawn[:, 0], 0.95) < 0.06  # 5 coefficients of 0.01 each could hide, not of 0.1
+
+
+def test_components_that_rows_do_not_see_keep_their_prior():
+    """Columns that are nearly alike: their difference is put aside, and its variance counts where one predicts."""
+    rng = np.random.default_rng(4)
+    one = rng.normal(size=(40, 1))
+    columns = np.concatenate([one, one * (1 + 1e-9)], axis=1)
+    none, n = np.zeros((40, 0)), np.arange(40)
+    rows = MixedRows(columns, one[:, 0], np.zeros(2, dtype=int), np.zeros(40, dtype=int), np.array([True]), n, none)
+    model = MixedModel.of(rows)
+    assert model.x.shape == (40, 1)
+    np.testing.assert_allclose(model.aside(np.array([[1.0, 1.0], [1.0, -1.0]])), [[0.0, 2.0]], atol=1e-6)
+
+
+def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():
+    """Mean over sets; each is off by about a tenth."""
+    found = []
+    for seed in range(12):
+        rng = np.random.default_rng([5, seed])
+        levers = rng.normal(size=(300, 2))
+        scatter = np.einsum("kij,kj->ki", levers.reshape(100, 3, 2), 0.7 * rng.standard_normal((100, 2))).ravel()
+        values = scatter + 0.4 * rng.standard_normal(300)
+        pose, group = np.repeat(np.arange(100), 3), np.zeros(300, dtype=int)
+        rows = MixedRows(np.ones((300, 1)), values, np.array([FLAT]), group, np.array([False]), pose, levers)
+        found.append(np.exp(likeliest_sizes(MixedModel.of(rows)).logs))
+    np.testing.assert_allclose(np.mean(found, axis=0), [0.4, 0.7], rtol=0.06)
+
+
+def test_intervals_hold_over_sizes_that_are_drawn():
+    """New rows of 24 simulated problems, within 95 % intervals of the draws; one standard deviation is 1 %."""
+    held = []
+    for seed in range(24):
+        rng = np.random.default_rng([6, seed])
+        columns = rng.normal(size=(70, 24))
+        family = np.array([0] * 10 + [1] * 10 + [FLAT] * 4)
+        true = np.append(np.append(0.6 * rng.standard_normal(10), np.zeros(10)), rng.normal(size=4))
+        values = columns @ true + 0.5 * rng.standard_normal(70)
+        cut = 45
+        none, group = np.zeros((cut, 0)), np.zeros(cut, dtype=int)
+        rows = MixedRows(columns[:cut], values[:cut], family, group, np.array([False]), np.arange(cut), none)
+        found = likeliest_sizes(MixedModel.of(rows))
+        b, means, variances = found.model.components(columns[cut:]), [], []
+        for logs in drawn_sizes(found, 20, rng):
+            solved = found.model.solved(logs)
+            means.append(b @ (solved.scale * solved.v))
+            variances.append(np.sum(b @ solved.covariance * b, axis=1) + solved.model.sizes(logs)[1][0] ** 2)
+        std = np.sqrt(np.mean(variances, axis=0) + np.var(means, axis=0))
+        held.append(np.abs(values[cut:] - np.mean(means, axis=0)) < 1.96 * std)
+    assert 0.92 < np.mean(held) < 0.975
+
+
+def test_the_information_about_a_size_of_zero_is_finite():
+    rows = one_way([5] * 8, np.random.default_rng(7), between=0.0, within=1.0)
+    found = likeliest_sizes(MixedModel.of(rows))
+    known = information_by_size(found)
+    assert np.all(np.linalg.eigvalsh(known) > 0.5)

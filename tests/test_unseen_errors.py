@@ -1,11 +1,16 @@
 """What can be relied on at poses that a fit has not seen: against refits without each pose, and against chance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from six_axis_arm import FREE, YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
+from calib.core.fitting.terms.candidate_terms import TermChoice
+from calib.core.fitting.terms.term_trials import Trials
 from calib.core.fitting.unseen_errors import accuracy, left_out_one_by_one, limit95
+from calib.core.judging.claim import claim_of
 from calib.core.robots.held import SeenAt
 
 SIGMA = 4e-5
@@ -30,6 +35,26 @@ def test_one_more_error_stays_below_the_limit_whatever_the_distribution(n):
     draws = np.random.default_rng(n).standard_cauchy((5000, n + 1)) ** 2
     below = np.mean([row[-1] <= limit95(row[:-1]) for row in draws])
     assert below == pytest.approx(np.ceil(0.95 * (n + 1) - 1e-9) / (n + 1), abs=0.012)
+
+
+def test_what_is_expected_of_chosen_terms_raises_a_claim_and_never_lowers_it(arm):
+    """Errors seen at poses left out suit terms that were chosen by them; the mean of both squares counts."""
+    fit = calib.fit(arm, noisy(arm, joints(30), SIGMA, 5), sigma=SIGMA)
+    seen = accuracy(fit)
+    for times, more in ((0.5, 1.0), (2.0, np.sqrt(2.5)), (np.nan, 1.0)):
+        chosen = replace(fit, terms=TermChoice("auto", (), expected_rms=times * seen.rms))
+        told = accuracy(chosen)
+        assert told.rms == pytest.approx(more * seen.rms, rel=1e-12)
+        assert told.limit95 == pytest.approx(more * seen.limit95, rel=1e-12)
+        assert claim_of(chosen).told.rms == told.rms
+
+
+@pytest.mark.parametrize("loss", ["none", "tukey"])
+def test_what_is_expected_of_poses_left_out_is_seen_where_nothing_is_chosen(arm, loss):
+    """Of a robot that its parameters describe, at 60 poses: both are the noise and what it leaves uncertain."""
+    fit = calib.fit(arm, noisy(arm, joints(60), SIGMA, 6), sigma=SIGMA, loss=loss)
+    expected = Trials(fit, ()).expected_rms(())
+    assert expected == pytest.approx(accuracy(fit).rms, rel=0.12)  # three times one over the root of 120 and more
 
 
 @pytest.mark.parametrize("loss", ["none", "tukey"])

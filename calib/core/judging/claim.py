@@ -56,7 +56,14 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.outliers import Outlier
-from calib.core.fitting.unseen_errors import COVERED, at_visits, left_out_one_by_one, moved_left_out, of_errors
+from calib.core.fitting.unseen_errors import (
+    COVERED,
+    at_visits,
+    foretold_accuracy,
+    left_out_one_by_one,
+    moved_left_out,
+    of_errors,
+)
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons
 from calib.core.numerics.chances import FEWEST, UNLIKELY
@@ -224,9 +231,9 @@ class Claim:
 def claim_of(fit: Fit) -> Claim | None:
     """Return what a fit claims; None where its data do not tell (they were computed, or each pose stands alone)."""
     foretold = None if fit.computed else left_out_one_by_one(fit)
-    if foretold is None:
+    told = foretold_accuracy(fit)
+    if foretold is None or told is None:
         return None
-    told = of_errors(foretold, SeenAt.ONE_BY_ONE)
     if np.all(fit.unknowns.placement):
         told = replace(told, before=float("nan"))
     unused = []

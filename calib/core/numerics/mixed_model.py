@@ -32,8 +32,9 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
-Components. Columns of a family are replaced by their principal components. Those below a ten-thousandth of the largest
-are put aside: rows do not see them. They keep their prior, which counts where one predicts.
+Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
+a ten-thousandth of the largest are put aside: rows do not see them. They keep their prior, which counts where one
+predicts.
 
 Another row, of derivatives b, has the variance  b S A^-1 S b^T + sum over f of s_f^2 |b_f aside|^2 + d^2 |h|^2. And a
 pose that was used is predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k,
@@ -142,17 +143,13 @@ class Part(ReadOnlyArrays):
     @staticmethod
     def of(members: IntArray, columns: FloatArray, family: int) -> Part:
         """Return that of the columns of a family, (n_rows, n)."""
-        size = columns.shape[1]
-        if family == KNOWN:
-            return Part(members, np.eye(size), np.zeros((size, 0)), family)
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
             values, vectors = _principal(columns / lengths)
-            seen = values > _UNSEEN**2 * max(values[-1], 1e-300) if size else np.zeros(0, dtype=bool)
-            return Part(
-                members, vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None], np.zeros((size, 0)), family
-            )
+            seen = values > _UNSEEN**2 * values[-1]
+            kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
+            return Part(members, kept, np.zeros((len(members), 0)), family)
         values, vectors = _principal(columns)
         seen = values > _ASIDE**2 * values[-1]
         return Part(members, vectors[:, seen], vectors[:, ~seen], family)

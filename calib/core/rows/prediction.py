@@ -10,8 +10,7 @@ of each joint that is another one at each pose, as large as residuals show it (`
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-Where the noise of the readings is not known, it does not show, and comes on top. So does what the robot does not
-repeat.
+What residuals cannot tell from noise counts. What the robot does not repeat comes on top.
 
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They stand beside the free parameters, in C and in B, and the free parameters follow them.

@@ -101,12 +101,15 @@ class TermChoice:
         sections: The entries that it has.
         tried: Of `auto`, what was found about each kind of term, those that were added first.
         undecided: Of `auto`, what terms that were not added leave uncertain; None if nothing.
+        expected_rms: Of `auto`, how far off poses that are left out are expected to be, whichever terms are there: the
+            root mean square of the main part of the readings [SI]; NaN where it is not known.
     """
 
     requested: str
     sections: tuple[TermSection, ...]
     tried: tuple[TriedTerm, ...] = ()
     undecided: UndecidedTerms | None = None
+    expected_rms: float = float("nan")
 
     @property
     def automatic(self) -> bool:

@@ -106,7 +106,7 @@ def choose_terms(fit: Fit) -> TermChoice:
     ]
     sections = (*fit.robot.description.terms, *added)
     tried_terms = sorted((search.outcome(candidate, groups) for candidate in kinds), key=lambda term: not term.added)
-    return TermChoice("auto", sections, tuple(tried_terms), search.undecided(chosen))
+    return TermChoice("auto", sections, tuple(tried_terms), search.undecided(chosen), search.expected_rms())
 
 
 class _Search:
@@ -227,6 +227,10 @@ class _Search:
             return None
         sections = tuple(section for candidate in others if candidate.term in by_term for section in candidate.sections)
         return UndecidedTerms.of(sections, list(by_term.values()))
+
+    def expected_rms(self) -> float:
+        """Return how far off poses that are left out are expected to be, whichever terms are there [SI]."""
+        return self.trials.expected_rms([candidate.term for candidate in self.tried if not candidate.doubt])
 
     def instead(self, term: str, trial: Trial) -> dict[str, Trial]:
         """Return the trials with each of the other kinds in the place of one."""

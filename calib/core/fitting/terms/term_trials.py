@@ -31,13 +31,15 @@ from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.mixed_model import MixedModel, MixedRows, NoiseOfRows
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
+from calib.core.numerics.size_search import likeliest_sizes
 from calib.core.numerics.undecided import averaged
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import beside_common_motion, other_combinations
-from calib.core.rows.rows import Rows
+from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.unknowns import Unknowns
 
 BLOCKS = 8
@@ -46,6 +48,7 @@ _COMBINATIONS = 200
 _LARGER = 8  # how much larger than the rows their products may be: they save dozens of trials the work
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
 _NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
+_TELLING = 1500  # poses from which errors that were seen say what is to be expected
 _LITTLE = 0.01  # chance that a kind is there below which it is left out of what is uncertain
 _LOST = 1e-9  # part of a place's information below which only the poses that are left out see it
 
@@ -308,19 +311,62 @@ class Trials:
         changes *= self._unknowns.scales[:, None]
         return {name: change for name, change in zip(self._unknowns.names, changes, strict=True) if np.any(change)}
 
-    def _model(self, terms: tuple[str, ...]) -> tuple[IntArray, FamilyModel]:
-        """The columns with some terms, (n_used,), and their model."""
+    def expected_rms(self, terms: Sequence[str]) -> float:
+        """Return how far off readings are expected to be at poses that are left out, if all of some terms may be there.
+
+        Errors that were seen at such poses are few large ones and many small ones, by a model that was chosen for
+        them. Those that are expected come from the mixed model of all terms, with the sizes that it finds, with what no
+        column describes, and with what noise leaves uncertain of all of it (`calib.core.numerics.mixed_model`).
+
+        Args:
+            terms: Which may be there.
+
+        Returns:
+            Root mean square of the main part [SI]; NaN where each pose stands alone, and of so many poses that those seen
+            hardly depend on which terms were chosen.
+        """
+        fit, layout, (use, family, _) = self.fit, self.fit.whitening.layout, self._families(terms)
+        if np.sum(layout.poses_of_groups) > _TELLING:
+            return float("nan")
+        design, n_joints = self._design, len(fit.robot.joint_names)
+        by_joint = fit.whitening.flatten(fit.by_joint)[:, :n_joints] * fit.robot.mechanism.joint_scale
+        levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint
+        weighing = fit.whitening.weighing(fit.scales.ratios)
+        levers = levers if weighing is None else weighing.whiten(levers)
+        variances = 1.0 if weighing is None else weighing.variances()
+        read = np.flatnonzero((layout.group >= 0) & np.any(design.rows != 0.0, axis=1))
+        found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
+        noise = NoiseOfRows(layout.group[read], found, layout.pose_of_row[read])
+        columns = design.rows[np.ix_(read, use)]
+        prior, deviations = design.prior.only(use), design.deviations[use]
+        rows = MixedRows.of(columns, design.residuals[read], prior, deviations, family, noise, levers[read])
+        std = np.full(layout.n_rows, np.nan)
+        for places, _, covariance in likeliest_sizes(MixedModel.of(rows)).left_out():
+            std[read[places]] = np.sqrt(np.diag(covariance))
+        std *= np.sqrt(variances / fit.weights[layout.reading])
+        by_reading = fit.whitening.read(std, Scales(np.ones(len(found)), np.zeros(len(fit.scales.ratios))))
+        expected = replace(fit.identification, after=by_reading)
+        lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
+        return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")
+
+    def _families(self, terms: Sequence[str]) -> tuple[IntArray, IntArray, int]:
+        """The columns with some terms (n_used,), the family of each, -1 for none (n_used,), and how many there are."""
         design = self._design
         use = np.array([k for k, term in enumerate(design.owner) if term == "" or term in terms])
         names = list(dict.fromkeys(design.label[k] for k in use if design.label[k]))
         family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
+        return use, family, len(names)
+
+    def _model(self, terms: tuple[str, ...]) -> tuple[IntArray, FamilyModel]:
+        """The columns with some terms, (n_used,), and their model."""
+        design, (use, family, n_families) = self._design, self._families(terms)
         model = FamilyModel(
             self._all.products(use),
             design.prior.only(use),
             design.deviations[use],
             np.ones(len(self.fit.whitening.groups), dtype=bool),  # stated noise knows nothing of what the robot does
             family,
-            len(names),
+            n_families,
         )
         return use, model
 

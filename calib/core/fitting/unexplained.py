@@ -36,7 +36,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics.mixed_model import MixedModel, MixedRows, NoiseOfRows
-from calib.core.numerics.size_search import information_by_size, likeliest_sizes
+from calib.core.numerics.size_search import likeliest_sizes, scatter_beside_noise
 from calib.core.rows.rows import Rows
 
 _POSES = 500
@@ -53,10 +53,7 @@ def unexplained_joint_error(rows: Rows, by_joint: FloatArray) -> float:
     model = _model(rows, by_joint)
     if not np.any(model.spread > 0.0):
         return 0.0
-    at = likeliest_sizes(model)
-    known = information_by_size(at)
-    confused = float(np.linalg.inv(known)[-1, -1]) - 1.0 / float(known[-1, -1])
-    return float(np.sqrt(np.exp(2.0 * at.logs[-1]) + max(confused, 0.0)))
+    return scatter_beside_noise(likeliest_sizes(model))
 
 
 def _model(rows: Rows, by_joint: FloatArray) -> MixedModel:

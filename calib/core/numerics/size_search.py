@@ -37,6 +37,8 @@ from calib.core.numerics.mixed_model import FLAT, MixedModel, SolvedModel
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # of noise and scatter, over what would explain all that is left
+_SMALL = 0.1  # of where a search begins, below which a size that falls is put to its bound
+_AT_BOUND = 1e-9  # of a logarithm
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _STANDS = 0.03  # gradient of twice the cost by a logarithm at which a size is found
@@ -57,7 +59,7 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None) -> Solve
     damping = 1e-3
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
-        free = ~((at.logs <= bounds.least + 1e-9) & (gradient > 0.0))
+        free = ~((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0))
         if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
             break
         information = at.information + np.diag(_curvature(at))
@@ -69,7 +71,21 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None) -> Solve
         if gain < _GAIN:
             break
         damping *= 0.3
-    return at
+    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL))
+    without = model.solved(np.where(falling, bounds.least, at.logs))
+    return without if np.any(falling) and _cost(without) <= _cost(at) else at
+
+
+def scatter_beside_noise(at: SolvedModel) -> float:
+    """Return the scatter with what rows cannot tell of it from noise; 0 where rows show neither.
+
+    With V the covariance of the sizes, d^2 + V_dd - 1 / (V^-1)_dd: what is added is by how much d is uncertain because
+    noise is, too. It is zero where noise is stated.
+    """
+    known = information_by_size(at)
+    confused = float(np.linalg.inv(known)[-1, -1]) - 1.0 / float(known[-1, -1])
+    least = at.logs[-1] <= _Bounds.of(at.model).least[-1] + _AT_BOUND
+    return float(np.sqrt((0.0 if least else np.exp(2.0 * at.logs[-1])) + max(confused, 0.0)))
 
 
 def _better(

@@ -322,8 +322,8 @@ class Trials:
             terms: Which may be there.
 
         Returns:
-            Root mean square of the main part [SI]; NaN where each pose stands alone, and of so many poses that those seen
-            hardly depend on which terms were chosen.
+            Root mean square of the main part [SI]; NaN where each pose stands alone, and where poses are so
+            many that errors seen hardly depend on which terms were chosen.
         """
         fit, layout, (use, family, _) = self.fit, self.fit.whitening.layout, self._families(terms)
         if np.sum(layout.poses_of_groups) > _TELLING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.residual_patterns import PARTS_PER_MILLION, visible
 from calib.core.judging.rules_reach import terms_beyond
+from calib.core.rows.told_positions import ToldPositions
 
 NO_MATTER = 0.25
 """Errors that a scale makes where it begins to show, over the noise, below which they do not matter."""
@@ -52,7 +54,10 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     estimate = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if estimate.stated is None and not measured and estimate.group.part.is_position:
-        predicted = float(np.mean(fit.identification_uncertainty.located**2))
+        data, by_noise = fit.identification.data, replace(fit.uncertainty, joint_error=0.0)
+        frame = ToldPositions.of(fit.robot, by_noise, data.joints)
+        known = frame.at(data.joints, data.conditions, fit.identification.passive, turns=False)
+        predicted = float(np.mean(known.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
             "the noise of the instrument was not stated, so that scatter of the robot (play, changing loads) looks the"

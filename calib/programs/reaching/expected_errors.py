@@ -21,10 +21,7 @@ from calib.core.rows.frames import Frame
 from calib.core.rows.prediction import length95, rms_length
 from calib.programs.reaching.goals import Goals
 
-COUNTED = (
-    "expected errors include measurement noise and the priors; if the noise is known, they also include what the model"
-    " leaves out"
-)
+COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
 """What an expected error counts."""
 
 

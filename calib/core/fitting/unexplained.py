@@ -13,12 +13,9 @@ whether anything is left out would leave out what is too small for it, which sti
 Noise that is stated is 1 in whitened rows, and all that residuals have beyond it is delta. Noise that is not stated is
 found together with delta. What tells one from the other: joints move the tool far in some directions and hardly in
 others, and noise does not know which; readings that repeat a pose share its errors of joints. What rows cannot tell
-apart counts as delta, because the noise of readings does not move the tool: with V the covariance of the sizes,
-
-    delta^2 = d^2 + V_dd - 1 / (V^-1)_dd
-
-the second part of which is what d is uncertain by because noise is, too. Where noise is known, it is zero; where all
-joints move all readings alike, as in a gantry, it is all that residuals have.
+apart counts as delta, because the noise of readings does not move the tool
+(`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move all
+readings alike, as in a gantry, it is most of what residuals have.
 
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
 poses, some tell it.

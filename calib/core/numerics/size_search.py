@@ -77,15 +77,28 @@ def likeliest_sizes(model: MixedModel, start: FloatArray | None = None) -> Solve
 
 
 def scatter_beside_noise(at: SolvedModel) -> float:
-    """Return the scatter with what rows cannot tell of it from noise; 0 where rows show neither.
+    """Return the scatter, with what rows cannot tell of it from noise; 0 where they show neither.
 
-    With V the covariance of the sizes, d^2 + V_dd - 1 / (V^-1)_dd: what is added is by how much d is uncertain because
-    noise is, too. It is zero where noise is stated.
+    Of d^2, rows say that it is normal about the likeliest one, with a standard deviation t, and not negative; if noise
+    was known, with t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), e(t) = t p(d^2 / t) /
+    F(d^2 / t), and
+
+        d^2 + e(t) - e(t_0)
+
+    counts what noise has to do with it. It is d^2 where noise is stated, and where rows tell the two apart well.
     """
-    known = information_by_size(at)
-    confused = float(np.linalg.inv(known)[-1, -1]) - 1.0 / float(known[-1, -1])
-    least = at.logs[-1] <= _Bounds.of(at.model).least[-1] + _AT_BOUND
-    return float(np.sqrt((0.0 if least else np.exp(2.0 * at.logs[-1])) + max(confused, 0.0)))
+    bounds, square = _Bounds.of(at.model), float(np.exp(2.0 * at.logs[-1]))
+    squares = 2.0 * np.exp(2.0 * at.logs)
+    known = at.information / np.outer(squares, squares) + np.diag(np.exp(-4.0 * bounds.most))
+    confused = _mean_beyond(square, np.linalg.inv(known)[-1, -1]) - _mean_beyond(square, 1.0 / known[-1, -1])
+    none = at.logs[-1] <= bounds.least[-1] + _AT_BOUND
+    return float(np.sqrt((0.0 if none else square) + max(confused, 0.0)))
+
+
+def _mean_beyond(value: float, variance: float) -> float:
+    """Return e of `scatter_beside_noise`, of a likeliest d^2 and its variance t^2."""
+    std = float(np.sqrt(variance))
+    return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 
 
 def _better(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy
 
-from calib.core.numerics.mixed_model import FLAT, KNOWN, MixedModel, MixedRows
+from calib.core.numerics.mixed_model import MixedModel
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows
 from calib.core.numerics.size_search import drawn_sizes, information_by_size, likeliest_sizes
 
 GROUPS = np.tile([0, 0, 1], 20)

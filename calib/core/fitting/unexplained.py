@@ -32,7 +32,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.numerics.mixed_model import MixedModel, MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_model import MixedModel
+from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
 from calib.core.numerics.size_search import likeliest_sizes, scatter_beside_noise
 from calib.core.rows.rows import Rows
 

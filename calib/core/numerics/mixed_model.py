@@ -55,110 +55,11 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics.prior import Prior
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, Part
 
-FLAT, KNOWN = -2, -1
-"""In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
-_ASIDE = 1e-4  # of the largest singular value of a family, below which its components are put aside
-_UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
 _RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding might make singular
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseOfRows(ReadOnlyArrays):
-    """Which rows share noise; as of `MixedRows`."""
-
-    group: IntArray
-    stated: BoolArray
-    pose: IntArray
-
-
-@dataclass(frozen=True, eq=False)
-class MixedRows(ReadOnlyArrays):
-    """Rows of the model.
-
-    Attributes:
-        columns: X, whitened by what is stated, (n_rows, n_columns).
-        values: y, whitened, (n_rows,).
-        family: Family of each column from 0 on, or `FLAT` or `KNOWN`, (n_columns,).
-        group: Group of the noise of each row, (n_rows,).
-        stated: Whether the noise of each group is 1, (n_groups,).
-        pose: Of each row, (n_rows,).
-        levers: H: derivatives by what scatters from pose to pose, (n_rows, n_scattering); no columns without scatter.
-    """
-
-    columns: FloatArray
-    values: FloatArray
-    family: IntArray
-    group: IntArray
-    stated: BoolArray
-    pose: IntArray
-    levers: FloatArray
-
-    @staticmethod
-    def of(
-        rows: FloatArray,
-        residuals: FloatArray,
-        prior: Prior,
-        deviations: FloatArray,
-        family: IntArray,
-        noise: NoiseOfRows,
-        levers: FloatArray,
-    ) -> MixedRows:
-        """Return the rows of a linear problem whose residuals are those at some deviations from what is expected.
-
-        Args:
-            rows: Derivatives of the residuals by scaled parameters, (n_rows, n_columns).
-            residuals: Predicted minus read, (n_rows,).
-            prior: Of the parameters.
-            deviations: Of these, u, (n_columns,).
-            family: Family of each parameter whose size is found, -1 for others, (n_columns,).
-            noise: Of the rows.
-            levers: H, (n_rows, n_scattering).
-        """
-        kind = np.where(family >= 0, family, np.where(prior.has, KNOWN, FLAT))
-        values = rows @ np.where(prior.has, deviations, 0.0) - residuals
-        columns = rows @ (prior.root + np.diag(~prior.has)) if len(prior.together) else rows
-        return MixedRows(columns, values, kind, noise.group, noise.stated, noise.pose, levers)
-
-
-@dataclass(frozen=True, eq=False)
-class Part(ReadOnlyArrays):
-    """Columns that are replaced by components of them.
-
-    Attributes:
-        members: Their places, (n,).
-        kept: Components, (n, n_kept).
-        aside: Components that the rows do not see, (n, n_aside).
-        family: As of `MixedRows`.
-    """
-
-    members: IntArray
-    kept: FloatArray
-    aside: FloatArray
-    family: int
-
-    @staticmethod
-    def of(members: IntArray, columns: FloatArray, family: int) -> Part:
-        """Return that of the columns of a family, (n_rows, n)."""
-        if family == FLAT:
-            lengths = np.linalg.norm(columns, axis=0)
-            lengths[lengths == 0.0] = 1.0
-            values, vectors = _principal(columns / lengths)
-            seen = values > _UNSEEN**2 * values[-1]
-            kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
-            return Part(members, kept, np.zeros((len(members), 0)), family)
-        values, vectors = _principal(columns)
-        seen = values > _ASIDE**2 * values[-1]
-        return Part(members, vectors[:, seen], vectors[:, ~seen], family)
-
-
-def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squares of singular values in rising order (n,), and right singular vectors (n, n)."""
-    values, vectors = scipy.linalg.eigh(columns.T @ columns, driver="evr")
-    return np.asarray(values), np.asarray(vectors)
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,8 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.core.numerics.mixed_model import FLAT, MixedModel, SolvedModel
+from calib.core.numerics.mixed_model import MixedModel, SolvedModel
+from calib.core.numerics.mixed_rows import FLAT
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0

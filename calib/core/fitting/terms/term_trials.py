@@ -31,7 +31,8 @@ from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduced
-from calib.core.numerics.mixed_model import MixedModel, MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_model import MixedModel
+from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
 from calib.core.numerics.size_search import likeliest_sizes

@@ -81,8 +81,9 @@ def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(
     assert expected == pytest.approx(np.hypot(0.8 * together, 1e-3 * np.sqrt(0.2)), rel=0.02)  # the noise is small
     assert 0.5 * rms(expected) < rms(after) < rms(high95)
     compensation = calib.compensate(trial.known(False), trial.program)
-    for angles in (compensation.expected_angle, compensation.high95_angle):  # nothing turns this robot
-        assert np.all(angles[compensation.ok] == 0)
+    for angles in (compensation.expected_angle, compensation.high95_angle):
+        # only errors of joints turn this robot, as far as noise that is not stated could be these
+        assert np.all(angles[compensation.ok] < 5e-5)
     unharmed = Trial.of(nominal, errors=False, seed=1)
     moved = FORMS["joints"](unharmed, unharmed.known(False))[""][0]
     assert rms(moved) < 0.05e-3  # though the point is elsewhere by 0.5 mm
@@ -100,7 +101,7 @@ def test_a_good_robot_stays_as_it_is_and_would_not_be_harmed_either_way(tmp_path
     assert kept.nothing_to_correct
     corrected = calib.compensate(replace(known, nothing_to_correct=False), trial.program)
     moved = lengths(nominal.positions(corrected.q)[:, 0] - nominal.positions(trial.program)[:, 0])
-    assert rms(moved) < 1.6 * rms(corrected.expected) < 0.02e-3
+    assert rms(moved) < 1.6 * rms(corrected.expected) < 0.03e-3
     # what is not corrected is counted into what is expected
     assert kept.expected == pytest.approx(np.hypot(kept.before, corrected.expected), rel=0.05)
 

@@ -7,15 +7,15 @@ so that a position feels it by its lever, in the directions in which joints move
     covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
 
 with delta in rad, s_j the characteristic length of the robot for a joint that slides and 1 for one that turns. Delta
-is the scatter d of the mixed model of all rows and priors (`calib.core.numerics.mixed_model`): the likeliest one. A test of
-whether anything is left out would leave out what is too small for it, which still makes intervals too narrow.
+is the scatter d of the mixed model of all rows and priors (`calib.core.numerics.mixed_model`): the likeliest one. A
+test of whether anything is left out would leave out what is too small for it, which still makes intervals too narrow.
 
 Noise that is stated is 1 in whitened rows, and all that residuals have beyond it is delta. Noise that is not stated is
 found together with delta. What tells one from the other: joints move the tool far in some directions and hardly in
 others, and noise does not know which; readings that repeat a pose share its errors of joints. What rows cannot tell
 apart counts as delta, because the noise of readings does not move the tool
-(`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move all
-readings alike, as in a gantry, it is most of what residuals have.
+(`calib.core.numerics.size_search.scatter_beside_noise`). Where noise is known, that is nothing; where all joints move
+all readings alike, as in a gantry, it is most of what residuals have.
 
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
 poses, some tell it.

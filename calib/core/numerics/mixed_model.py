@@ -56,6 +56,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, Part
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
@@ -186,7 +187,7 @@ def _turn(levers: FloatArray, group: IntArray) -> tuple[FloatArray, FloatArray]:
     for g in np.unique(group) if levers.shape[1] else ():
         of_group = np.flatnonzero(group == g)
         felt = levers[of_group] @ levers[of_group].T
-        values, turn[np.ix_(of_group, of_group)] = scipy.linalg.eigh(felt, driver="evr")
+        values, turn[np.ix_(of_group, of_group)] = linalg.eigh(felt)
         spread[of_group] = np.maximum(values, 0.0)
     return turn, spread
 
@@ -289,7 +290,7 @@ class SolvedModel(ReadOnlyArrays):
             over = 1.0 / self.variance[places, None]
             inner = np.diag(over[:, 0]) - (over * self._spanned[places]) @ (over * self.z[places]).T
             unit = np.sqrt(self.variance[places])
-            values, vectors = scipy.linalg.eigh(unit[:, None] * inner * unit, driver="evr")
+            values, vectors = linalg.eigh(unit[:, None] * inner * unit)
             if values[0] > _DECIDES:
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))
                 covariance = root @ root.T

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.prior import Prior
 
 FLAT, KNOWN = -2, -1
@@ -107,5 +107,5 @@ class Part(ReadOnlyArrays):
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Squares of singular values in rising order (n,), and right singular vectors (n, n)."""
-    values, vectors = scipy.linalg.eigh(columns.T @ columns, driver="evr")
+    values, vectors = linalg.eigh(columns.T @ columns)
     return np.asarray(values), np.asarray(vectors)

@@ -507,3 +507,16 @@ def test_a_reading_that_is_off_is_named_by_the_file_in_which_it_stands(tmp_path)
     files[1].write_text("\n".join(lines) + "\n")
     fit = calib.fit(robot, read_measurements(files, robot))
     assert fit.outliers[0].label == f"{files[1]}, line 41 (pose {cells[0]})"
+
+
+def test_a_pixel_beyond_any_image_is_named_with_its_place(tmp_path, run_calib):
+    robot, files = written(tmp_path)
+    lines = files[1].read_text().splitlines()
+    cells = lines[7].split(",")
+    cells[4] = "-1e308"
+    lines[7] = ",".join(cells)
+    files[1].write_text("\n".join(lines) + "\n")
+    run = run_calib("fit", robot.path, *files, "--no-pages", "--out", tmp_path / "out")
+    assert (run.code, run.out) == (2, "")
+    assert "line 8, column 'px_v'" in run.err
+    assert "-1e308" in run.err

@@ -433,6 +433,7 @@ def test_a_plain_urdf_and_its_meshes_are_in_the_folder(tmp_path):
         ("parameters.csv", "parameters.csv: no such file"),
         ("another robot", "nominal.yaml: was changed after the fit"),
         ("another urdf", "nominal.urdf: was changed after the fit"),
+        ("no digest", "nominal.urdf: was changed after the fit"),
         ("failed", "the fit failed and gives no calibrated robot"),
     ],
 )
@@ -445,6 +446,10 @@ def test_a_folder_that_gives_no_robot_is_one_clear_line(fitted, folder, tmp_path
         (out / "nominal.yaml").write_text((out / "nominal.yaml").read_text().replace("[x, y, z]", "[x, y]"))
     elif damage == "another urdf":
         (out / "nominal.urdf").write_text((out / "nominal.urdf").read_text().replace("1e-1", "2e-1"))
+    elif damage == "no digest":
+        result = json.loads((out / "result.json").read_text())
+        del result["sha256"]["nominal.urdf"]
+        (out / "result.json").write_text(json.dumps(result))
     else:
         result = json.loads((out / "result.json").read_text())
         result["verdict"] = {"grade": "FAIL", "reasons": ["no reason"]}

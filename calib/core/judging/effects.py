@@ -52,7 +52,7 @@ SLIPS = 15
 _DEGREE = 3
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # length of the mean of a wave of length 1 from which it is the same at all visits
-_VISITS_LOOKED_AT = 4096
+_VISITS_LOOKED_AT = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +224,12 @@ class JointWaves:
         """Lowest order, of one cycle or more, whose wave is the same at all visits; a large one if there is none."""
         first = int(np.ceil(TURN / float(np.ptp(self.phase)) - _SAME))
         few = self.phase[:: len(self.phase) // _VISITS_LOOKED_AT + 1]
-        for order in range(first, 2 * ORDERS.stop):
-            if all(abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID for phase in (few, self.phase)):
-                return order
-        return 2 * ORDERS.stop
+        orders = np.arange(first, 2 * ORDERS.stop)
+        likely = orders[np.abs(np.mean(np.exp(1j * orders[:, None] * few), axis=1)) > _ON_GRID]
+        return next(
+            (int(order) for order in likely if abs(np.mean(np.exp(1j * order * self.phase))) > _ON_GRID),
+            2 * ORDERS.stop,
+        )
 
     def detail(self, order: int) -> str:
         """Return the cycles of one order in words."""

@@ -301,7 +301,9 @@ def test_a_xacro_that_cannot_be_expanded_is_one_line(tmp_path: Path) -> None:
 
 
 def test_without_the_package_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "xacro", None)
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "xacro.py").write_text("raise ImportError('as where it is not installed')\n")
+    monkeypatch.syspath_prepend(tmp_path / "first")
     (tmp_path / "arm.urdf.xacro").write_text("<robot/>")
     with pytest.raises(calib.UrdfError, match="pip install xacro"):
         calib.load(tmp_path / "arm.urdf.xacro")

@@ -8,7 +8,6 @@ import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import InputError
 from calib.core.base.units import error_scale, quantity
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Part
@@ -53,10 +52,7 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
     text = tolerance(fit)
     if not text:
         return None
-    try:
-        limit = quantity(text, "length", "tolerance")
-    except InputError:
-        return Tolerance(text, "not judged", "CHECK", "This is not a length with a unit, such as 0.1 mm.")
+    limit = quantity(text, "length", "tolerance")  # reading the file has checked it
     claim = judge(fit).claim
     if claim is None or not claim.told.is_position or not np.isfinite(claim.told.limit95):
         return Tolerance(text, "not judged", "CHECK", "These measurements do not tell how far positions are off.")

@@ -112,10 +112,18 @@ def run_page(path: Path, *, write: bool = False) -> None:
                     printed = session.run(block)
             except SnippetError as error:
                 raise SnippetError(f"{where}: {error}") from None
+        _forget_modules(folder)
     if write:
         for (start, end), text in reversed(changes):
             page = page[:start] + text + page[end:]
         path.write_text(page, encoding="utf-8")
+
+
+def _forget_modules(folder: str) -> None:
+    """Drop modules of a page's folder: another page, or a test, has its own of the same name."""
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(folder):
+            del sys.modules[name]
 
 
 class _Session:

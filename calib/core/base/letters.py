@@ -45,7 +45,7 @@ def brief(text: str) -> str:
     """Return a text whose longest words, and that itself, are cut down to what a person reads.
 
     >>> brief("not a number: " + 50_000 * "9")[:50], len(brief(50_000 * "a b "))
-    ('not a number: 999999999999999999999999999999999999', 4040)
+    ('not a number: 999999999999999999999999999999999999', 4035)
     """
     words = _LONG_WORD.sub(lambda word: _cut(word[0], _WORD_SHOWN), text)
     return words if len(words) <= _TEXT else _cut(words, _TEXT_SHOWN)

@@ -24,6 +24,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
+from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 
 USUAL_FACTORS: dict[str, dict[float, str]] = {
@@ -257,7 +258,7 @@ def _mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
     if robot.description.base.pose != "unknown":
         return False
     system = _systems(robot, data, [at])[0]
-    matrix = np.linalg.lstsq(system[:, :-1], system[:, -1])[0][:9].reshape(3, 3)
+    matrix = linalg.lstsq(system[:, :-1], system[:, -1])[:9].reshape(3, 3)
     return bool(np.linalg.det(matrix) < -_MIRRORED)
 
 

@@ -48,7 +48,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
 
     Args:
         data: The visits that were used.
-        depths: `Mechanism.depths` of the robot.
+        depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
         statistics: What is known of the parameters.
     """

@@ -111,7 +111,7 @@ def judge(fit: Fit) -> Verdict:
     reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
     nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
     gross = nothing_fits or rules_noise.left_too_much(fit)
-    scaled = any(reason.code is Code.JOINT_SCALED for reason in reasons)
+    scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
     elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
     if elsewhere is not None:

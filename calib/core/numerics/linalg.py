@@ -89,7 +89,7 @@ def lstsq(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> 
 
 
 def solution_and_rank(matrix: FloatArray, right: FloatArray, rcond: float | None = None) -> tuple[FloatArray, int]:
-    """Return x of `lstsq` and the rank of its matrix."""
+    """Return x of `lstsq`, (n,) or (n, k), and the rank of its matrix, (m, n)."""
     try:
         solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond)
     except np.linalg.LinAlgError:

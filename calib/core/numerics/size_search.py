@@ -32,6 +32,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import FLAT
 
@@ -158,7 +159,7 @@ class _Bounds(ReadOnlyArrays):
     @staticmethod
     def of(model: MixedModel) -> _Bounds:
         flat = model.x[:, model.family == FLAT]
-        left = model.y - flat @ np.linalg.lstsq(flat, model.y, rcond=None)[0] if flat.shape[1] else model.y
+        left = model.y - flat @ linalg.lstsq(flat, model.y) if flat.shape[1] else model.y
         squares = [float(np.mean(left[model.rows.group == g] ** 2)) for g in model.unstated]
         if model.scatters:
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))

@@ -46,7 +46,11 @@ class FanucStatements(ABC):
         """Take in one motion: its places and the words behind them, and what holds there."""
 
     def read(self) -> None:
-        """Read all instructions."""
+        """Read all instructions.
+
+        Raises:
+            DataError: A branch or loop is not closed, or a statement cannot be read.
+        """
         code, end = self.code, len(self.code.tokens) - 1
         labels = [
             code.tokens[at + 2].text.partition(":")[0].strip()

@@ -122,7 +122,11 @@ class KrlStatements(ABC):
         return routines
 
     def read(self) -> None:
-        """Read all statements of the first file, and the declarations of the others."""
+        """Read all statements of the first file, and the declarations of the others.
+
+        Raises:
+            DataError: A branch or loop is not closed, or a statement cannot be read.
+        """
         for file in range(1, len(self.codes)):
             self.read_data(file)
         at, end = 0, len(self.code.tokens)

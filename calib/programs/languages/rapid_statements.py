@@ -98,7 +98,11 @@ class RapidStatements(ABC):
         return routines
 
     def read(self) -> None:
-        """Read all statements."""
+        """Read all statements.
+
+        Raises:
+            DataError: A branch or loop is not closed, or a statement cannot be read.
+        """
         code, end = self.code, len(self.code.tokens) - 1
         at = self._header()
         while at < end:

@@ -13,7 +13,6 @@ _UNSEEN = (
     "\U000e0000-\U000e007f"
 )
 _IN_NAMES = re.compile(f"[{_UNSEEN}]")
-_IN_TEXT = re.compile(f"(?![\n\t])[{_UNSEEN}]")
 _WORD, _WORD_SHOWN = 400, 60
 _TEXT, _TEXT_SHOWN = 8000, 2000
 _LONG_WORD = re.compile(rf"\S{{{_WORD},}}")
@@ -25,7 +24,7 @@ def visible(text: str) -> str:
     >>> visible("a\x1b[31mb")
     'a\\x1b[31mb'
     """
-    return _IN_TEXT.sub(_spelt, text)
+    return text if text.isprintable() else "".join(map(_visible_letter, text))
 
 
 def unseen(name: str) -> str:
@@ -57,3 +56,7 @@ def _cut(text: str, kept: int) -> str:
 
 def _spelt(letter: re.Match[str]) -> str:
     return letter[0].encode("unicode_escape").decode()
+
+
+def _visible_letter(letter: str) -> str:
+    return letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()

@@ -31,6 +31,7 @@ AVX2 = ("X86_V3", "AVX2", "FMA3")
 NOT_NUMERICAL = (
     *("bad_input", "bad_kinds", "code_comparison", "common_options", "description", "files", "floors"),
     *("function_gradients", "init_command", "many_calibrations", "next_steps", "other_words", "own_files"),
+    *("foreign_files", "gcode_firmwares", "program_reading", "programs_run", "tolerance"),
     *("parameter_files", "plain_text", "remembered", "rosbag", "searched_input", "sharing", "tables", "urdf_text"),
     *("wheel", "workers"),
 )

@@ -41,7 +41,7 @@ DISPLAY_UNIT: dict[Dimension, str] = {
 """Units of values in files and tables."""
 ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
 _IN_ROUND = re.compile(r"^(?P<name>.*?\S)\s*\(\s*(?P<unit>[^()]*?)\s*\)$", re.DOTALL)
 _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}

@@ -26,7 +26,7 @@ _PART = 8192  # rows that are written together
 _JSON = TypeAdapter(list[float])
 _ALONE = '""\n'  # what the writer makes of an empty cell that is alone in its line
 _LEAST_PLAIN, _BEYOND_PLAIN = 1e-4, 1e16  # where `repr` writes no exponent
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
 _FORMULA_IN_COMMENT = re.compile(r"([,;\t])(?=[=@\uff1d\uff0b\uff0d\uff20]|[-+](?![\d.]))")
 Written = Sequence[tuple[str, Sequence[object] | FloatArray]]

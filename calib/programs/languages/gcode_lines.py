@@ -19,7 +19,7 @@ AXES = "XYZ"
 _LARGEST = 1e6  # of numbers in a program
 _COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # what stands in quotation marks is none
 _CODE_IN_COMMENT = re.compile(r"[XYZEFGMT]\s*[-+.\d]|(?<![A-Z_])[XYZ](?![A-Z_])|;", re.ASCII | re.IGNORECASE)
-_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*", re.ASCII | re.IGNORECASE)
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*", re.ASCII | re.IGNORECASE)
 _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)

@@ -45,7 +45,7 @@ def word_pattern(blank: str, name: str, marks: str, text: str = r'"[^"\n]*"') ->
     """
     return re.compile(
         rf"(?P<line>\n)|(?P<text>{text})|(?P<blank>{blank}|[^\S\n]+)"
-        rf"|(?P<name>{name})|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<mark>{marks})|(?P<odd>.)",
+        rf"|(?P<name>{name})|(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)|(?P<mark>{marks})|(?P<odd>.)",
         re.MULTILINE,
     )
 

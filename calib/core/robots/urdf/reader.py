@@ -24,7 +24,7 @@ Span = tuple[int, int]
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 UNSUPPORTED_TYPES = ("floating", "planar")
 HELD_TYPES = ("fixed", *UNSUPPORTED_TYPES)
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
 """More would fill the memory: Pinocchio's data grow with the third power."""

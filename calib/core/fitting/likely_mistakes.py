@@ -43,6 +43,7 @@ _GLANCE = 4  # one in so many of these shows whether the loops close at all
 _FEW = 3  # rows that may agree by chance, or that a shift must leave
 _SHIFTS = 5
 _RANGES = ((-100, 100), (0, 100), (-1, 1), (0, 1), (0, 1023), (0, 4095), (0, 65535))
+_NO_SIZE = 1e-6  # of what the robot reaches over what was measured: the target is described where nothing moves it
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
@@ -239,7 +240,7 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
     reached = robot.positions(data.joints[closed.ok], seed=closed.passive[closed.ok])
     measured = data.points(robot)[closed.ok]
     size = float(np.sqrt(np.sum(np.var(reached, axis=0)) / max(np.sum(np.var(measured, axis=0)), 1e-300)))
-    if abs(np.log(size)) < _ANOTHER_UNIT:
+    if size < _NO_SIZE or abs(np.log(size)) < _ANOTHER_UNIT:
         return
     ratios: dict[float, str] = {}
     for (read, of_read), (written, of_written) in product(_READ.items(), _WRITTEN.items()):

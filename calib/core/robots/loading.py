@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.parameter import index_of
+from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si, split_column
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
@@ -26,10 +27,11 @@ from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, read_urdf
+from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
 
 
 def load(path: str | Path) -> Robot:
-    """Load a robot from a robot description (YAML) or from a plain URDF.
+    """Load a robot from a robot description (YAML), from a plain URDF, or from a calibration of Universal Robots.
 
     A plain URDF means its arm (see `calib.core.robots.urdf.arm_chain`): every moving joint on the way to the arm's last
     link is actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
@@ -42,7 +44,7 @@ def load(path: str | Path) -> Robot:
     path = Path(path)
     if path.suffix.lower() in (".csv", ".xlsx"):
         raise DescriptionError(f"{path}: is a table; the robot comes first: its description or its URDF")
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if path.suffix.lower() in (".yaml", ".yml") and not is_ur_kinematics(read_yaml(path)):
         description = read_description(path)
         urdf = read_urdf(path.parent / description.urdf)
     else:
@@ -92,7 +94,7 @@ def robot(
         UrdfError: The URDF is not valid.
         DescriptionError: A key is not valid, or does not fit the URDF.
     """
-    if Path(urdf).suffix in (".yaml", ".yml"):
+    if Path(urdf).suffix in (".yaml", ".yml") and not is_ur_kinematics(read_yaml(urdf)):
         raise DescriptionError(f"{urdf}: is a robot description; load it with calib.load({str(urdf)!r})")
     text, where = read_urdf(Path(urdf)), str(urdf)
     content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}

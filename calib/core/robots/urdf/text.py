@@ -34,6 +34,7 @@ from calib.core.robots.urdf.reader import (
     UrdfJoint,
     UrdfReader,
 )
+from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.xacro_files import expanded
 
 __all__ = [
@@ -151,7 +152,8 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str) -> UrdfText:
-    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; or MuJoCo's format (MJCF).
+    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; MuJoCo's format (MJCF); or a
+    calibration of Universal Robots (YAML).
 
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
@@ -160,6 +162,8 @@ def read_urdf(path: Path | str) -> UrdfText:
     source = read_bytes(path, "the path of a URDF", UrdfError)
     if Path(path).suffix == ".xacro":
         source = expanded(path)
+    elif Path(path).suffix.lower() in (".yaml", ".yml"):
+        source = ur_urdf(read_origins(path))
     elif is_mjcf(source):
         source = read_mjcf(path).source
     return parse_urdf(source, str(path))

@@ -40,8 +40,6 @@ _ROTATIONS: dict[str, tuple[str, ...]] = {
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
 """Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
-_SMALLEST = {"length": 1e-6, "angle": 1e-6}
-"""Steps below this are taken as this large: what a controller computes beyond them is its own rounding [m or rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +188,3 @@ def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) 
         for mantissa, _, exponent in (text.lower().partition("e") for text in table.text(table.names[k]))
     ]
     return max(usual_step(values), float(10.0 ** -np.median(decimals)))
-
-
-def in_si(steps: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the steps of joints, positions and rotations [m or rad], none smaller than a controller's own rounding."""
-    return np.maximum(steps * scales, 1e-6)

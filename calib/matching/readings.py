@@ -29,8 +29,9 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.robots.robot import Robot
 from calib.matching.alignment import Alignment, align, turns_agree
-from calib.matching.pairs import Pairs, in_si
+from calib.matching.pairs import Pairs
 
+_FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
 _SHORT = 24  # readings whose rotations agree best
@@ -117,9 +118,12 @@ class Reading:
         return pairs.joints[q], pairs.positions[other], pairs.rotations[other]
 
     def steps(self, robot: Robot, pairs: Pairs) -> FloatArray:
-        """Return the last digits of joints, positions and rotations, (n_joints + 2,) [m, rad or 1]."""
+        """Return the last digits of joints, positions and rotations, none finer than a controller's own rounding.
+
+        In units of the file, (n_joints + 2,).
+        """
         pose = (1 / PER_SI["length"][self.length_unit], 1 / PER_SI["angle"][self.angle_unit])
-        return in_si(pairs.steps, np.append(self.joint_scales(robot), pose))
+        return np.maximum(pairs.steps, _FINEST / np.append(self.joint_scales(robot), pose))
 
     def words(self) -> str:
         """Return the reading in words."""

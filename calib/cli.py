@@ -23,6 +23,7 @@ _COMMANDS = {
     "predict": ("calib.core.commands.predict", "Predict where the targets are."),
     "solve": ("calib.programs.commands.solve", "Find joint values that reach goals."),
     "compensate": ("calib.programs.commands.compensate", "Correct a program for the real robot."),
+    "match": ("calib.matching.command", "Agree with the poses that a controller prints."),
     "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
     "watch": ("calib.planning.commands.watch", "Say while measuring which pose is next, and when to stop."),
@@ -35,7 +36,7 @@ _COMMANDS = {
 
 _GROUPS = {
     "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
-    "Measuring and calibrating": ("watch", "fit", "verify", "compare", "fleet"),
+    "Measuring and calibrating": ("watch", "fit", "match", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
 }

@@ -70,6 +70,7 @@ CAPABILITIES = (
     Room("Planning", None, ("planning",)),
     Room("Studies", None, ("studies",)),
     Room("Fleets", None, ("fleets",)),
+    Room("Matching", None, ("matching",)),
     Room("Programs", None, ("programs",)),
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),

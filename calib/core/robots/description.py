@@ -106,7 +106,8 @@ class Description(Section):
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
     frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
-    `fleet` is what other robots of the model are like (`calib fleet` writes it).
+    `fleet` is what other robots of the model are like (`calib fleet` writes it); `model` takes it from a model that the
+    program knows, such as `ur5e`, or from such a file.
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
@@ -142,6 +143,7 @@ class Description(Section):
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     fleet: FleetSection | None = None
+    model: str | None = None
     priors: bool = True
     prior: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None

@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.parameter import index_of
+from calib.core.base.registry import installed
 from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si, split_column
 from calib.core.instruments.kind import Instrument, JointInstrument
@@ -28,6 +29,10 @@ from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, read_urdf
 from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
+
+
+_SAME_ORIGIN = 1e-4
+"""How far a stock origin may be from that of its model: rounded digits [m], [1]."""
 
 
 def load(path: str | Path) -> Robot:
@@ -129,6 +134,42 @@ def as_robot(robot: RobotLike) -> Robot:
     return robot
 
 
+def with_model(robot: Robot, model: str) -> Robot:
+    """Return a robot with what is known of its model (`calib.core.robots.fleet_prior`) before it is measured.
+
+    Args:
+        robot: Not calibrated yet; names of its joints may have a prefix before those of the model.
+        model: Name of a model that a capability or another package brings, such as `ur5e`; or the file that `calib
+            fleet` wrote, beside the robot's description.
+
+    Raises:
+        DescriptionError: No such model, or the robot is not of it.
+    """
+    known = {name: path for entry in installed("calib.models") for name, path in entry.load().items()}
+    if model not in known and Path(model).suffix.lower() not in (".yaml", ".yml"):
+        raise DescriptionError(
+            f"{robot.path}: model: no model '{model}'{nearest(model, known)}; or give a file that calib fleet wrote"
+        )
+    of_model = load(known.get(model, Path(robot.path).parent / model))
+    section, joints = of_model.description.fleet, of_model.joint_names
+    if section is None:
+        raise DescriptionError(f"{model}: has no key 'fleet'; calib fleet writes it")
+    prefix = next((name.removesuffix(joints[0]) for name in robot.joint_names if name.endswith(joints[0])), "")
+    for name in joints:
+        place = robot.nominal.placement(prefix + name) if prefix + name in robot.nominal.origin_names else None
+        if place is None or not place.isApprox(of_model.nominal.placement(name), _SAME_ORIGIN):
+            raise DescriptionError(
+                f"{robot.path}: is no stock '{model}': joint '{prefix + name}' is "
+                + ("missing" if place is None else "elsewhere in that model; give the stock URDF")
+            )
+    own = {p.name for p in robot.parameters}
+    entries = {prefix + name: entry for name, entry in section.parameters.items() if prefix + name in own}
+    if not entries:
+        raise DescriptionError(f"{robot.path}: none of the joint origins that '{model}' knows is free")
+    fleet = section.model_copy(update={"parameters": entries, "unlike": ()})
+    return _built(robot.description.model_copy(update={"fleet": fleet}), robot.urdf, robot.path)
+
+
 def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values."""
     instruments = instruments_of(description, where)
@@ -148,6 +189,8 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
         index_of(robot.parameters, held, f"{where}: held")
     for name in description.elimination_order:
         index_of(robot.parameters, name, f"{where}: elimination_order")
+    if description.model is not None and description.fleet is None:
+        return with_model(robot, description.model)
     return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))
 
 

@@ -24,7 +24,9 @@ from calib.matching.match import FILES, match
     "--base", metavar="POSE", help="Pose of the robot's base in the controller's, likewise; found if not given."
 )
 @click.option(
-    "--no-terms", is_flag=True, help="Do not try joint terms (gravity, couplings) where joint origins explain too little."
+    "--no-terms",
+    is_flag=True,
+    help="Do not try joint terms (gravity, couplings) where joint origins explain too little.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws of rounding.")
 @click.option(

@@ -216,8 +216,8 @@ def _decided(tried: list[_Work], robot: Robot, pairs: Pairs) -> list[_Work]:
     if len(alike) > 1 and (len(said) != 1 or not pairs.words):
         words = " | ".join(work.candidate.reading.words() for work in alike)
         raise DataError(
-            f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
-            " header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
+            f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into"
+            " the header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
         )
     return said if len(alike) > 1 else alike
 
@@ -255,7 +255,7 @@ class _Work:
         base: Sequence[float] | None,
         seed: int,
     ) -> _Work:
-        aligned, reading = candidate.aligned, candidate.reading
+        aligned = candidate.aligned
         stated = []
         for what, given, found in (("tool", tool, aligned.tool), ("base", base, aligned.base)):
             pose = None if given is None else _pose(given, what, pairs, candidate)
@@ -288,15 +288,13 @@ class _Work:
             tried = work._with_terms()
         fit, agreed = work.plain
         rows = [k for k in range(len(self.candidate.aligned.misses)) if k not in work.kept]
-        places = nominal_poses_of(work)
-        gone = tuple((self.pairs.rows[k], float(places[k])) for k in rows)
+        away = _stock_misses(work)
+        gone = tuple((self.pairs.rows[k], float(away[k])) for k in rows)
         return Match(fit, self.candidate, self.pairs, agreed, gone, work._places(), tuple(remarks), tried)
 
     def _again(self, **changes: Any) -> _Work:
         work = replace(self, **changes)
-        fitted = _fitted(
-            work.robot, work.pairs, work.candidate, work.tool, work.base, work.kept, work.seed
-        )
+        fitted = _fitted(work.robot, work.pairs, work.candidate, work.tool, work.base, work.kept, work.seed)
         return replace(work, plain=fitted)
 
     def _without_others(self) -> _Work:
@@ -319,7 +317,7 @@ class _Work:
             return None
         by_term: dict[str, list[str]] = {}
         for section in fit.robot.description.terms:
-            by_term.setdefault(str(section.term), []).append(str(section.joint))  # type: ignore[attr-defined]
+            by_term.setdefault(str(section.term), []).append(str(section.joint))
         words = listed([f"{term} of {listed(joints, shown=7)}" for term, joints in by_term.items()], " and ")
         return words, agreed
 
@@ -335,14 +333,14 @@ class _Work:
                 said.append(f"{what}: as stated")
             elif known is not None:
                 turned = "" if np.allclose(known, np.eye(4)) else f", turned: {_place(known)}"
-                said.append(f"{what}: the controller's is {frame}{turned}")
+                said.append(f"{what}: the controller's is that of {frame}{turned}")
             else:
                 T = _found(fit, place)
                 said.append(f"{what}: the controller's differs from {frame}: {_place(T)} (found; not in the URDF)")
         return said[0], said[1]
 
 
-def nominal_poses_of(work: _Work) -> FloatArray:
+def _stock_misses(work: _Work) -> FloatArray:
     """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = work.candidate.reading, work.candidate.aligned
     joints, positions, rotations = reading.paired(work.pairs)

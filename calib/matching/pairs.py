@@ -97,13 +97,13 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
     numbers = {k: table.column(table.names[k], None) if table.units[k] is None else _plain_numbers(table, k)
                for k in (*joints, *positions, *rotations)}  # fmt: skip
-    units = tuple(_unit(table, columns) for columns in (joints, positions, rotations))
+    units = (_unit(table, joints), _unit(table, positions), _unit(table, rotations))
     steps = [_step(table, (k,), numbers) for k in joints] + [
         _step(table, columns, numbers) for columns in (positions, rotations)
     ]
-    stacked = [np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations)]
+    q, p, r = (np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations))
     rows = tuple(f"line {line}" for line in table.lines)
-    return Pairs(str(path), rows, *stacked, units, np.array(steps), words)  # type: ignore[arg-type]
+    return Pairs(str(path), rows, q, p, r, units, np.array(steps), words)
 
 
 def _without_header(path: Path | str) -> Table | None:

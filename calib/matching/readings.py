@@ -95,7 +95,7 @@ class Reading:
 
     def joints(self, robot: Robot, numbers: FloatArray) -> FloatArray:
         """Return joint values (n, n_joints) [m or rad] of the file's numbers (n, n_joints)."""
-        q = numbers * self.joint_scales(robot)
+        q: FloatArray = numbers * self.joint_scales(robot)
         q = q if self.map is None else self.map.joints(q)
         if self.coupled:
             q[:, 2] += self.coupled * q[:, 1]
@@ -127,7 +127,9 @@ class Reading:
 
     def words(self) -> str:
         """Return the reading in words."""
-        rotations = f"rotations as {self.form} ({_said(self.form)})" if _said(self.form) else f"rotations as {self.form}"
+        rotations = (
+            f"rotations as {self.form} ({_said(self.form)})" if _said(self.form) else f"rotations as {self.form}"
+        )
         unit = "" if self.form in _QUATERNIONS or self.form == "matrix" else f" in {self.angle_unit}"
         text = f"joints in {self.joint_unit}, positions in {self.length_unit}, {rotations}{unit}"
         return f"{text}; {_DIRECTIONS[self.direction]}"
@@ -148,8 +150,8 @@ class Reading:
             names = robot.joint_names
             sign = "plus" if self.coupled > 0 else "minus"
             found.append(
-                f"the controller counts {names[2]} from the horizontal (as FANUC does): the robot's is its number {sign}"
-                f" {names[1]}"
+                f"the controller counts {names[2]} from the horizontal (as FANUC does): the robot's is its number"
+                f" {sign} {names[1]}"
             )
         if self.shift:
             side = "below" if self.shift > 0 else "above"
@@ -259,7 +261,9 @@ def _simple(robot: Robot, pairs: Pairs) -> Iterator[Reading]:
     forms = {3: (_VECTOR, *_ORDERS, *map(str.lower, _ORDERS)), 4: tuple(_QUATERNIONS), 9: ("matrix",)}[width]
     turning = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     large = bool(np.any(np.abs(pairs.joints[:, turning]) > _TURN))
-    reach = float(np.median(np.linalg.norm(robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3], axis=1)))
+    reach = float(
+        np.median(np.linalg.norm(robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3], axis=1))
+    )
     size = float(np.median(np.linalg.norm(pairs.positions, axis=1)))
     lengths = [unit for unit in ("mm", "m") if _REACH[0] < size / PER_SI["length"][unit] / reach < _REACH[1]]
     for joint_unit, length_unit in product(("deg",) if large else ("deg", "rad"), lengths or ("mm", "m")):
@@ -277,9 +281,13 @@ def _twisted(robot: Robot, pairs: Pairs, simple: list[Reading]) -> Iterator[Read
     units = {(reading.joint_unit, reading.length_unit) for reading in direct}
     for joint_unit, length_unit in sorted(units):
         one = Reading(direct[0].form, joint_unit, length_unit, direct[0].angle_unit)
-        data = as_measurements(robot, one.joints(robot, pairs.joints), one.poses(pairs.positions, pairs.rotations)[:, :3, 3])
+        data = as_measurements(
+            robot, one.joints(robot, pairs.joints), one.poses(pairs.positions, pairs.rotations)[:, :3, 3]
+        )
         for at in likely_maps(robot, data):
-            yield from (replace(r, map=at) for r in direct if (r.joint_unit, r.length_unit) == (joint_unit, length_unit))
+            yield from (
+                replace(r, map=at) for r in direct if (r.joint_unit, r.length_unit) == (joint_unit, length_unit)
+            )
 
 
 def _mirrored(readings: list[Reading]) -> Iterator[Reading]:

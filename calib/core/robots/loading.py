@@ -30,7 +30,6 @@ from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, read_urdf
 from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
 
-
 _SAME_ORIGIN = 1e-4
 """How far a stock origin may be from that of its model: rounded digits [m], [1]."""
 

@@ -128,19 +128,19 @@ def _number(kinematics: Mapping[str, Any], link: str, key: str, path: Path | str
 
 def _require_sound(origins: FloatArray, path: Path | str) -> None:
     """Raise `UrdfError` where one sign, turned back, brings a robot of no known type to one of them."""
-    model, away = nearest_type(origins)
+    away = nearest_type(origins)[1]
     if away < _FAR:
         return
     tried = []
     for k, j in np.argwhere(origins):
         turned = origins.copy()
         turned[k, j] *= -1
-        tried.append((nearest_type(turned)[::-1], f"kinematics.{LINKS[k]}.{KEYS[j]}"))
-    (left, of), where = min(tried)
+        tried.append((*nearest_type(turned)[::-1], f"kinematics.{LINKS[k]}.{KEYS[j]}"))
+    left, model, where = min(tried)
     if left < _FAR:
         raise UrdfError(
             f"{path}: is {millimetres(away):.0f} mm RMS from every known type; with the other sign of {where} it would"
-            f" be a {of}, {millimetres(left):.1f} mm from nominal: a sign is lost; extract the calibration again"
+            f" be a {model}, {millimetres(left):.1f} mm from nominal: a sign is lost; extract the calibration again"
         )
 
 
@@ -155,7 +155,9 @@ def ur_urdf(origins: FloatArray, name: str = "ur") -> bytes:
         ("flange-tool0", "flange", "tool0", (0, 0, 0, quarter, 0, quarter)),
     )
     parents = ("base_link_inertia", *(f"{link}_link" for link in LINKS))
-    limits = f'    <axis xyz="0 0 1"/>\n    <limit lower="{-2 * np.pi!r}" upper="{2 * np.pi!r}" effort="0" velocity="0"/>\n'
+    limits = (
+        f'    <axis xyz="0 0 1"/>\n    <limit lower="{-2 * np.pi!r}" upper="{2 * np.pi!r}" effort="0" velocity="0"/>\n'
+    )
     lines = [f'<?xml version="1.0"?>\n<robot name="{name}">\n', *(f'  <link name="{link}"/>\n' for link in links)]
     lines += [_joint(joint, "fixed", parent, child, origin, "") for joint, parent, child, origin in fixed]
     lines += [

@@ -75,9 +75,9 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
-    residuals = whitening.flatten({name: fit.residuals[name]})
-    jacobian = fit.rows.jacobian * whitening.row_scale(fit.scales.groups)[:, None]
-    L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
+    residuals, jacobian = fit.rows.residuals, fit.rows.jacobian
+    scale = whitening.row_scale(fit.scales.groups)[:, None]  # 1 unless residuals contradict the rounding
+    L = (whitening.flatten({name: rounding.copy()}) / scale).reshape(n, 6, k)
     prior = fit.rows.prior.rows
     C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))

@@ -52,6 +52,7 @@ _ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyo
 _ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
 _BETTER = 0.5  # residuals with a free tool over those without, below which the tool is another one
 _WRONG = 0.2  # part of the pairs that may be of another program
+_SINGLE = 4.0  # distance of the worst pair from what the others predict, over the median, if it is of another program
 _OF_DIGITS = 2.0  # claim over what rounding does to a printed position, up to which it is of its size
 
 
@@ -302,7 +303,8 @@ class _Work:
         work = self
         for _ in range(int(_WRONG * len(self.pairs))):
             agreed = work.plain[1]
-            if agreed.to_the_digits or len(work.kept) <= _LEAST:
+            one_is_off = np.max(agreed.far) > _SINGLE * np.median(agreed.far)
+            if agreed.to_the_digits or len(work.kept) <= _LEAST or not one_is_off:
                 break
             worst = work.kept[int(np.argmax(agreed.far))]
             work = work._again(kept=tuple(k for k in work.kept if k != worst))

@@ -75,35 +75,44 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
-    residuals, jacobian = fit.rows.residuals, fit.rows.jacobian
     scale = whitening.row_scale(fit.scales.groups)[:, None]  # 1 unless residuals contradict the rounding
-    L = (whitening.flatten({name: rounding.copy()}) / scale).reshape(n, 6, k)
-    prior = fit.rows.prior.rows
-    C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
+    prior, jacobian = fit.rows.prior.rows, fit.rows.jacobian * scale
+    L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
     e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
+    C = _covariance(jacobian, prior)
     d = (e @ jacobian + rng.standard_normal((_DRAWS, len(prior))) @ prior) @ C
-    blocks = jacobian.reshape(n, 6, -1)
-    others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
+    residuals = fit.rows.residuals * scale[:, 0]
     all_r = np.vstack([e - d @ jacobian.T, residuals]).reshape(_DRAWS + 1, n, 6)
-    predicted = np.einsum("vij,dvj->dvi", others, all_r)
-    sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(predicted**2, axis=(1, 2))])
+    predicted = _by_the_others(jacobian, C, all_r)
     lengths = np.linalg.norm(predicted, axis=2)
-    ratio = float(np.max(sums[:, -1] / np.max(sums[:, :-1], axis=1)))
-    at_pairs = np.linalg.norm(fit.residuals[name][:, :3], axis=1)
-    grown = lengths[-1] / np.maximum(np.linalg.norm(all_r[-1], axis=1), 1e-12)
+    sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
+    own = _by_the_others(fit.rows.jacobian, _covariance(fit.rows.jacobian, prior), (residuals / scale[:, 0])[None])
+    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}) / scale
+    left_out = np.linalg.solve(whiten.reshape(n, 6, 6), own.reshape(n, 6, 1))[:, :3, 0]
     moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
     size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
     errors = _elsewhere(fit, d)
     return Agreement(
-        ratio,
+        float(np.max(sums[:, -1] / np.max(sums[:, :-1], axis=1))),
         lengths[-1] / np.max(lengths[:-1]),
         float(np.quantile(moved, 0.95)),
         size * errors[0],
         size * errors[1],
-        float(np.sqrt(np.mean((at_pairs * grown) ** 2))),
-        float(np.sqrt(np.mean(at_pairs**2))),
+        float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(fit.residuals[name][:, :3] ** 2, axis=1)))),
     )
+
+
+def _covariance(jacobian: FloatArray, prior: FloatArray) -> FloatArray:
+    return linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
+
+
+def _by_the_others(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
+    """Return r' of the module docstring, (n_draws, n_pairs, 6), of r (n_draws, n_pairs, 6) or (n_draws, 6 n)."""
+    blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
+    others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
+    return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))
 
 
 def _elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:

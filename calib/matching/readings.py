@@ -31,6 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.matching.alignment import Alignment, align, turns_agree
 from calib.matching.pairs import Pairs
 
+_SAME = 1e-9  # difference of joint values and poses that is none [m], [rad]
 _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
@@ -214,12 +215,24 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
             f" ({best.reading.words()}) leaves {millimetres(best.aligned.miss):.0f} mm; is it this robot, with one"
             " tool and one base in all rows, the joint values of one row with its pose?"
         )
-    alike = [one for one in tried if one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)]
+    alike: list[Candidate] = []
+    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(robot, pairs)), _miss(one))):
+        near = one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)
+        if near and not any(_same(robot, pairs, one.reading, other.reading) for other in alike):
+            alike.append(one)
     return sorted(alike[:_MOST], key=lambda one: (len(one.reading.mistakes(robot, pairs)), _miss(one)))
 
 
 def _miss(candidate: Candidate) -> float:
     return candidate.aligned.miss
+
+
+def _same(robot: Robot, pairs: Pairs, one: Reading, other: Reading) -> bool:
+    """Whether two readings mean the same joint values and poses in this file."""
+    (q, *pose), (q_other, *pose_other) = one.paired(pairs), other.paired(pairs)
+    if len(q) != len(q_other) or not np.allclose(one.joints(robot, q), other.joints(robot, q_other), atol=_SAME):
+        return False
+    return bool(np.allclose(one.poses(*pose), other.poses(*pose_other), atol=_SAME))
 
 
 def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:

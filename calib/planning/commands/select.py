@@ -196,7 +196,7 @@ def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -
                 return selection
     raise ComputationError(
         f"no choice of up to {min(most, _TRIED[-1])} candidates brings the predicted error below"
-        f" {millimetres(goal):g} mm (the best: {millimetres(left):.3g} mm); give more candidates, or measure more exactly"
+        f" {millimetres(goal):g} mm (the best: {millimetres(left):.3g} mm); give more candidates, or less noise"
     )
 
 

@@ -24,7 +24,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError, DataError, InputError
 from calib.core.base.files import write_files
 from calib.core.base.units import error_scale, millimetres
-from calib.core.base.words import as_data, counted, listed
+from calib.core.base.words import as_data, counted, listed, plain_text
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
@@ -46,6 +46,7 @@ from calib.matching.readings import Candidate, candidates, nominal_poses
 CONTROLLER = "controller"
 FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
 """What is written beside the URDF, by the format."""
+_WIDTH = 118
 _LEAST = 4  # pairs
 _NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
 _ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
@@ -124,7 +125,7 @@ class Match:
             *(f"{row} is of another program, tool or base: {_mm(away)} off; left out" for row, away in self.left_out),
             f"{self.grade}: {self.conclusion}",
         ]
-        return "\n".join(line[0].upper() + line[1:] for line in lines)
+        return plain_text([line[0].upper() + line[1:] for line in lines], _WIDTH, wrap=True).rstrip()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result for `--json` and match.json; lengths in mm, angles in mrad."""

@@ -8,7 +8,8 @@ import click
 
 from calib.core.base.errors import ComputationError, InputError
 from calib.core.commands.common import Output, loaded, shared_options
-from calib.matching.match import FILES, match
+from calib.matching.match import match
+from calib.matching.result import FILES
 
 
 @click.command("match")

@@ -15,7 +15,7 @@ When it fails. Mistakes of two of the latter kinds at once; joint values wrong i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -25,6 +25,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.words import listed
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.robots.robot import Robot
@@ -220,7 +221,18 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
         near = one.aligned.miss < min(_ALIKE * best.aligned.miss, limit)
         if near and not any(_same(robot, pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
-    return sorted(alike[:_MOST], key=lambda one: (len(one.reading.mistakes(robot, pairs)), _miss(one)))
+    if len(alike) > _MOST:
+        raise alike_error(pairs, [one.reading for one in alike])
+    return alike
+
+
+def alike_error(pairs: Pairs, readings: Sequence[Reading]) -> DataError:
+    """Return what to raise where several readings fit alike."""
+    words = listed([reading.words() for reading in readings], " | ", shown=_MOST)
+    return DataError(
+        f"{pairs.path}: these readings of the columns fit alike: {words}; write units and the maker's words into the"
+        " header (qw, W P R, A B C, [deg]), or add pairs in which the tool is turned more"
+    )
 
 
 def _miss(candidate: Candidate) -> float:

@@ -67,9 +67,13 @@ def align(robot: FloatArray, printed: FloatArray) -> Alignment:
     return Alignment(base, tool, misses, kept)
 
 
-def turns_agree(robot: FloatArray, printed: FloatArray) -> float:
-    """Return how well some X and Y carry rotations N_i to R_i, (n, 3, 3) each: 1 for exactly, less for others."""
-    return float(linalg.singular_values(_product(robot, printed))[0]) / len(robot)
+def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
+    """Return how badly the best X and Y carry rotations N_i to R_i, (n, 3, 3) each, over how far these turn: 0 for
+    exactly, about 1 where they have nothing to do with each other.
+    """
+    turned = max(1.0 - float(np.sum(np.mean(T, axis=0) ** 2)) / 3.0 for T in (robot, printed))
+    missed = 1.0 - float(linalg.singular_values(_product(robot, printed))[0]) / len(robot)
+    return missed / max(turned, 1e-12)
 
 
 def _product(N: FloatArray, R: FloatArray) -> FloatArray:

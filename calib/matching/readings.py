@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
+from itertools import chain, permutations, product
 
 import numpy as np
 import scipy
@@ -29,14 +29,14 @@ from calib.core.base.words import listed
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.robots.robot import Robot
-from calib.matching.alignment import Alignment, align, turns_agree
+from calib.matching.alignment import Alignment, align, turns_apart
 from calib.matching.pairs import Pairs
 
 _SAME = 1e-9  # difference of joint values and poses that is none [m], [rad]
 _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
-_SHORT = 24  # readings whose rotations agree best
+_SHORT = 12  # readings of each choice of units and direction whose rotations agree best: six sequences agree alike
 _MOST = 4  # readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 _REACH = (0.02, 3.0)  # size of the positions over that of the robot's
@@ -259,10 +259,13 @@ def _tried(robot: Robot, pairs: Pairs, reading: Reading) -> Candidate:
 
 
 def _shortlist(robot: Robot, pairs: Pairs, readings: Iterable[Reading]) -> list[Reading]:
-    """The readings whose rotations agree best with the robot's, which takes no tool and no base."""
+    """The readings whose rotations agree best with the robot's, which takes no tool and no base.
+
+    Some of each choice of units and direction: small turns are proportional, in whatever unit.
+    """
     of_robot: dict[object, FloatArray] = {}
     printed: dict[object, FloatArray] = {}
-    scored = []
+    groups: dict[object, list[tuple[float, Reading]]] = {}
     for reading in readings:
         joints, positions, rotations = reading.paired(pairs)
         key = (reading.joint_unit, reading.length_unit, reading.map, reading.coupled, reading.shift)
@@ -271,8 +274,11 @@ def _shortlist(robot: Robot, pairs: Pairs, readings: Iterable[Reading]) -> list[
         other = (reading.form, reading.angle_unit, reading.direction == "direct", reading.shift)
         if other not in printed:
             printed[other] = reading.poses(positions, rotations)[:, :3, :3].copy()
-        scored.append((turns_agree(of_robot[key], printed[other]), reading))
-    return [reading for _, reading in sorted(scored, key=lambda entry: -entry[0])[:_SHORT]]
+        apart = turns_apart(of_robot[key], printed[other])
+        choice = (reading.joint_unit, reading.length_unit, reading.direction)
+        groups.setdefault(choice, []).append((apart, reading))
+    ranked = (sorted(group, key=lambda entry: entry[0])[:_SHORT] for group in groups.values())
+    return [reading for _, reading in sorted(chain(*ranked), key=lambda entry: entry[0])]
 
 
 def _spread(robot: Robot, pairs: Pairs, reading: Reading) -> float:

@@ -15,8 +15,9 @@ When it fails. Mistakes of two of the latter kinds at once; joint values wrong i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, permutations, product
 
 import numpy as np
@@ -37,6 +38,7 @@ _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
 _ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
 _SHORT = 12  # readings of each choice of units and direction whose rotations agree best: six sequences agree alike
+_MIRRORED = 4  # likeliest readings whose columns of positions are tried in other orders
 _MOST = 4  # readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 _REACH = (0.02, 3.0)  # size of the positions over that of the robot's
@@ -205,9 +207,13 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
     short = _shortlist(robot, pairs, simple)
     tried = [_tried(robot, pairs, reading) for reading in short]
     limit = _FIT * _spread(robot, pairs, short[0])
-    if min(tried, key=_miss).aligned.miss > limit:
-        others = [*_shortlist(robot, pairs, _twisted(robot, pairs, simple)), *_mirrored(short)]
-        tried += [_tried(robot, pairs, reading) for reading in others]
+    twisted = (_coupled(robot, simple), _shifted(pairs, simple), _mapped(robot, pairs, simple))
+    others: list[Callable[[], Iterable[Reading]]] = [partial(_shortlist, robot, pairs, each) for each in twisted]
+    others.append(partial(_mirrored, short[:_MIRRORED]))
+    for readings in others:
+        if min(tried, key=_miss).aligned.miss <= limit:
+            break
+        tried += [_tried(robot, pairs, reading) for reading in readings()]
     tried.sort(key=_miss)
     best = tried[0]
     if best.aligned.miss > limit:
@@ -303,12 +309,21 @@ def _simple(robot: Robot, pairs: Pairs) -> Iterator[Reading]:
                 yield Reading(form, joint_unit, length_unit, angle_unit, direction)
 
 
-def _twisted(robot: Robot, pairs: Pairs, simple: list[Reading]) -> Iterator[Reading]:
-    """Readings in which something else is wrong, too."""
-    direct = [reading for reading in simple if reading.direction == "direct"]
+def _coupled(robot: Robot, simple: list[Reading]) -> Iterator[Reading]:
+    """Readings with joint 2 in joint 3."""
     if len(robot.joint_names) >= 3:
         yield from (replace(reading, coupled=sign) for reading in simple for sign in (1.0, -1.0))
+
+
+def _shifted(pairs: Pairs, simple: list[Reading]) -> Iterator[Reading]:
+    """Readings of joint values beside other poses."""
+    direct = [reading for reading in simple if reading.direction == "direct"]
     yield from (replace(one, shift=shift) for one in direct for shift in _SHIFTS if len(pairs) - abs(shift) > 3)
+
+
+def _mapped(robot: Robot, pairs: Pairs, simple: list[Reading]) -> Iterator[Reading]:
+    """Readings with other columns, signs, zeros and scales of joint values."""
+    direct = [reading for reading in simple if reading.direction == "direct"]
     units = {(reading.joint_unit, reading.length_unit) for reading in direct}
     for joint_unit, length_unit in sorted(units):
         one = Reading(direct[0].form, joint_unit, length_unit, direct[0].angle_unit)
@@ -325,4 +340,4 @@ def _mirrored(readings: list[Reading]) -> Iterator[Reading]:
     """The likeliest readings with columns of positions in another order, or with other signs."""
     for axes, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if (axes, signs) != ((0, 1, 2), (1.0, 1.0, 1.0)):
-            yield from (replace(one, axes=axes, signs=signs) for one in readings[:4] if one.direction == "direct")
+            yield from (replace(one, axes=axes, signs=signs) for one in readings if one.direction == "direct")

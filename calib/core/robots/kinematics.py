@@ -267,15 +267,14 @@ class Sweep:
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
 
-def compiled_sweep(shared: Shared, joints: FloatArray, tree: Any = None) -> Sweep:
+def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
     """Return the sweep of `sweep` without the Jacobian, by compiled code.
 
     Args:
         shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
-        tree: What counts of a model with other origins, as compiled code has it; that of the robot if not given.
     """
-    poses = shared.functions.poses(shared.tree if tree is None else tree, joints[:, shared.reduced.joints])
+    poses = shared.functions.poses(shared.tree, joints[:, shared.reduced.joints])
     return Sweep(shared, poses.reshape(-1, 12, poses.shape[1])[:, :, : len(joints)].transpose(2, 0, 1), None, poses)
 
 

@@ -88,9 +88,8 @@ def newton(
         reduced = mechanism.around(mechanism.loops)[0]
         rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        tree, loops = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced)
-        modes = fast.blocks(mode, reduced, loops), mode.signs
-        fast.close(tree, loops, *modes, rest, passive, scale, enough, sure, LARGEST_STEP, _MAX_NEWTON, *found)
+        model = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced), mode.places, mode.signs
+        fast.close(*model, rest, passive, scale, enough, sure, LARGEST_STEP, _MAX_NEWTON, *found)
     return passive, *found
 
 

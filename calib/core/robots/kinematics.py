@@ -123,13 +123,6 @@ class Along:
         return joints[order], columns[order], twists[order]
 
     @cached_property
-    def alike(self) -> IntArray:
-        """The first joint that moves the same rows as each, by the same signs, (n_reduced,)."""
-        first = dict[bytes, int]()
-        signs = [column.tobytes() for column in self.signs.T]
-        return np.array([first.setdefault(column, joint) for joint, column in enumerate(signs)], dtype=np.intp)
-
-    @cached_property
     def world(self) -> WorldTwists:
         """The entries' twists."""
         return WorldTwists(self.reduced, self.entries[0], self.entries[2])
@@ -229,15 +222,13 @@ class Sweep:
     Attributes:
         shared: What it shares with the sweeps of other poses.
         poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
-        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where compiled code has
-            computed the poses, which needs none.
-        compiled: The poses as compiled code has made them.
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where it is not needed, as by
+            compiled code.
     """
 
     shared: Shared
     poses: FloatArray
     jacobian: FloatArray | None
-    compiled: FloatArray | None = None
 
     @property
     def reduced(self) -> Reduced:
@@ -274,8 +265,7 @@ def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
         shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
     """
-    poses = shared.functions.poses(shared.tree, joints[:, shared.reduced.joints])
-    return Sweep(shared, poses.reshape(-1, 12, poses.shape[1])[:, :, : len(joints)].transpose(2, 0, 1), None, poses)
+    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
 
 
 def sweep(

@@ -85,7 +85,7 @@ def newton(
     if fast is None:
         _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
     else:
-        reduced = mechanism.around(mechanism.loops)[0]
+        reduced = mechanism.around(mechanism.loops)
         rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
         scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
         model = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced), mode.places, mode.signs

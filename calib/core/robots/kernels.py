@@ -45,7 +45,7 @@ class _FirstUse(event.Listener):
         compiled = getattr(event.data.get("dispatcher"), "py_func", None)
         if not self._told and getattr(compiled, "__module__", "") == __name__:
             self._told = True
-            _LOG.warning("numba compiles the kinematics; this takes about 10 s, once for each version")
+            _LOG.warning("numba compiles the kinematics; this takes about 5 s, once for each version")
 
     def on_end(self, event: Any) -> None:
         """Say nothing."""

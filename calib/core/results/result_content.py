@@ -12,6 +12,7 @@ from calib.core.judging import findings
 from calib.core.judging.next_step import next_step
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.verdict import judge
+from calib.core.results.saved_fit import VERSION
 from calib.core.results.sections.attempts import folds_table, starts_table
 from calib.core.results.sections.budget import budget_table
 from calib.core.results.sections.determination import correlated, position_uncertainty_table, rank_content
@@ -21,11 +22,8 @@ from calib.core.results.sections.outliers import excluded_rows, outlier_rows, wi
 from calib.core.results.sections.parameters import parameter_rows
 from calib.core.results.sections.terms import terms_table
 
-FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 """Files of a result folder that hold the robot as it was before."""
-UNDECIDED = "undecided_terms.csv"
-"""File of a result folder: what joint terms leave uncertain that `--terms auto` did not decide on."""
 
 
 @one_blas_thread
@@ -39,7 +37,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
     data = fit.identification.data
     return as_data(
         {
-            "version": FORMAT_VERSION,
+            "version": VERSION,
             "program": PROGRAM,
             "robot": fit.nominal.path,
             "data": data.path,

@@ -168,7 +168,7 @@ class LoadedResult(Hinting, CalibratedRobot):
     @property
     def covariance(self) -> Covariance:
         """Covariance of the free parameters, by name."""
-        return Covariance(self.free_names, self.uncertainty.covariance)
+        return self.fit.covariance
 
     @property
     def correlation(self) -> Correlation:

@@ -15,6 +15,7 @@ from calib.core.judging.verdict import judge
 from calib.core.results.saved_fit import VERSION
 from calib.core.results.sections.attempts import folds_table, starts_table
 from calib.core.results.sections.budget import budget_table
+from calib.core.results.sections.contents import contents_table
 from calib.core.results.sections.determination import correlated, position_uncertainty_table, rank_content
 from calib.core.results.sections.files_held import file_entries
 from calib.core.results.sections.noise import instrument_blocks, repeat_table
@@ -71,6 +72,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "instruments": instrument_blocks(fit),
             "error_budget": budget_table(fit),
             "position_uncertainty": position_uncertainty_table(fit),
+            "contains": contents_table(fit),
             "loss": fit.loss,
             "outliers": outlier_rows(fit),
             "excluded": excluded_rows(fit),

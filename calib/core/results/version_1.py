@@ -21,7 +21,7 @@ from calib.core.base.files import read_text
 from calib.core.base.units import display_scale, error_scale, per_si
 from calib.core.data.parameter_files import read_parameters
 from calib.core.data.tables import Table, read_table
-from calib.core.fitting.estimates import Estimate, Estimates
+from calib.core.fitting.estimates import Covariance, Estimate, Estimates
 from calib.core.judging.promise import Promise
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.loaded_result import LoadedResult, reading_keys
@@ -64,8 +64,11 @@ def read_content(folder: Path | str) -> dict[str, Any]:
     if content["version"] != 1:
         raise DataError(f"{path}: is not a result of format version 1 (fit.npz of a later one is missing); {_AGAIN}")
     require_unchanged(folder, content["sha256"])
-    if content["verdict"]["grade"] not in ("PASS", "CHECK", "FAIL"):
-        raise ValueError(content["verdict"]["grade"])
+    verdict, terms = content["verdict"], content["joint_terms"]
+    if verdict["grade"] not in ("PASS", "CHECK", "FAIL") or (verdict["grade"] == "FAIL" and not verdict["reasons"]):
+        raise ValueError(f"verdict {verdict['grade']}")
+    stored_terms(terms["entries"] if terms["asked"] is not None else ())
+    dict(content["errors"]), [row["name"] for row in content["parameters"]], int(content["n_poses"])
     return content
 
 
@@ -122,6 +125,11 @@ class EarlierResult(LoadedResult):
     def uncertainty(self) -> ParameterUncertainty:
         """From `covariance.csv`."""
         return self._uncertainty(self.robot, "covariance.csv", self.content, self._undecided())
+
+    @property
+    def covariance(self) -> Covariance:
+        """From `covariance.csv`."""
+        return Covariance(self.free_names, self.uncertainty.covariance)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
         if np.array_equal(robot.values, self.robot.values):

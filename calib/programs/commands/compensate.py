@@ -155,11 +155,6 @@ def command(
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
     known = load_result(result, nominal).known
-    if not len(known.joints):
-        output.note(
-            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are placed where"
-            " the robots agree best around home; fit again"
-        )
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)
     of_gcode = (zero, start, tolerance_mm, dialect)

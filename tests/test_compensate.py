@@ -9,11 +9,11 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from compensated_robots import TrueFrame, poses_of
+from saved_results import with_verdict
 from six_axis_arm import write_six_axis
 from test_denavit_hartenberg import robot_of, write_table
 
 import calib
-from calib.core.results.array_files import array_file, read_array_file
 from calib.core.rows.frames import program_frame
 from calib.core.rows.gauge import nearest_to_nominal
 from calib.core.rows.known_robot import known_robot
@@ -508,9 +508,7 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
         robot = write_six_axis(tmp_path)
     if what == "failed":
         code = 3
-        saved = read_array_file((folder / "fit.npz").read_bytes())
-        saved["content"]["verdict"] |= {"grade": "FAIL", "forced": False, "reasons": ["it was wrong"]}
-        (folder / "fit.npz").write_bytes(array_file(saved))
+        with_verdict(folder, "FAIL", "it was wrong")
     if what == "without the fit":
         (folder / "fit.npz").unlink()
     joints = "j1,j2,j3,j4,j5,j6" if what == "of another robot" else JOINTS

@@ -274,7 +274,7 @@ def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, ru
     assert "(withheld)" in run.out
     left = {path.name for path in (tmp_path / "out").iterdir()}
     assert "calibrated.urdf" not in left
-    assert {"result.json", "parameters.csv", "residuals.csv", "without_terms.csv"} <= left
+    assert {"result.json", "parameters.csv", "residuals.csv", "fit.npz"} <= left
     loaded = calib.load(tmp_path / "out")  # the whole model is good
     assert loaded.files[Holds.EVERYTHING].accuracy.rms < 0.2 * loaded.files[Holds.ORIGINS].accuracy.rms
     for file_format in ("urdf", "mjcf", "dh", "toolbox"):

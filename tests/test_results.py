@@ -9,6 +9,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from saved_results import with_verdict
 from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -17,7 +18,6 @@ import calib
 from calib.core.base.errors import CalibrationError, ComputationError, DataError, InputError
 from calib.core.base.files import write_folder
 from calib.core.data.tables import read_table
-from calib.core.results.array_files import array_file, read_array_file
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import _covariance_table, save
 from calib.core.robots.description import description_yaml, read_description
@@ -503,9 +503,7 @@ def test_a_folder_that_gives_no_robot_is_one_clear_line(fitted, folder, tmp_path
     elif damage == "another urdf":
         (out / "nominal.urdf").write_text((out / "nominal.urdf").read_text().replace("1e-1", "2e-1"))
     else:
-        saved = read_array_file((out / "fit.npz").read_bytes())
-        saved["content"]["verdict"] |= {"grade": "FAIL", "reasons": ["no reason"]}
-        (out / "fit.npz").write_bytes(array_file(saved))
+        with_verdict(out, "FAIL", "no reason")
     with pytest.raises(CalibrationError) as caught:
         calib.load(out)
     assert message in str(caught.value)

@@ -96,7 +96,8 @@ def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
         assert scene.remarks.lines == ("Simulated measurements",)
         assert scene.remarks.simulated
     assert gather(medrue_robot(), fit).scene.remarks.lines == ()
-    identification = dataclasses.replace(fit.identification, data=data)
+    said = dataclasses.replace(fit.identification.data, comments=("Simulated measurements",))
+    identification = dataclasses.replace(fit.identification, data=said)
     dataclasses.replace(fit, identification=identification).save(str(tmp_path / "out"), pages=False)
     assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated measurements",)
 

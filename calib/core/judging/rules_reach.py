@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.remembered import remembered
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.base.words import counted, joints_named, listed
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
@@ -62,9 +62,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
+            reach = quantity_text(float(np.ptp(data.joints[:, j])), dimension, ".2g", DISPLAY_UNIT)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"{joints_named(name)} moved through only {reach:.2g} {unit}. Positions are known to"
+                f"{joints_named(name)} moved through only {reach}. Positions are known to"
                 f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
                 " moves further. Measure poses that move it through its range"
             )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.core.results.result_reading import load_calibrated, load_uncertainty
+from calib.core.results.result_reading import load_result
 from calib.core.robots.terms.terms import listed_terms
 from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.prediction import PositionUncertainty, other_combinations
@@ -111,9 +111,8 @@ def test_positions_are_better_known_than_single_parameters(fit):
 
 def test_the_uncertainty_comes_back_from_the_result_folder(fit, tmp_path):
     fit.save(tmp_path / "out")
-    calibrated = load_calibrated(tmp_path / "out", fit.nominal)
     q = joints(4, seed=5)
-    again = load_uncertainty(tmp_path / "out", fit.nominal).at(calibrated, q)
+    again = load_result(tmp_path / "out", fit.nominal).predict(q)
     np.testing.assert_allclose(again.covariance, fit.predict(q).covariance, rtol=1e-9)
     assert again.coverage_factor == pytest.approx(fit.statistics.coverage_factor)
 
@@ -150,8 +149,8 @@ def test_predict_without_a_result_states_no_uncertainty(fit, tmp_path, run_calib
 
 def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
     fit.save(tmp_path / "out")
-    with pytest.raises(calib.DataError, match="run the fit again"):
-        load_uncertainty(tmp_path / "out", medrue)
+    with pytest.raises(calib.DataError, match="is the result of another robot"):
+        load_result(tmp_path / "out", medrue)
 
 
 def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do_together():

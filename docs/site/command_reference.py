@@ -23,6 +23,7 @@ EXAMPLES = {
     "calib view": "calib view out/arm --map",
     "calib compare": "calib compare out/before out/after --html compared.html",
     "calib fleet": "calib fleet out/robot_1 out/robot_2 out/robot_3 --out fleet.yaml",
+    "calib match": "calib match stock.urdf pairs.csv --out out/twin",
     "calib verify": "calib verify out/arm check.csv",
     "calib predict": "calib predict out/arm poses.csv --out predicted.csv",
     "calib solve": "calib solve out/arm goals.csv --out commands.csv",

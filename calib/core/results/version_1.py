@@ -66,7 +66,7 @@ def read_content(folder: Path | str) -> dict[str, Any]:
     require_unchanged(folder, content["sha256"])
     verdict, terms = content["verdict"], content["joint_terms"]
     if verdict["grade"] not in ("PASS", "CHECK", "FAIL") or (verdict["grade"] == "FAIL" and not verdict["reasons"]):
-        raise ValueError(f"verdict {verdict['grade']}")
+        raise DataError(f"{path}: is a damaged result of format version 1 (its verdict); {_AGAIN}")
     stored_terms(terms["entries"] if terms["asked"] is not None else ())
     dict(content["errors"]), [row["name"] for row in content["parameters"]], int(content["n_poses"])
     return content
@@ -107,7 +107,11 @@ class EarlierResult(LoadedResult):
 
     @property
     def fit(self) -> JudgedFit:
-        """None of this version."""
+        """None of this version.
+
+        Raises:
+            DataError: Always.
+        """
         raise DataError(f"{self.path}: an earlier version wrote it, without the measurements; {_AGAIN}")
 
     @property
@@ -184,9 +188,7 @@ class EarlierResult(LoadedResult):
     @property
     @_readable
     def joints(self) -> FloatArray:
-        """From `residuals.csv`; none without it."""
-        if not (Path(self.path) / "residuals.csv").is_file():
-            return np.zeros((0, len(self.robot.joint_names)))
+        """From `residuals.csv`, (n, n_actuated) [m or rad]."""
         return self._joints()[np.array(self._residuals.text("set")) == "identification"]
 
     @_readable

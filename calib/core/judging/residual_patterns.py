@@ -274,9 +274,11 @@ def _cycles(best: _Tested, tests: Iterable[_Tested], margin: float) -> str:
         margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
     """
     effect = best.effect
+    if effect.kind is not Kind.WAVE:
+        return effect.detail
     others = (test for test in tests if (test.effect.kind, test.effect.name) == (effect.kind, effect.name))
     orders = sorted(test.effect.order for test in others if test.gain > best.gain - margin)
-    if effect.kind is not Kind.WAVE or len(orders) < 2:
+    if len(orders) < 2:
         return effect.detail
     unit = effect.detail.partition(" ")[2]
     if orders[-1] - orders[0] == len(orders) - 1:

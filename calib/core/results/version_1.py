@@ -60,8 +60,11 @@ def read_content(folder: Path | str) -> dict[str, Any]:
     path = Path(folder) / "result.json"
     if not path.exists():
         raise DataError(f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote")
-    content: dict[str, Any] = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
-    if content["version"] != 1:
+    try:
+        content: Any = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); {_AGAIN}") from None
+    if not isinstance(content, dict) or content.get("version") != 1:
         raise DataError(f"{path}: is not a result of format version 1 (fit.npz of a later one is missing); {_AGAIN}")
     require_unchanged(folder, content["sha256"])
     verdict, terms = content["verdict"], content["joint_terms"]

@@ -240,25 +240,6 @@ def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
     assert content["errors"]["validation"]["after"]["p95"] > content["errors"]["validation"]["after"]["median"]
 
 
-def test_the_command_exits_with_3_and_says_why(arm, tmp_path, run_calib):
-    q = joints(60)
-    positions = arm.positions(q)[:, 0] + 2 * np.random.default_rng(1).standard_normal((60, 3))
-    header = ",".join([*(f"j{k}" for k in range(1, 7)), "ball_x", "ball_y", "ball_z"])
-    rows = [",".join(repr(float(cell)) for cell in (*a, *b)) for a, b in zip(q, positions, strict=True)]
-    (tmp_path / "data.csv").write_text("\n".join([header, *rows]) + "\n")
-    arguments = ("fit", arm.path, tmp_path / "data.csv", "--out", tmp_path / "out")
-    run = run_calib(*arguments)
-    assert run.code == 3
-    assert run.err.startswith("calib: verdict FAIL: ")
-    assert "(--force writes it)" in run.err
-    assert "Verdict: FAIL" in run.out
-    forced = run_calib(*arguments, "--force")
-    assert forced.code == 0
-    assert (tmp_path / "out" / "calibrated.urdf").exists()
-    assert run_calib("predict", arm.path, tmp_path / "data.csv", "--result", tmp_path / "out",
-                     "--out", tmp_path / "p.csv").code == 0  # fmt: skip
-
-
 @pytest.mark.parametrize("sigma", [1e-3, 4.26e-5, 7e-6, 1e-6])
 def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared_data, tmp_path, sigma):
     for source in (shared_data / "motoman_right" / "robot.urdf", EXAMPLES / "motoman_right.yaml"):

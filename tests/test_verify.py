@@ -60,7 +60,7 @@ def folder(arm, tmp_path_factory):
 def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     _, truth, fit = arm
     rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
-    results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
+    results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(12)]
     assert Counter(item.verdict for item in results)["agrees"] >= 38  # false alarms: 1 in 100
     inside = np.mean([item.low95 < item.ratio < item.high95 for item in results])
     assert inside > 0.85  # one calibration: its errors are the same for all

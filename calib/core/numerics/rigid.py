@@ -37,9 +37,10 @@ _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror i
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
+    """Return the rotations R that make tr(R^T matrix) largest, (..., 3, 3)."""
     u, _, vt = linalg.svd(matrix)
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
+    u[..., 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[..., None]
+    return u @ vt
 
 
 def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:

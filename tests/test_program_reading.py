@@ -250,6 +250,23 @@ def test_what_changes_nothing_leaves_both_targets_compensated(tmp_path, suffix, 
 
 
 @pytest.mark.parametrize(
+    ("suffix", "edit"),
+    [
+        (".mod", "PDispSet w; TEST n CASE 1: PDispOff; DEFAULT: MoveL p2,v100,fine,tool0; ENDTEST PDispOff;"),
+        (".mod", "PDispSet w; IF c THEN PDispOff; ELSE MoveL p2,v100,fine,tool0; ENDIF PDispOff;"),
+        (".src", "$TOOL.Z=9\nSWITCH N\nCASE 1\n$TOOL=$NULLFRAME\nDEFAULT\nLIN P2\nENDSWITCH\n$TOOL=$NULLFRAME"),
+        (".src", "$TOOL.Z=9\nIF $IN[1] THEN\n$TOOL=$NULLFRAME\nELSE\nLIN P2\nENDIF\n$TOOL=$NULLFRAME"),
+        (".script", "f()\nif c: set_tcp(p[0,0,0.1,0,0,0]) else: movel(b2) end\nset_tcp(p[0,0,0.1,0,0,0])"),
+        (".script", "f()\nswitch c:\ncase 1: set_tcp(b1) default: movel(b2) end\nset_tcp(p[0,0,0.1,0,0,0])"),
+    ],
+)
+def test_a_branch_is_taken_in_place_of_the_others_and_not_behind_them(tmp_path, suffix, edit):
+    text = {".mod": RAPID.replace("{tool}", "tool0"), ".src": KRL, ".script": UR}[suffix]
+    program = read(tmp_path, suffix, text.replace("#", edit).replace("%\n", ""))
+    assert [target.name.upper()[-1] for target in program.targets] == ["1"]
+
+
+@pytest.mark.parametrize(
     ("suffix", "text", "call"),
     [
         (".mod", RAPID.replace("{tool}", "t"), "rGrip;"),
@@ -272,7 +289,8 @@ def test_a_routine_that_is_said_to_be_harmless_is(tmp_path, suffix, text, call):
 @pytest.mark.parametrize(
     ("suffix", "text", "said"),
     [
-        (".script", "def m():\nmovel(b1)\n", "no 'end' ends"),
+        (".script", "def m():\nmovel(b1)\n", "routine 'm' has no end"),
+        (".script", "def m():\nwhile c:\nmovel(b1)\nend\n", "has no end"),
         (".script", "movel(b1)\nend\n", "'end' ends nothing"),
         (".script", "def m():\nelse:\nend\n", "'else' belongs to nothing"),
         (".script", "def m():\nmovel(?)\nend\n", "'?' is not understood"),
@@ -285,7 +303,7 @@ def test_a_routine_that_is_said_to_be_harmless_is(tmp_path, suffix, text, call):
         (".src", "DEF p()\nLIN {X 1,\nY 2}\nEND\n", "bracket that is not closed"),
         (".src", "DEF p()\nUNTIL TRUE\nEND\n", "'UNTIL' belongs to nothing"),
         (".ls", LS.replace("#", " IF (R[1]=1) THEN ;").replace("%\n", ""), "is not ended"),
-        (".ls", LS.replace("#", " ENDFOR ;").replace("%\n", ""), "'ENDFOR' belongs to nothing"),
+        (".ls", LS.replace("#", " ENDFOR ;").replace("%\n", ""), "'ENDFOR' ends nothing"),
         (".ls", LS.replace("#\n", "").replace("%\n", "").replace("P[2]{", "P[1]{"), "is in /POS twice"),
     ],
 )

@@ -161,6 +161,7 @@ class _Reader(KrlFrames):
             self._move(at, stop)
         elif is_name and equals < stop and (equals == at + 1 or after.text in ("[", ".")):
             self.assign(at, stop, equals)
+            self.uses.set(word)
             self.select_assigned(at, stop, equals)
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)

@@ -226,6 +226,7 @@ class _Reader(Reader):
             self.call_elsewhere(code.shown(at, stop), code.line(at))
         elif equals < stop and code.is_mark(at + 1, ":=", "{", "."):
             self.assign(at, stop, equals)
+            self.uses.set(word)
         elif word == "CONNECT":
             self.uses.set(code.tokens[at + 1].text)
         elif word in ("CONFL", "CONFJ"):

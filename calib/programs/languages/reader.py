@@ -345,12 +345,12 @@ class Reader(ABC):
             self.call(at, (at + 2, close), maybe=at > first or close + 1 < stop)
 
     def assign(self, first: int, stop: int, equals: int) -> None:
-        """Take in an assignment."""
-        name = self.code.tokens[first].text
+        """Take in what an assignment computes."""
+        if self.code.until(equals + 1, stop, self.assigning) < stop:
+            raise self.wrong(equals, "stands twice in a statement")
         self.expression(first + 1, equals)
         self.expression(equals + 1, stop)
-        self.uses.set(name)
-        self.uses.compute(name, self.names(first + 1, stop))
+        self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
 
     def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
         """Take in a call with its arguments, which may not happen."""
@@ -367,9 +367,9 @@ class Reader(ABC):
 
     def call_elsewhere(self, shown: str, line: int) -> None:
         """Take in a call of a routine that is declared elsewhere."""
-        remedy = f"'{shown}' (line {line}), which is declared nowhere here and may {{}}; say --harmless {shown} if it"
-        self.flow.lose(f"is not known after {remedy.format(self.danger)} does not", self.lost)
-        self.foreign = self.foreign or f"{remedy.format('set data')} does not"
+        called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
+        self.flow.lose(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
+        self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
 
     def set_arguments(self, span: Span, why: str) -> None:
         """Take in that all names that stand bare in a call may be set."""

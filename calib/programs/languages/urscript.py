@@ -114,9 +114,7 @@ class _Reader(Reader):
         if equals == stop:
             self.expression(at, stop)
             return
-        self.expression(at + 1, equals)
-        self.expression(equals + 1, stop)
-        self.uses.compute(name, self.names(at + 1, stop))
+        self.assign(at, stop, equals)
         if equals > at + 1 or name in self.declared or self._numbers((equals + 1, stop)) is None:
             self.uses.set(name, "is set more than once, or not to plain numbers")
         else:

@@ -55,7 +55,9 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         "interpolation_mm": off,
         "interpolation_deg": {"max": angle["max"]},
     }
-    more = [] if kept else [f"{wrong.capitalize()}, at {len(corrections.position_errors)} points between nodes"]
+    more = (
+        [] if kept else [f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"]
+    )
     what = counted(len(corrections.nodes), "node"), "with corrections", "all zero"
     subjects = "At the nodes the tool", ""
     job.report(corrections, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)

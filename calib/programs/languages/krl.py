@@ -16,8 +16,9 @@ import pinocchio as pin
 
 from calib.programs.languages.control_flow import State
 from calib.programs.languages.krl_frames import SELECTED, KrlFrames
-from calib.programs.languages.reader import Data, Frame, selected, spelled
+from calib.programs.languages.reader import Data, Frame, selected
 from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
 from calib.programs.languages.visits import Place
 

@@ -20,35 +20,29 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import RAPID, RAPID_SETS
-from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import NO_VALUE, Data, Reader, spelled
+from calib.programs.languages.harmless import RAPID_SETS
+from calib.programs.languages.rapid_data import SIZES, TWO_TARGETS, RapidData
+from calib.programs.languages.reader import NO_VALUE, Data
 from calib.programs.languages.robot_program import (
     DEGREE,
-    MILLIMETRE,
     Configuration,
     LeftOutError,
-    Number,
     ProgramTarget,
     RobotProgram,
     Source,
     cells_at,
 )
-from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.statements import spelled
+from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
 _WHAT = "a RAPID module"
-_WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
-_SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
-_REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 _OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 _MOVE = re.compile(
     r"(?:MOVE|TRIGG)(?:L|C|J|ABSJ)(?:SYNC|DO|AO|GO|IOS)?|ARC[LC](?:START|END|\d)?|SPOT(?:L|J|ML|MJ)"
     r"|(?:DISP|PAINT|SEARCH)[LC](?:START|END)?"
 )
-_TWO = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
 _ABSOLUTE = re.compile(r"\w+ABSJ")
 _DISPLACED = Unknown("is active here (PDispOn, PDispSet, EOffsOn)")
 _MODES: dict[str, tuple[str, Unknown | None]] = {
@@ -61,7 +55,6 @@ _MODES: dict[str, tuple[str, Unknown | None]] = {
 }
 _NONE = 8e9  # external axes that are not there say 9E9
 _QUARTER = np.pi / 2
-_FIXED = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity()}
 
 
 def read_rapid(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
@@ -90,16 +83,9 @@ def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     }
 
 
-class _Reader(Reader):
-    language, assigning, danger = "RAPID", ":=", "change a mode of motion"
-
+class _Reader(RapidData):
     def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        code = Code(source, _WORDS, lines="blank", ends=";:")
-        start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
-        super().__init__([source], [code], start, RAPID | set(harmless), "PROC FUNC")
-        traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
-        self.routines |= {code.tokens[at + 1].text: False for at in traps}
-        self.frames = {**_FIXED, **frames}
+        super().__init__(source, frames, harmless)
         self.words = spelled(
             {
                 self.begin: "PROC FUNC",
@@ -123,15 +109,6 @@ class _Reader(Reader):
                 self.halt: "EXIT EXITCYCLE RETRY TRYNEXT",
             }
         )
-
-    def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return the names of a parameter, and whether it is a reference."""
-        names = [
-            self.code.tokens[k].text
-            for k in self.code.names(*span)
-            if self.code.is_mark(k + 1, ",", ")", "\\", "|", "{")
-        ]
-        return names, bool(self.names(*span) & {*_REFERENCES})
 
     def read(self, at: int = 0) -> None:
         """Read all statements behind what a controller writes first: %%% ... %%%."""
@@ -178,12 +155,12 @@ class _Reader(Reader):
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
         equals = code.until(name, stop, ":=")
-        if kind in _SIZES:
+        if kind in SIZES:
             shared, value = code.tokens[at].text != "CONST" and not local, (equals + 1, stop)
             shown, key = code.shown(name, name + 1), code.tokens[name].text
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
-            for k, span in enumerate(self._parts(value) if code.is_mark(name + 1, "{") else (), 1):
+            for k, span in enumerate(self.parts(value) if code.is_mark(name + 1, "{") else (), 1):
                 self.declare(f"{key}{{{k}}}", Data(f"{shown}{{{k}}}", 0, span, kind, shared))
         self.expression(equals + 1, stop)
         self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
@@ -272,7 +249,7 @@ class _Reader(Reader):
     # targets
 
     def _targets(self, word: str, spans: Sequence[Span], options: Mapping[str, Span], state: State | None) -> None:
-        targets = list(spans[: 2 if _TWO.match(word) else 1])
+        targets = list(spans[: 2 if TWO_TARGETS.match(word) else 1])
         if word.startswith("SEARCH"):
             targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
         for span in targets:
@@ -282,59 +259,6 @@ class _Reader(Reader):
                 lambda span=span: self._data(word, span),  # type: ignore[misc]
                 lambda data, state: (self._target(word, data, spans, options, state), ()),
             )
-
-    def _parts(self, span: Span) -> list[Span]:
-        inside = self.code.inside(*span, "[")
-        return self.code.split(*inside) if inside else []
-
-    def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
-        """Places of the plain numbers in brackets."""
-        spans = self._parts(span)
-        numbers = [self.code.number(*part) for part in spans]
-        for number, part in zip(numbers, spans, strict=True):
-            if number is None:
-                raise LeftOutError(f"'{self.code.shown(*part)}' is not a plain number")
-        if len(spans) != count:
-            raise DataError(f"{self.code.where(span[0])}: {what} has {len(spans)} numbers; expected {count}")
-        return [number for number in numbers if number is not None]
-
-    def _values(self, span: Span, count: int, what: str) -> list[float]:
-        return [float(self.sources[0].text[slice(*place)]) for place in self._numbers(span, count, what)]
-
-    def _complete(self, data: Data) -> list[Span]:
-        """The parts of data, all of them."""
-        parts = self._parts(data.span)
-        if len(parts) != _SIZES[data.kind]:
-            what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
-            raise DataError(f"{self.code.where(data.span[0])}: {what}")
-        return parts
-
-    def _pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
-        """The numbers of a position and a quaternion, and the pose."""
-        where = self.code.where(parts[0][0])
-        if len(parts) != 2:
-            raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
-        spans = self._numbers(parts[0], 3, "a position") + self._numbers(parts[1], 4, "a quaternion")
-        cells = cells_at(self.sources[0], 0, spans, (*[MILLIMETRE] * 3, *[0.0] * 4))
-        return cells, pose_of([cell.value for cell in cells], "quaternion", where)
-
-    def frame(self, data: Data) -> pin.SE3 | str:
-        """Return a tool or work object as a frame, or why it cannot be one."""
-        parts = self._complete(data)
-        texts = [self.code.tokens[start].text for start, _ in parts]
-        try:
-            if data.kind == "TOOLDATA":
-                if texts[0] != "TRUE":
-                    return f"tool '{data.name}' is not on the robot"
-                return self._pose(self._parts(parts[1]))[1]
-            if texts[0] != "FALSE":
-                return f"the robot holds work object '{data.name}'"
-            if texts[1] != "TRUE":
-                return f"work object '{data.name}' is moved by another unit"
-            user, work = (self._pose(self._parts(part))[1] for part in parts[3:])
-            return user * work
-        except LeftOutError as why:
-            return f"'{data.name}' is not constant: {why}"
 
     def _data(self, word: str, span: Span) -> Data:
         """The numbers of a target that an argument is or names."""
@@ -357,18 +281,18 @@ class _Reader(Reader):
         self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
-        parts, line, path = self._complete(data), self.code.line(data.span[0]), self.sources[0].path
-        if any(value < _NONE for value in self._values(parts[-1], 6, "extax")):
+        parts, line, path = self.complete(data), self.code.line(data.span[0]), self.sources[0].path
+        if any(value < _NONE for value in self.values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
         if data.kind == "JOINTTARGET":
-            cells = cells_at(self.sources[0], 0, self._numbers(parts[0], 6, "robax"), [DEGREE] * 6)
+            cells = cells_at(self.sources[0], 0, self.numbers(parts[0], 6, "robax"), [DEGREE] * 6)
             return ProgramTarget(line, path, data.name, cells, None)
-        cells, _ = self._pose(parts[:2])
+        cells, _ = self.pose(parts[:2])
         if isinstance(state["PDISP"], Unknown):
             raise LeftOutError(f"a program displacement {state['PDISP'].why}")
-        tool, frame = self._tool(word, spans), self._work_object(options)
+        tool, frame = self.tool(word, spans), self.work_object(options)
         checked = state["CONFJ" if word.startswith(("MOVEJ", "TRIGGJ")) else "CONFL"]
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
@@ -377,43 +301,7 @@ class _Reader(Reader):
 
     def _configuration(self, span: Span) -> Configuration:
         """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""
-        quarters = [round(value) for value in self._values(span, 4, "a configuration")]
+        quarters = [round(value) for value in self.values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
         return Configuration(self.code.shown(*span), ranges, behind, elbow)
-
-    def _is_frame(self, name: str, kind: str) -> bool:
-        """Whether a name is that of a tool or work object."""
-        return self.declared[name].kind == kind if name in self.declared else name in self.frames
-
-    def _tool(self, word: str, spans: Sequence[Span]) -> pin.SE3:
-        known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
-        if not known:
-            place = 4 if _TWO.match(word) else 3
-            name = self.code.shown(*spans[place]) if len(spans) > place else "?"
-            raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
-        return self._usable(known[-1])
-
-    def _work_object(self, options: Mapping[str, Span]) -> pin.SE3:
-        if "WOBJ" not in options:
-            return pin.SE3.Identity()
-        name = self.code.text(*options["WOBJ"])
-        if not self._is_frame(name, "WOBJDATA"):
-            shown = self.code.shown(*options["WOBJ"])
-            raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
-        return self._usable(name)
-
-    def _usable(self, name: str) -> pin.SE3:
-        """A tool or work object that nothing sets."""
-        data = self.declared.get(name)
-        if data is None or data.span == NO_VALUE:
-            frame = self.frames.get(name, f"'{name.lower()}' is not constant: it has no value")
-        else:
-            frame = self.frame(data)
-        if self.uses.is_set(name.partition("{")[0]):
-            frame = f"'{name.lower()}' {self.uses.why_not(name.partition('{')[0])}"
-        elif self.foreign and name not in _FIXED and (data is None or data.shared):
-            frame = f"'{name.lower()}' may be set by {self.foreign}"
-        if isinstance(frame, str):
-            raise LeftOutError(frame)
-        return frame

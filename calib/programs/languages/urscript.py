@@ -17,7 +17,7 @@ import pinocchio as pin
 from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.harmless import URSCRIPT, names
 from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import Data, Frame, Reader, selected, spelled
+from calib.programs.languages.reader import Data, Frame, Reader, selected
 from calib.programs.languages.robot_program import (
     DEGREE,
     LeftOutError,
@@ -27,6 +27,7 @@ from calib.programs.languages.robot_program import (
     Source,
     cells_at,
 )
+from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Code, Span, word_pattern
 from calib.programs.languages.visits import Place, Visit
 

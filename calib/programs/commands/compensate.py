@@ -24,7 +24,7 @@ from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Poses
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import read_table
-from calib.core.results.result_reading import load_known, read_result
+from calib.core.results.result_reading import load_result, read_content
 from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
@@ -149,12 +149,7 @@ def command(
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
-    known = load_known(result, nominal)
-    if not len(known.joints):
-        output.note(
-            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are placed where"
-            " the robots agree best around home; fit again"
-        )
+    known = load_result(result, nominal).known
     suffix, job = Path(program).suffix.lower(), Job(known, program, result, out, output)
     kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
     links, of_gcode = (base_link, flange_link, third_joint), (zero, start, tolerance_mm, dialect)
@@ -285,5 +280,5 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
 
 def _held_out(folder: str) -> float | None:
     """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
-    errors = read_result(folder).get("errors", {}).get("validation")
+    errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")

@@ -101,6 +101,7 @@ def _name_or_list(value: Any) -> str:
 class Description(Section):
     """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
 
+    `xacro` has the arguments of a xacro file.
     `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
@@ -112,6 +113,7 @@ class Description(Section):
     """
 
     urdf: str
+    xacro: dict[str, str] = Field(default_factory=dict)
     name_mot: tuple[str, ...] = Field(min_length=1)
     closed_loop: tuple[tuple[str, str], ...] = ()
     type: tuple[Literal["3d", "6d"], ...] = ()

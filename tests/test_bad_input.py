@@ -92,7 +92,6 @@ BAD_DATA = {
     "comments only": ("# nothing\n", "data.csv: is empty; expected a header line and rows of numbers"),
     "header only": (ROWS[0] + "\n", "data.csv: has a header but no rows"),
     "binary": (bytes(range(256)) * 4, "data.csv: is not UTF-8 text; give a CSV file in UTF-8"),
-    "UTF-16": (DATA.encode("utf-16"), "data.csv: is not UTF-8 text; give a CSV file in UTF-8"),
     "open quote": (data(line3='"0,0,0,1,2,3'), "data.csv, line 3: is not CSV"),
     "repeats that differ": (
         "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",

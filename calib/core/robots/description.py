@@ -109,6 +109,8 @@ class Description(Section):
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
+    `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
+    nearest `time`, at most `lag` away [s].
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
@@ -150,6 +152,8 @@ class Description(Section):
     tolerance: PositiveLength | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
+    join: Literal["pose", "rows", "time"] = "pose"
+    lag: Annotated[float, Field(gt=0)] = 0.02
 
     @model_validator(mode="after")
     def _named_once(self) -> Description:

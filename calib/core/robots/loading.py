@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
-from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.units import Dimension, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
 from calib.core.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
@@ -222,17 +223,22 @@ def _check_columns(
     texts |= {"pose", "setup"}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
-        name, unit = split_column(column)
+        mapped = mapped_column(column)
+        name, unit = mapped.name, mapped.unit
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
-        if name in texts and unit is None:
+        if name in texts and unit is None and mapped.plain:
             continue
         if name not in dimensions:
             raise DescriptionError(
                 f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
             )
         dimension = dimensions[name]
+        if mapped.factor == 0.0:
+            raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
+        if mapped.offset and dimension is not None and unit is None:
+            raise DescriptionError(f"{where}: columns.{foreign}: say the unit of the offset, such as [deg] or [mm]")
         if dimension is None:
             continue
         try:

@@ -182,6 +182,7 @@ BAD_URDFS = {
     "UTF-16": (ARM_URDF.encode("utf-16"), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
     "binary": (bytes(range(256)), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
     "another XML": ("<html/>", "arm.urdf: the top element is <html>, not <robot>"),
+    "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: is an SDF file of Gazebo"),
     "no links": ("<robot name='r'/>", "arm.urdf: has no links"),
     "a ring": (ARM_URDF.replace('parent link="ground"', 'parent link="tool"'), "'upper' is its own ancestor"),
     "two parents": (ARM_URDF.replace('child link="tool"', 'child link="hand"'), "link 'hand' is the child of joints"),

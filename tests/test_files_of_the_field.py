@@ -1,5 +1,6 @@
 """Measurements as other programs write them: read by their head, or named; signs and zeros of columns; joined files."""
 
+import importlib
 import json
 import re
 from pathlib import Path
@@ -200,3 +201,9 @@ def test_ordinary_tables_are_none_of_these(tmp_path):
     for path in (*tmp_path.glob("*.csv"), *(Path(__file__).parents[1] / "docs" / "examples").glob("*.csv")):
         file = SomeFile(path, path.read_bytes()[: 1 << 16], {})
         assert [each.name for each in other_formats() if each.fits(file)] == [], path
+
+
+def test_the_page_has_the_table_of_formats(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "docs" / "site")
+    make_files_table = importlib.import_module("make_files_table")
+    assert make_files_table.page() == make_files_table.PAGE.read_text(encoding="utf-8"), "run make_files_table.py"

@@ -204,6 +204,6 @@ def test_ordinary_tables_are_none_of_these(tmp_path):
 
 
 def test_the_page_has_the_table_of_formats(monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "docs" / "site")
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "docs" / "site"))
     make_files_table = importlib.import_module("make_files_table")
     assert make_files_table.page() == make_files_table.PAGE.read_text(encoding="utf-8"), "run make_files_table.py"

@@ -75,6 +75,7 @@ CAPABILITIES = (
     Room("Photographs", None, ("photographs",)),
     Room("Files", None, ("files",)),
     Room("Printers", None, ("printers",)),
+    Room("Quality", None, ("quality",)),
 )
 ROOMS = (*CORE, *CAPABILITIES)
 

@@ -20,6 +20,7 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "marlin", "calib.printers.first_files:MARLIN"),
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
         ("calib.models", "universal robots", "calib.fleets.atlas:MODELS"),
+        ("calib.readers", "programs", "calib.files.formats:FORMATS"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
     )
 )

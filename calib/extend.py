@@ -8,6 +8,7 @@ What a package adds is named in its `pyproject.toml`, under these groups of entr
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
     calib.formats               formats of `calib export`: a tuple of `Format`
     calib.models                models by name: a mapping to files that `calib fleet` wrote, with their URDF
+    calib.readers               formats of measurement files: a tuple of `OtherFormat`
     calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
@@ -19,6 +20,7 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength, Quantity, Section
 from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
+from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.checking import check_kind
 from calib.core.instruments.kind import (
@@ -76,6 +78,7 @@ __all__ = [
     "JointTerm",
     "Noise",
     "Origin",
+    "OtherFormat",
     "Output",
     "Parameter",
     "Parametrisation",
@@ -93,6 +96,7 @@ __all__ = [
     "Robot",
     "Scene",
     "Section",
+    "SomeFile",
     "Source",
     "TermSection",
     "View",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import scipy
@@ -15,7 +16,8 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.settings import Settings
 from calib.core.instruments.kind import Readings
 from calib.core.judging.verdict import JudgedFit
-from calib.core.robots.loading import robot as robot_of
+from calib.core.robots.description import checked_description
+from calib.core.robots.loading import build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
@@ -82,11 +84,11 @@ class TwinFit:
         description, name = robot.description, robot.target_names[0]
         target, state = description.targets[name], "unknown" if tool is None else "known"
         placed = {"pose": "unknown" if base is None else "known", **_xyz_rpy(aligned.base if base is None else base)}
-        model = robot_of(
-            robot.urdf.path,
-            motors=robot.joint_names,
-            base={"frame": description.base.frame, **placed},
-            target={
+        content = {
+            "urdf": Path(robot.urdf.path).name,
+            "name_mot": robot.joint_names,
+            "base": {"frame": description.base.frame, **placed},
+            "targets": {
                 name: {
                     "frame": target.frame,
                     "position": state,
@@ -94,9 +96,10 @@ class TwinFit:
                     **_xyz_rpy(aligned.tool if tool is None else tool),
                 }
             },
-            instruments={_CONTROLLER: {"kind": "pose", "target": name}},
-            parametrisation=default_sections(),
-        )
+            "instruments": {_CONTROLLER: {"kind": "pose", "target": name}},
+            "parametrisation": default_sections(),
+        }
+        model = build(checked_description(content, robot.urdf.path), robot.urdf, robot.urdf.path)
         parent = {joint.child: joint for joint in robot.urdf.joints}
         behind, link = [], target.frame
         while link in parent and parent[link].name not in robot.joint_names:

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.core.results.result_reading import load_calibrated, load_uncertainty
+from calib.core.results.result_reading import load_result
 from calib.core.robots.terms.terms import listed_terms
 from calib.core.rows.candidates import rows_of_poses
-from calib.core.rows.prediction import PositionUncertainty, other_combinations
+from calib.core.rows.prediction import PositionUncertainty, order_of_joints, other_combinations
 
 SIGMA = 4e-5
 
@@ -113,9 +113,8 @@ def test_positions_are_better_known_than_single_parameters(fit):
 
 def test_the_uncertainty_comes_back_from_the_result_folder(fit, tmp_path):
     fit.save(tmp_path / "out")
-    calibrated = load_calibrated(tmp_path / "out", fit.nominal)
     q = joints(4, seed=5)
-    again = load_uncertainty(tmp_path / "out", fit.nominal).at(calibrated, q)
+    again = load_result(tmp_path / "out", fit.nominal).predict(q)
     np.testing.assert_allclose(again.covariance, fit.predict(q).covariance, rtol=1e-9)
     assert again.coverage_factor == pytest.approx(fit.statistics.coverage_factor)
 
@@ -152,8 +151,8 @@ def test_predict_without_a_result_states_no_uncertainty(fit, tmp_path, run_calib
 
 def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
     fit.save(tmp_path / "out")
-    with pytest.raises(calib.DataError, match="run the fit again"):
-        load_uncertainty(tmp_path / "out", medrue)
+    with pytest.raises(calib.DataError, match="is the result of another robot"):
+        load_result(tmp_path / "out", medrue)
 
 
 def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do_together():
@@ -163,6 +162,18 @@ def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do
     np.testing.assert_array_equal(np.sort(mixed, axis=0), path)
     assert np.max(np.abs(np.corrcoef(mixed.T) - np.eye(6))) < 0.6
     assert len(other_combinations(path, 10)) == 10
+
+
+def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_of_axes():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        q, order, signs = rng.uniform(-2, 2, (40, 6)), rng.permutation(6), rng.choice([-1.0, 1.0], 6)
+        np.testing.assert_array_equal(
+            other_combinations(q[:, order] * signs, 15), other_combinations(q, 15)[:, order] * signs
+        )
+        places, ways = order_of_joints(q)
+        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[0], places[order])
+        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[1], ways[order] * signs)
 
 
 WIRES = """\

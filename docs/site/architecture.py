@@ -73,7 +73,9 @@ CAPABILITIES = (
     Room("Programs", None, ("programs",)),
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),
+    Room("Files", None, ("files",)),
     Room("Printers", None, ("printers",)),
+    Room("Quality", None, ("quality",)),
 )
 ROOMS = (*CORE, *CAPABILITIES)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.remembered import remembered
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.base.words import counted, joints_named, listed
 from calib.core.data.tolerances import stated_tolerance
 from calib.core.fitting.fitted import Fit
@@ -23,7 +23,7 @@ from calib.core.numerics.halton import halton
 from calib.core.robots.configurations import Configurations, configured
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.prediction import beside_common_motion, other_combinations
+from calib.core.rows.prediction import beside_common_motion, order_of_joints, other_combinations
 
 BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
@@ -66,9 +66,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
+            reach = quantity_text(float(np.ptp(data.joints[:, j])), dimension, ".2g", DISPLAY_UNIT)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"{joints_named(name)} moved through only {reach:.2g} {unit}. Positions are known to"
+                f"{joints_named(name)} moved through only {reach}. Positions are known to"
                 f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
                 " moves further. Measure poses that move it through its range"
             )
@@ -203,7 +203,9 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
     bounded = np.isfinite(half)
     low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
-    accuracy = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    order, signs = order_of_joints(q)
+    sample = halton(_SAMPLED, len(low))[:, order]
+    accuracy = _widened(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
     if accuracy:
         yield (
             f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"

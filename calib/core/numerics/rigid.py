@@ -57,6 +57,13 @@ def cross_matrices(points: FloatArray) -> FloatArray:
     return half - half.transpose(0, 2, 1)
 
 
+def rotations_by(vectors: FloatArray) -> FloatArray:
+    """Return the rotations exp([v]x) by vectors v (n, 3) [rad], (n, 3, 3)."""
+    cross, angle = cross_matrices(vectors), np.linalg.norm(vectors, axis=1)[:, None, None]
+    across = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + across * (cross @ cross))
+
+
 def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatArray:
     """Return where a point is that has these distances from points, (3,) [m].
 

@@ -1,0 +1,180 @@
+"""A way around what blocks a straight move: along free poses that are known, or found by OMPL; then shortened.
+
+All stops and some more free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it is
+checked move by move; a move that hits is taken out, until a way is free or none is left. What was checked for one stop
+serves the next. Where the map ends, OMPL's RRT-Connect searches, whose edges are proven free, too. OMPL asks whether a point is free, and whether a straight move is (`calib.motion.moves`); it never sees shapes. The way
+is shortened by leaving out corners while the move past them is free. The same seed gives the same way.
+
+Reference: Bohlin and Kavraki 2000; Kuffner and LaValle 2000; Sucan, Moll and Kavraki 2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.motion.moves import Move, check_move
+from calib.motion.scene import Scene
+
+_MOST_ASKED = 300  # times that OMPL may ask for a move
+_SHORTCUTS = 20
+_NEAREST = 12  # moves of each node of the roadmap
+_TRIED = 120  # moves that are checked on it for one way
+_STEP = 1.0  # of one joint, from one point of OMPL's trees to the next [m or rad]
+
+
+@dataclass(eq=False)
+class Planner:
+    """Finds ways in a scene.
+
+    Attributes:
+        scene: The scene.
+        nodes: Free poses of the roadmap, (n, n_actuated) [m or rad].
+        limits: Of the joints, (n_actuated, 2) [m or rad].
+        seed: Of random numbers.
+        known: Moves that were checked, by their ends.
+    """
+
+    scene: Scene
+    nodes: FloatArray
+    limits: FloatArray
+    seed: int
+    known: dict[bytes, Move] = field(default_factory=dict)
+
+    def move(self, start: FloatArray, end: FloatArray) -> Move:
+        """Return what the straight move between two commands is worth, both ways alike."""
+        key = b"".join(sorted((start.tobytes(), end.tobytes())))
+        if key not in self.known:
+            self.known[key] = check_move(self.scene, start, end)
+        return self.known[key]
+
+    def way(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+        """Return the corners of a free way between two free commands, both included, (n, n_actuated); None: none found.
+
+        Raises:
+            InputError: OMPL is needed, and not installed.
+        """
+        if not self.move(start, end).hit:
+            return np.array([start, end])
+        found = self._on_roadmap(start, end)
+        if found is None:
+            found = self._searched(start, end)
+        return None if found is None else self._shortened(found)
+
+    def _on_roadmap(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+        """The shortest way along the nodes whose moves are free."""
+        points = np.vstack([start, end, self.nodes])
+        width = np.maximum(np.ptp(points, axis=0), 1e-9)
+        gaps = np.max(np.abs(points[:, None] - points[None]) / width, axis=2)
+        near = np.argsort(gaps, axis=1, kind="stable")[:, 1 : _NEAREST + 1]
+        weights = np.zeros_like(gaps)  # 0: no move
+        rows = np.repeat(np.arange(len(points)), near.shape[1])
+        weights[rows, near.ravel()] = np.maximum(gaps[rows, near.ravel()], 1e-9)
+        weights = np.maximum(weights, weights.T)
+        for _ in range(_TRIED):
+            length, before = scipy.sparse.csgraph.dijkstra(weights, indices=0, return_predecessors=True)
+            if not np.isfinite(length[1]):
+                return None
+            way = [1]
+            while way[-1] != 0:
+                way.append(int(before[way[-1]]))
+            blocked = next(((a, b) for a, b in pairwise(way) if self.move(points[a], points[b]).hit), None)
+            if blocked is None:
+                return points[way[::-1]]
+            weights[blocked] = weights[blocked[::-1]] = 0.0
+        return None
+
+    def _searched(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+        try:
+            from ompl import base, geometric, util
+        except ImportError:
+            raise InputError(
+                f"a straight move is blocked ({self.move(start, end).hit}), and a way around it needs OMPL; install"
+                " it: pip install 'medrue[motion]'"
+            ) from None
+        n, asked = len(start), 0
+        util.noOutputHandler()
+        space = base.RealVectorStateSpace(n)
+        bounds = base.RealVectorBounds(n)
+        low, high = np.minimum(self.limits[:, 0], np.minimum(start, end)), np.maximum(self.limits[:, 1], np.maximum(start, end))
+        for k in range(n):
+            bounds.setLow(k, float(low[k]))
+            bounds.setHigh(k, float(high[k]))
+        space.setBounds(bounds)
+        information = base.SpaceInformation(space)
+
+        def numbers(state: Any) -> FloatArray:
+            return np.array([state[k] for k in range(n)])
+
+        def is_free(state: Any) -> bool:
+            return not self.scene.hits(numbers(state)[None])[0]
+
+        class Proven(base.MotionValidator):  # type: ignore[misc]
+            """Asks for the whole move."""
+
+            def checkMotion(validator, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802, N805
+                nonlocal asked
+                asked += 1
+                return not self.move(numbers(one), numbers(other)).hit
+
+        information.setStateValidityChecker(is_free)
+        validator = Proven(information)
+        information.setMotionValidator(validator)
+        information.setup()
+        problem, ends = base.ProblemDefinition(information), (space.allocState(), space.allocState())
+        for state, values in zip(ends, (start, end), strict=True):
+            for k in range(n):
+                state[k] = float(values[k])
+        problem.setStartAndGoalStates(*ends)
+        planner = geometric.RRTConnect(information)
+        planner.setRange(_STEP * float(np.sqrt(n)))
+        planner.setProblemDefinition(problem)
+        planner.setup()
+        solved = planner.solve(base.PlannerTerminationCondition(lambda: asked >= _MOST_ASKED))
+        if not solved or not problem.hasExactSolution():
+            return None
+        path = problem.getSolutionPath()
+        return np.array([numbers(path.getState(k)) for k in range(path.getStateCount())])
+
+    def _shortened(self, corners: FloatArray) -> FloatArray:
+        """A way with fewer corners, and shorter ones."""
+        generator = np.random.default_rng(self.seed)
+        corners = self._straightened(corners)
+        for _ in range(_SHORTCUTS if len(corners) > 2 else 0):
+            cut = self._cut_off(corners, generator)
+            if cut is not None:
+                corners = self._straightened(cut)
+        return corners
+
+    def _straightened(self, corners: FloatArray) -> FloatArray:
+        """The way without the corners that it can pass by, from the farthest on."""
+        kept = [0]
+        while kept[-1] < len(corners) - 1:
+            here = kept[-1]
+            ahead = range(len(corners) - 1, here + 1, -1)
+            kept.append(next((k for k in ahead if not self.move(corners[here], corners[k]).hit), here + 1))
+        return corners[kept]
+
+    def _cut_off(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
+        """The way past a corner, from somewhere before it to somewhere behind; None where that is blocked."""
+        if len(corners) < 3:
+            return None
+        k = int(generator.integers(1, len(corners) - 1))
+        before, behind = generator.uniform(0.2, 0.9, 2)
+        one = corners[k] + before * (corners[k - 1] - corners[k])
+        other = corners[k] + behind * (corners[k + 1] - corners[k])
+        if self.move(one, other).hit or self.move(corners[k - 1], one).hit or self.move(other, corners[k + 1]).hit:
+            return None
+        return np.vstack([corners[:k], one, other, corners[k + 1 :]])
+
+
+def legs(corners: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Return the straight moves of a way."""
+    return zip(corners[:-1], corners[1:], strict=True)

@@ -10,10 +10,8 @@ Reference: Bohlin and Kavraki 2000; Kuffner and LaValle 2000; Sucan, Moll and Ka
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import scipy
@@ -25,9 +23,8 @@ from calib.motion.scene import Scene
 
 _MOST_ASKED = 300  # times that OMPL may ask for a move
 _SHORTCUTS = 20
-_NEAREST = 12  # moves of each node of the roadmap
-_TRIED = 120  # moves that are checked on it for one way
-_STEP = 1.0  # of one joint, from one point of OMPL's trees to the next [m or rad]
+_NEAREST = 25  # moves of each node of the roadmap
+_TRIED = 200  # moves that are checked on it for one way
 
 
 @dataclass(eq=False)
@@ -93,55 +90,20 @@ class Planner:
 
     def _searched(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
         try:
-            from ompl import base, geometric, util
+            from calib.motion.ompl_search import search
         except ImportError:
             raise InputError(
                 f"a straight move is blocked ({self.move(start, end).hit}), and a way around it needs OMPL; install"
                 " it: pip install 'medrue[motion]'"
             ) from None
-        n, asked = len(start), 0
-        util.noOutputHandler()
-        space = base.RealVectorStateSpace(n)
-        bounds = base.RealVectorBounds(n)
-        low, high = np.minimum(self.limits[:, 0], np.minimum(start, end)), np.maximum(self.limits[:, 1], np.maximum(start, end))
-        for k in range(n):
-            bounds.setLow(k, float(low[k]))
-            bounds.setHigh(k, float(high[k]))
-        space.setBounds(bounds)
-        information = base.SpaceInformation(space)
-
-        def numbers(state: Any) -> FloatArray:
-            return np.array([state[k] for k in range(n)])
-
-        def is_free(state: Any) -> bool:
-            return not self.scene.hits(numbers(state)[None])[0]
-
-        class Proven(base.MotionValidator):  # type: ignore[misc]
-            """Asks for the whole move."""
-
-            def checkMotion(validator, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802, N805
-                nonlocal asked
-                asked += 1
-                return not self.move(numbers(one), numbers(other)).hit
-
-        information.setStateValidityChecker(is_free)
-        validator = Proven(information)
-        information.setMotionValidator(validator)
-        information.setup()
-        problem, ends = base.ProblemDefinition(information), (space.allocState(), space.allocState())
-        for state, values in zip(ends, (start, end), strict=True):
-            for k in range(n):
-                state[k] = float(values[k])
-        problem.setStartAndGoalStates(*ends)
-        planner = geometric.RRTConnect(information)
-        planner.setRange(_STEP * float(np.sqrt(n)))
-        planner.setProblemDefinition(problem)
-        planner.setup()
-        solved = planner.solve(base.PlannerTerminationCondition(lambda: asked >= _MOST_ASKED))
-        if not solved or not problem.hasExactSolution():
-            return None
-        path = problem.getSolutionPath()
-        return np.array([numbers(path.getState(k)) for k in range(path.getStateCount())])
+        return search(
+            start,
+            end,
+            self.limits,
+            lambda q: not self.scene.hits(q[None])[0],
+            lambda one, other: not self.move(one, other).hit,
+            _MOST_ASKED,
+        )
 
     def _shortened(self, corners: FloatArray) -> FloatArray:
         """A way with fewer corners, and shorter ones."""
@@ -174,7 +136,3 @@ class Planner:
             return None
         return np.vstack([corners[:k], one, other, corners[k + 1 :]])
 
-
-def legs(corners: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Return the straight moves of a way."""
-    return zip(corners[:-1], corners[1:], strict=True)

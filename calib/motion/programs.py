@@ -218,9 +218,13 @@ def _duration(seconds: float) -> dict[str, int]:
 
 
 def _csv(route: Route, motion: Motion) -> str:
-    """Every point in order; corners of ways around have no pose name."""
-    rows = [(stop.name, q, last) for stop in route.stops for q, last in ((*((c, False) for c in stop.corners), (stop.joints, True)))]
-    columns: list[tuple[str, list[object]]] = [("pose", [name if last else "" for name, _, last in rows])]
+    """Every point in order; corners of ways around are `via` points, without a dwell."""
+    rows = [
+        (stop.name if k == len(stop.corners) else f"{stop.name} via {k + 1}", q, k == len(stop.corners))
+        for stop in route.stops
+        for k, q in enumerate((*stop.corners, stop.joints))
+    ]
+    columns: list[tuple[str, list[object]]] = [("pose", [name for name, *_ in rows])]
     columns += joint_columns(route, np.array([q for _, q, _ in rows]))
     columns.append(("dwell [s]", [motion.dwell if last else 0.0 for *_, last in rows]))
     return format_table(columns, (_question(route),))

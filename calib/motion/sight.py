@@ -35,7 +35,7 @@ class Line:
     """A line of sight.
 
     Attributes:
-        name: Such as `tracker - tool`.
+        name: The target, and by which instrument where that has a name of its own, such as `board by camera`.
         ends: Joint indices of the two frames.
         points: The ends in these frames, (2, 3) [m].
         width: [m].
@@ -73,9 +73,9 @@ class Sight:
         """What hides a target in a configuration, line by line."""
         for line, ends, turned in self._placed(q):
             if turned:
-                yield f"{line.target} turned away ({line.name})"
+                yield f"{line.name} turned away"
             for body in self.in_the_way(line, ends):
-                yield f"{body} in sight ({line.name})"
+                yield f"{body} in sight of {line.name}"
 
     def ends(self, q: FloatArray) -> list[FloatArray]:
         """Return both ends of each line in a configuration, in the root link, (2, 3) [m] each."""
@@ -151,7 +151,8 @@ def _lines(robot: Robot) -> Iterator[Line]:
                 source, width = np.array(stand.xyz), stand.width
             for point in _points_seen(instrument):
                 ends = np.array([source, point])
-                yield Line(f"{instrument.name} - {b}", (start, mechanism.places[b]), ends, width, b, target.acceptance)
+                name = b if instrument.name == b else f"{b} by {instrument.name}"
+                yield Line(name, (start, mechanism.places[b]), ends, width, b, target.acceptance)
 
 
 def _points_seen(instrument: FrameInstrument) -> FloatArray:

@@ -22,7 +22,11 @@ MAP_POSES = 1000
 @click.option(
     "--result", metavar="DIR", help="Result folder of `calib fit`: robot before and after, its poses and errors."
 )
-@click.option("--data", metavar="FILE", help="Measurements (CSV) to judge the robot with, instead of those of the fit; or poses alone, to look at.")
+@click.option(
+    "--data",
+    metavar="FILE",
+    help="Measurements (CSV) to judge the robot with, instead of those of the fit; or poses alone, to look at.",
+)
 @click.option(
     "--map",
     "mapped",

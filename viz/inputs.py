@@ -79,9 +79,9 @@ def _planned(robot: Robot, result: Result | None, poses: Poses) -> Shown:
     elif result is not None:
         robot = load_calibrated(result, robot, failed_too=True)
     check = check_poses(robot, poses.joints)
-    notes = (check.summary(),) if check.n_blocked else ()
-    notes += (f"collisions are not checked: {check.unchecked}",) if check.unchecked else check.remarks
-    return Shown(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=notes), robot, None)
+    notes = [check.summary()] if check.n_blocked else []
+    notes += [f"collisions are not checked: {check.unchecked}"] if check.unchecked else check.remarks
+    return Shown(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=tuple(notes)), robot, None)
 
 
 def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) -> Shown:

@@ -1,8 +1,8 @@
 """Pairs of shapes that are not looked at, as MoveIt's setup assistant leaves them out.
 
 Links that one joint connects, or a loop: their shapes meet there. Links that touch at home, or nearly always, at many
-poses: nobody can tell them apart. Pairs that an SRDF beside the URDF names. Pairs that never touched at many poses stay,
-other than there: they cost microseconds, and what is rare is what breaks a robot.
+poses: nobody can tell them apart. Pairs that an SRDF beside the URDF names. Pairs that never touched at many poses
+stay, other than there: they cost microseconds, and what is rare is what breaks a robot.
 
 Obstacles, and parts of the tool, are excused from nothing but touching always. An obstacle that touches a link that
 moves, wherever it is, is in the wrong place: that is an error.
@@ -18,7 +18,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, DescriptionError, nearest
 from calib.core.base.files import read_text
-from calib.core.base.words import counted, listed
+from calib.core.base.words import counted
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import element_tree
 from calib.motion.scene import Scene, all_shapes, moving_between
@@ -74,7 +74,9 @@ def _told_apart(scene: Scene) -> Scene:
         left_out = list(dict.fromkeys(np.array(names)[out]))
         if left_out:
             more = f" and {counted(len(left_out) - _SHOWN, 'further pair')}" if len(left_out) > _SHOWN else ""
-            scene = scene.with_pairs(scene.pairs, f"not checked, as they {reason}: {', '.join(left_out[:_SHOWN])}{more}")
+            scene = scene.with_pairs(
+                scene.pairs, f"not checked, as they {reason}: {', '.join(left_out[:_SHOWN])}{more}"
+            )
     kept = ~(always | home)
     return scene.with_pairs(tuple(pair for pair, stays in zip(scene.pairs, kept, strict=True) if stays))
 

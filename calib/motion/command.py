@@ -13,7 +13,15 @@ from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.base.words import counted, listed
-from calib.core.commands.common import Output, different_poses, loaded, placed, shared_options, values_options, with_values
+from calib.core.commands.common import (
+    Output,
+    different_poses,
+    loaded,
+    placed,
+    shared_options,
+    values_options,
+    with_values,
+)
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.plan_files import read_pose_files
 from calib.core.robots.robot import Robot
@@ -35,7 +43,9 @@ _READINGS = "readings.csv"
 )
 @click.option("--start", metavar="FILE", help="Where the robot stands first (CSV, one row); home if not given.")
 @click.option(
-    "--candidates", metavar="FILE", help="Poses (CSV) from which the next best stand in for those that cannot be visited."
+    "--candidates",
+    metavar="FILE",
+    help="Poses (CSV) from which the next best stand in for those that cannot be visited.",
 )
 @click.option("--name", default="calib_route", show_default=True, help="Name of the program.")
 @click.option(
@@ -47,7 +57,12 @@ _READINGS = "readings.csv"
     help="Of what the controller allows; URScript, ros2: of 143 deg/s.",
 )
 @click.option(
-    "--dwell", type=click.FloatRange(0), default=1.0, show_default=True, metavar="SECONDS", help="For the arm to settle."
+    "--dwell",
+    type=click.FloatRange(0),
+    default=1.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="For the arm to settle.",
 )
 @click.option(
     "--reading",
@@ -93,17 +108,13 @@ def command(
     visits = different_poses(read_pose_files((poses,), model))
     spare = None if candidates is None else different_poses(read_pose_files((candidates,), model))
     model = placed(model, visits)
-    motion = Motion(
-        name, speed / 100, 2.5 * speed / 100, dwell, reading, None if output_number < 0 else output_number
-    )
+    motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, None if output_number < 0 else output_number)
     written = languages or ("csv",)
     files = {language: ("route" if language == "csv" else name) + LANGUAGES[language].suffix for language in written}
     files.setdefault("csv", "route.csv")
     output.check(folders=(out,), names=(*files.values(), _READINGS))
     with output.working(f"finding ways to {counted(len(visits), 'pose')}") as progress:
-        route = plan_route(
-            model, visits, start=_start(start, model), candidates=spare, seed=seed, progress=progress
-        )
+        route = plan_route(model, visits, start=_start(start, model), candidates=spare, seed=seed, progress=progress)
     content = {file: write_program(route, language, motion).encode() for language, file in files.items()}
     write_folder(out, content | {_READINGS: table_to_fill_in(route).encode()}, force=output.force)
     output.say(_report(route))
@@ -132,7 +143,9 @@ def _report(route: Route) -> str:
     corners = route.corners()
     around = sum(len(stop.corners) > 0 for stop in route.stops)
     travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
-    lines = [f"{counted(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"]
+    lines = [
+        f"{counted(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
+    ]
     nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.on_the_way))
     least = min(nearest.clearance, nearest.on_the_way)
     if np.isfinite(least):

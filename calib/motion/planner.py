@@ -1,9 +1,10 @@
 """A way around what blocks a straight move: along free poses that are known, or found by OMPL; then shortened.
 
-All stops and some more free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it is
-checked move by move; a move that hits is taken out, until a way is free or none is left. What was checked for one stop
-serves the next. Where the map ends, OMPL's RRT-Connect searches, whose edges are proven free, too. OMPL asks whether a point is free, and whether a straight move is (`calib.motion.moves`); it never sees shapes. The way
-is shortened by leaving out corners while the move past them is free. The same seed gives the same way.
+All stops and some more free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it
+is checked move by move; a move that hits is taken out, until a way is free or none is left. What was checked for one
+stop serves the next. Where the map ends, OMPL's RRT-Connect searches, whose edges are proven free, too: it asks whether
+a point is free, and whether a straight move is (`calib.motion.moves`), and never sees shapes. The way is shortened by
+leaving out corners while the move past them is free.
 
 Reference: Bohlin and Kavraki 2000; Kuffner and LaValle 2000; Sucan, Moll and Kavraki 2012.
 """
@@ -135,4 +136,3 @@ class Planner:
         if self.move(one, other).hit or self.move(corners[k - 1], one).hit or self.move(other, corners[k + 1]).hit:
             return None
         return np.vstack([corners[:k], one, other, corners[k + 1 :]])
-

@@ -78,7 +78,9 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
 def _question(route: Route) -> str:
     """What is asked before anything moves, in letters that every controller shows."""
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * route.start)
-    return f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
+    return (
+        f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
+    )
 
 
 def _plain(stop: Stop) -> str:
@@ -90,8 +92,8 @@ def _remark(stop: Stop) -> str:
     if not np.isfinite(stop.clearance):
         return f"pose {_plain(stop)}"
     pair = re.sub(r"[^\w .:+-]", "_", stop.pair, flags=re.ASCII)
-    way = min(stop.clearance, stop.on_the_way)
-    return f"pose {_plain(stop)}, clearance {millimetres(stop.clearance):.0f} mm ({pair}), on the way {millimetres(way):.0f} mm"
+    at_stop, on_the_way = (int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.on_the_way)))
+    return f"pose {_plain(stop)}, clearance {at_stop} mm ({pair}), on the way {on_the_way} mm"
 
 
 def _joined(values: FloatArray, digits: int = 7) -> str:
@@ -202,13 +204,25 @@ def _ros2(route: Route, motion: Motion) -> str:
             time += max(float(np.max(np.abs(goal - here))) / motion.joint_speed, 0.1)
             points.append({"positions": goal.tolist(), "time_from_start": _duration(time)})
             here = goal
-        stops.append({"pose": stop.name, "arrival_s": round(time, 3), "read_s": round(time + motion.dwell, 3), "remark": _remark(stop)})
+        stops.append(
+            {
+                "pose": stop.name,
+                "arrival_s": round(time, 3),
+                "read_s": round(time + motion.dwell, 3),
+                "remark": _remark(stop),
+            }
+        )
         time += motion.dwell + motion.reading
         points.append({"positions": here.tolist(), "time_from_start": _duration(time)})
     zero = [0.0] * len(route.robot.joint_names)
     for point in points:  # at rest at every point, so that a controller that blends by splines goes straight
         point |= {"velocities": zero, "accelerations": zero}
-    content = {"confirm": _question(route), "joint_names": list(route.robot.joint_names), "points": points, "stops": stops}
+    content = {
+        "confirm": _question(route),
+        "joint_names": list(route.robot.joint_names),
+        "points": points,
+        "stops": stops,
+    }
     return json.dumps(content, indent=1) + "\n"
 
 
@@ -240,7 +254,9 @@ def table_to_fill_in(route: Route) -> str:
             unit = f" [{units[column.dimension]}]" if column.dimension in units else ""
             columns.append((f"{column.name}{unit}", [""] * len(route.stops)))
         columns += [(name, [""] * len(route.stops)) for name in instrument.text_columns()]
-    return format_table(columns, ("fill in what was read at each pose; rows of an instrument's own log join by 'pose'",))
+    return format_table(
+        columns, ("fill in what was read at each pose; rows of an instrument's own log join by 'pose'",)
+    )
 
 
 def joint_columns(route: Route, joints: FloatArray) -> list[tuple[str, list[object]]]:

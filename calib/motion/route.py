@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -168,7 +169,7 @@ def _stop(planner: Planner, name: str, way: FloatArray) -> Stop:
     scene = planner.scene
     apart = scene.distances(scene.configurations(way[-1:])[0])[0] + scene.margins
     nearest = int(np.argmin(apart)) if apart.size else -1
-    moves = [planner.move(a, b).clearance for a, b in zip(way[:-1], way[1:], strict=True)]
+    moves = [planner.move(a, b).clearance for a, b in pairwise(way)]
     pair = scene.name(nearest) if apart.size else ""
     return Stop(name, way[-1], way[1:-1], float(np.min(apart, initial=np.inf)), pair, min(moves))
 

@@ -2,13 +2,13 @@
 
 Distances are those of coal, by Pinocchio's `GeometryModel`, less the clearance that a pair keeps: below zero, it hits.
 
-How far can a pair come nearer while joints move? Joint j, between the links of shapes a and b, turns one of them about
-its axis. No point of that shape is farther from the axis than
+How far can a pair come nearer while joints move? Joint j, between the links of shapes a and b, turns one of them
+about its axis. No point of that shape is farther from the axis than
 
-    R_j = sum of the lengths of the origins that follow in the chain (and of slides) + radius of the shape about its link
+    R_j = sum of the lengths of the origins that follow (and of slides) + radius of the shape about its link
 
 so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. That holds for any way between two
-configurations on which joint j moves by |dq_j| at most, whatever the others do. `calib.motion.moves` proves moves by it.
+configurations on which joint j moves by |dq_j| at most, whatever the others do. `calib.motion.moves` proves moves so.
 
 Reference: Schwarzer, Saha and Latombe 2005.
 """
@@ -98,9 +98,7 @@ class Scene:
         told = configured(self.robot, q, closed)
         return mechanism.all_joints(told.actuated, np.where(ok[:, None], told.passive, 0.0)), ok
 
-    def distances(
-        self, joints: FloatArray, asked: BoolArray | None = None, *, thorough: bool = True
-    ) -> FloatArray:
+    def distances(self, joints: FloatArray, asked: BoolArray | None = None, *, thorough: bool = True) -> FloatArray:
         """Return how far each pair is from touching, its clearance taken off, (n, n_pairs) [m].
 
         Of meshes that are farther apart than a few millimetres it is that of their hulls, which is not more.
@@ -137,7 +135,10 @@ class Scene:
         margin = float(self.margins[pair])
         apart = coal.distance(shapes[0], T[0], shapes[1], T[1], coal.DistanceRequest(), coal.DistanceResult())
         if thorough and apart > 0 and of_hulls < -margin:
-            for outer, inner, to_outer in ((one, other, placed[a].actInv(placed[b])), (other, one, placed[b].actInv(placed[a]))):
+            for outer, inner, to_outer in (
+                (one, other, placed[a].actInv(placed[b])),
+                (other, one, placed[b].actInv(placed[a])),
+            ):
                 if len(outer.corners) and inside(to_outer.act(_some_point(inner))[None], outer.corners):
                     return -margin
         return float(apart) - margin

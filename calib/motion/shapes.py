@@ -75,8 +75,8 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """Return the shapes of a robot and its surroundings, and what to say about them.
 
     Raises:
-        DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane on
-            a link that moves.
+        DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane
+            on a link that moves.
         UrdfError: A shape of the URDF is not made of numbers.
     """
     links, remarks = _links(robot)
@@ -85,7 +85,9 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
 
 def missing_meshes(robot: RobotData) -> tuple[str, ...]:
     """Return the meshes that the URDF names for its collision shapes and that are not there."""
-    named = [shape.file for link in read_links(robot.urdf).values() for shape in link.collisions if shape.kind == "mesh"]
+    named = [
+        shape.file for link in read_links(robot.urdf).values() for shape in link.collisions if shape.kind == "mesh"
+    ]
     return tuple(name for name in dict.fromkeys(named) if find_mesh(name, robot.urdf.path) is None)
 
 
@@ -116,9 +118,13 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
     if not bodies:
         capsules = [body for name in robot.urdf.links for body in _capsules(robot, name)]
         return capsules, ("the robot file has no shapes: capsules from joint to joint stand for its links",)
-    remarks = [] if exact else ["the robot file has no collision shapes: the convex hulls of its visuals stand for them"]
+    remarks = (
+        [] if exact else ["the robot file has no collision shapes: the convex hulls of its visuals stand for them"]
+    )
     moved = set(np.flatnonzero(moved_frames(robot)).tolist())
-    bare = [joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}]
+    bare = [
+        joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}
+    ]
     bare = [name for name in bare if any(np.linalg.norm(j.xyz) > 0 for j in robot.urdf.joints if j.parent == name)]
     if bare:
         remarks.append(f"links without any shape, which are not checked: {listed(bare)}")

@@ -2,8 +2,8 @@
 
 A line runs between the two frames that an instrument looks along: camera and points of a board, socket and ball of a
 ballbar. A tracker's line starts where the description's `sight` says. It is as wide as a beam, and ends short of both
-ends, which stand in shapes of their own. What hides a line at nearly all poses is where the line ends; it does not count,
-and is named.
+ends, which stand in shapes of their own. What hides a line at nearly all poses is where the line ends; it does not
+count, and is named.
 """
 
 from __future__ import annotations
@@ -114,14 +114,16 @@ class Sight:
                 yield body.name
 
     def without_ends(self, joints: FloatArray) -> tuple[Sight, tuple[str, ...]]:
-        """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say of it."""
+        """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say."""
         count: dict[tuple[str, str], int] = {}
         for q in joints:
             for line, ends, _ in list(self._placed(q)):
                 for body in dict.fromkeys(self.in_the_way(line, ends)):
                     count[line.name, body] = count.get((line.name, body), 0) + 1
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
-        remarks = tuple(f"{body} is always in sight of {line}, and does not count there" for line, body in sorted(ends_in))
+        remarks = tuple(
+            f"{body} is always in sight of {line}, and does not count there" for line, body in sorted(ends_in)
+        )
         return Sight(self.scene, self.lines, ends_in), remarks
 
 
@@ -163,4 +165,3 @@ def _points_seen(instrument: FrameInstrument) -> FloatArray:
     across = points[:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
     outermost: FloatArray = points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]
     return outermost
-

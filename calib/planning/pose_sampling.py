@@ -95,7 +95,9 @@ def free_sample(
             return replace(drawn.subset(free), names=named.names, labels=named.labels), looked_at
         if total >= _MOST_DRAWN * count:
             blocked = blocked_by(Counter(filter(None, check.hits)), len(check.hits))
-            raise DataError(f"{robot.path}: only {counted(len(free), 'pose')} of {count} found that are free: {blocked}")
+            raise DataError(
+                f"{robot.path}: only {counted(len(free), 'pose')} of {count} found that are free: {blocked}"
+            )
         total = min(_MOST_DRAWN * count, max(2 * total, int(1.2 * total * count / max(len(free), 1))))
 
 

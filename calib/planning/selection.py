@@ -113,9 +113,6 @@ def select(
     blocked = np.flatnonzero(~check.free).tolist()
     if blocked and len(blocked) == len(candidates):
         raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
-    wanted = (robot, candidates, count, index)
-    given = {"instruments": instruments, "measured": measured, "task": task, "minimum_distance": minimum_distance}
-    given |= {"random_start": random_start, "seed": seed, "skip_unreachable": skip_unreachable, "sigma": sigma}
     kinds = _start_kinds(random_start, starts)
     with Workers(executor, None if off_grid else starts) as workers:
         setting = prepare(robot, candidates, request, measured, task, (*exclude, *blocked), skip_unreachable, sigma)
@@ -129,7 +126,24 @@ def select(
         poses = _poses(setting, best, on_grid, rng, workers, progress)
     if blocked and off_grid and (hit := check_poses(robot, poses.joints)).n_blocked:
         raise InputError(f"off the grid, {hit.summary()}; choose on the grid")
-    everywhere = select(*wanted, exclude=exclude, checked=False, **given).on_grid if blocked else None
+    everywhere = None
+    if blocked:
+        everywhere = select(
+            robot,
+            candidates,
+            count,
+            index,
+            instruments=instruments,
+            measured=measured,
+            task=task,
+            exclude=exclude,
+            minimum_distance=minimum_distance,
+            random_start=random_start,
+            seed=seed,
+            skip_unreachable=skip_unreachable,
+            checked=False,
+            sigma=sigma,
+        ).on_grid
     order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(

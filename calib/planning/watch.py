@@ -34,7 +34,7 @@ from calib.core.base.units import quantity
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_files import read_measurements
-from calib.core.data.measurements import Measurements
+from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
 from calib.core.robots.joint_errors import term_columns
@@ -83,7 +83,9 @@ class Watch:
         self.goal = quantity(goal, "length", "goal")
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
-        self.candidates = sample(robot, CANDIDATES, seed) if candidates is None else _free(robot, as_poses(robot, candidates))
+        self.candidates = (
+            sample(robot, CANDIDATES, seed) if candidates is None else _free(robot, as_poses(robot, candidates))
+        )
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None

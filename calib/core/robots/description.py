@@ -34,7 +34,7 @@ from calib.core.base.units import Dimension
 from calib.core.instruments.kinds import KINDS, AnyInstrument
 from calib.core.instruments.noise import PositionSigma
 from calib.core.robots.fleet_prior import FleetSection
-from calib.core.robots.surroundings import Acceptance, ObstacleSection, Obstacles, ShapeSection, SightSection
+from calib.core.robots.surroundings import Acceptance, Obstacles, ObstacleSection, ShapeSection, SightSection
 from calib.core.robots.terms.gravity import GravitySection, InclinometerSection
 from calib.core.robots.terms.term import TermSection
 from calib.core.robots.terms.terms import TERMS, AnyTerm
@@ -115,8 +115,8 @@ class Description(Section):
     frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
-    `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its links
-    keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
+    `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its
+    links keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """

@@ -138,5 +138,7 @@ def _acceptance(given: Any) -> Any:
     return {"angle": given} if isinstance(given, (int, float, str)) and not isinstance(given, bool) else given
 
 
-Acceptance = Annotated[AcceptanceSection, BeforeValidator(_acceptance, json_schema_input_type=AcceptanceSection | float | str)]
+Acceptance = Annotated[
+    AcceptanceSection, BeforeValidator(_acceptance, json_schema_input_type=AcceptanceSection | float | str)
+]
 """An angle alone is about the target's z axis."""

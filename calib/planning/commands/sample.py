@@ -47,8 +47,8 @@ def command(
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
     If the robot touches something, it does so at these poses. If only cameras measure, they see their targets there.
-    At these poses the robot hits neither itself nor what the description names under `obstacles`, if its file has shapes
-    or there are obstacles; otherwise nothing is checked. Cables are not: look at the poses before you send them
+    At these poses the robot hits neither itself nor what the description names under `obstacles`, if its file has
+    shapes or there are obstacles; otherwise nothing is checked. Cables are not: look at the poses before you send them
     (calib view ROBOT --data FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)

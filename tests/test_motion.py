@@ -210,7 +210,7 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
     assert not any(checker.touches(q) for q in sampled.joints)
     every = robot.sample(120, 7)
     blocked = ~check_poses(robot, every).free
-    chosen = calib.select(robot, every, 40)
+    chosen = calib.select(robot, every, 20)
     assert not set(chosen.chosen.tolist()) & set(np.flatnonzero(blocked).tolist())
     assert 0 < chosen.after["O1"] <= chosen.unobstructed["O1"] * 1.01  # the exchange need not find the very best
 
@@ -223,7 +223,9 @@ def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_pa
     assert {path.name for path in (tmp_path / "r").iterdir()} >= {"calib_route.src", "route.csv", "readings.csv"}
     lines = [line for line in (tmp_path / "r/readings.csv").read_text().splitlines() if not line.startswith("#")]
     rows = list(csv.DictReader(io.StringIO("\n".join(lines))))
-    assert sorted(row["pose"] for row in rows) == ["1", "2", "3", "4", "5"]
+    planned = re.findall(r"^; pose (\d+), clearance", (tmp_path / "r/calib_route.src").read_text(), re.MULTILINE)
+    assert [row["pose"] for row in rows] == planned
+    assert 3 <= len(planned) == len(set(planned)) <= 5
     assert all(row["ball_x [mm]"] == "" for row in rows)
     check = run_calib("check", yaml, tmp_path / "r/route.csv")
     assert "not free" not in check.err

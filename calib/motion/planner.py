@@ -47,7 +47,7 @@ class Planner:
     known: dict[bytes, Move] = field(default_factory=dict)
 
     def move(self, start: FloatArray, end: FloatArray) -> Move:
-        """Return what the straight move between two commands is worth, both ways alike."""
+        """Return what the straight move between two commands, (n_actuated,) each, is worth, both ways alike."""
         key = b"".join(sorted((start.tobytes(), end.tobytes())))
         if key not in self.known:
             self.known[key] = check_move(self.scene, start, end)

@@ -14,7 +14,7 @@ BROUGHT = tuple(
         ("calib.formats", "printers", "calib.printers.file_formats:FORMATS"),
         ("calib.formats", "more", "calib.exporting.file_formats:MORE_FORMATS"),
         ("calib.methods", "export", "calib.exporting.formats:export"),
-        ("calib.methods", "photographs", "calib.photographs.simulated:photographs"),
+        ("calib.methods", "photographs", "calib.photographs.rendering:photographs"),
         ("calib.methods", "select", "calib.planning.selection:select"),
         ("calib.methods", "shortest_order", "calib.planning.measurement_order:shortest_order"),
         ("calib.methods", "check_poses", "calib.motion.poses:check_poses"),

@@ -33,7 +33,6 @@ from viz.poses import (
     averaged,
     concatenate,
 )
-from viz.saved_readings import Saved
 
 Sigmas = Mapping[str, float]
 """Noise of one reading of instruments that measure points, per axis, by their names [m]; unknown where left out."""
@@ -172,34 +171,6 @@ def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
         series=(poses.path,) * len(visits),
         place=visits.astype(np.intp),
     )
-
-
-def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable:
-    """Return the poses that a result folder holds.
-
-    Args:
-        saved: What the folder holds.
-        placed: The robot before calibration.
-        calibrated: The robot after it and how sure it is.
-    """
-    sets = [
-        _rows(
-            _Set(
-                group,
-                errors.data,
-                placed,
-                _position_errors(errors, "before"),
-                _position_errors(errors, "after"),
-                calibrated.predict(errors.data.joints, errors.data.conditions),
-                saved.sigmas,
-                saved.outliers[group],
-            )
-        )
-        for group, errors in saved.sets.items()
-        if group != EXCLUDED
-    ]
-    left_out, used = saved.sets.get(EXCLUDED), saved.sets[IDENTIFICATION]
-    return averaged(concatenate([*sets, *_left_out(left_out, used, placed, calibrated, saved.sigmas)]))
 
 
 def noise(fit: Fit) -> Sigmas:

@@ -22,10 +22,10 @@ from calib.core.base.errors import InputError
 from calib.motion.moves import Move, check_move
 from calib.motion.scene import Scene
 
-_MOST_ASKED = 300  # times that OMPL may ask for a move
+_MOST_ASKED = 150  # times that OMPL may ask for a move
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
-_TRIED = 200  # moves that are checked on it for one way
+_TRIED = 100  # moves that are checked on it for one way
 
 
 @dataclass(eq=False)
@@ -53,8 +53,12 @@ class Planner:
             self.known[key] = check_move(self.scene, start, end)
         return self.known[key]
 
-    def way(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+    def way(self, start: FloatArray, end: FloatArray, *, searched: bool = True) -> FloatArray | None:
         """Return the corners of a free way between two free commands, both included, (n, n_actuated); None: none found.
+
+        Args:
+            start, end: (n_actuated,) each [m or rad].
+            searched: Whether OMPL searches where the roadmap ends, which takes long.
 
         Raises:
             InputError: OMPL is needed, and not installed.
@@ -62,7 +66,7 @@ class Planner:
         if not self.move(start, end).hit:
             return np.array([start, end])
         found = self._on_roadmap(start, end)
-        if found is None:
+        if found is None and searched:
             found = self._searched(start, end)
         return None if found is None else self._shortened(found)
 

@@ -146,20 +146,21 @@ def _visit(
     """Stops in order, and names of those that no way reaches."""
     shortest = brought("calib.methods", "shortest_order")
     stops: list[Stop] = []
-    waiting = list(range(len(poses)))
+    waiting, first = list(range(len(poses))), True
     while waiting:
         here = stops[-1].joints if stops else start
         order = [waiting[k] for k in shortest(poses.joints[waiting], here)]
         waiting, before = [], len(stops)
         for number, k in enumerate(order):
             here = stops[-1].joints if stops else start
-            way = planner.way(here, poses.joints[k])
+            way = planner.way(here, poses.joints[k], searched=first)
             if way is None:
                 waiting.append(k)
             else:
                 stops.append(_stop(planner, poses.names[k], way))
             if progress is not None:
                 progress(number + 1, len(order))
+        first = False
         if len(stops) == before:
             break
     return stops, [poses.names[k] for k in waiting]

@@ -5,6 +5,7 @@ import io
 import itertools
 import json
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -22,6 +23,8 @@ from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
 from tests.six_axis_arm import FREE, URDF, YAML
+
+needs_ompl = pytest.mark.skipif(find_spec("ompl") is None, reason="ways around things need OMPL")
 
 _LINKS = {
     "l0": ("0.08", "0.4", "0 0 0.2"),
@@ -95,6 +98,7 @@ def test_free_is_what_mujoco_finds_free(tmp_path):
     assert np.mean(ours != theirs) <= 0.01  # 1 %: contacts by less than what both round
 
 
+@needs_ompl
 @pytest.mark.amount(4, 60)
 def test_no_contact_anywhere_on_a_route(tmp_path, amount):
     robot = calib.load(_write(tmp_path, _obstacles()))
@@ -148,6 +152,7 @@ def test_a_shape_inside_a_hollow_mesh_hits(tmp_path):
 
 @pytest.fixture(scope="module")
 def route(tmp_path_factory):
+    pytest.importorskip("ompl")
     robot = calib.load(_write(tmp_path_factory.mktemp("route"), _obstacles()))
     return plan_route(robot, calib.sample(robot, 6, 5))
 
@@ -217,6 +222,7 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
     assert 0 < chosen.after["O1"] <= chosen.unobstructed["O1"] * 1.01  # the exchange need not find the very best
 
 
+@needs_ompl
 def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     run_calib("sample", yaml, "-n", 5, "--out", tmp_path / "s.csv")
@@ -304,6 +310,7 @@ def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
     assert hits == ("", "ball turned away")
 
 
+@needs_ompl
 @pytest.mark.parametrize(
     "robot", ["docs/examples/five_bar.yaml", "docs/examples/delta.yaml", "docs/examples/stewart.yaml"]
 )

@@ -74,6 +74,7 @@ CAPABILITIES = (
     Room("Programs", None, ("programs",)),
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),
+    Room("Files", None, ("files",)),
     Room("Printers", None, ("printers",)),
     Room("Quality", None, ("quality",)),
 )

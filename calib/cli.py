@@ -17,6 +17,7 @@ _COMMANDS = {
     "compare": ("calib.core.commands.compare", "Show results side by side."),
     "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
     "select": ("calib.planning.commands.select", "Choose the poses to measure."),
+    "route": ("calib.motion.command", "Plan a way through poses, as a program for the robot."),
     "simulate": ("calib.core.commands.simulate", "Simulate measurements."),
     "study": ("calib.studies.command", "Calibrate many times from simulated measurements."),
     "fit": ("calib.core.commands.fit", "Calibrate a robot from measurements."),
@@ -36,7 +37,7 @@ _COMMANDS = {
 
 
 _GROUPS = {
-    "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
+    "Before measuring": ("init", "check", "sample", "select", "route", "simulate", "study"),
     "Measuring and calibrating": ("watch", "fit", "match", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),

@@ -68,6 +68,7 @@ CORE = (
 )
 CAPABILITIES = (
     Room("Planning", None, ("planning",)),
+    Room("Motion", None, ("motion",)),
     Room("Studies", None, ("studies",)),
     Room("Fleets", None, ("fleets",)),
     Room("Matching", None, ("matching",)),

@@ -13,6 +13,7 @@ EXAMPLES = {
     "calib sample": "calib sample docs/examples/arm.yaml --count 200 --seed 1 --out candidates.csv",
     "calib check": "calib check docs/examples/arm.yaml docs/examples/arm_simulated.csv",
     "calib select": "calib select docs/examples/arm.yaml candidates.csv --count 30 --index O1 --out poses.csv",
+    "calib route": "calib route robot.yaml poses.csv --candidates candidates.csv --format urscript --out route",
     "calib simulate": "calib simulate docs/examples/arm.yaml poses.csv --sigma-mm 0.04 --seed 1 --out simulated.csv",
     "calib study": "calib study docs/examples/arm.yaml poses.csv --draws 200 --truth priors",
     "calib board": "calib board --board charuco:5x7:30mm:22mm:DICT_5X5_100 --paper a4 --out board.pdf",

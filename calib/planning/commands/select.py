@@ -180,6 +180,7 @@ def command(
     if plots is not None:
         write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
+    output.remarks(selection.check.remarks)
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.say(after_select(robot, out, typed_options()))
     output.json({"robot": model.path} | to_dict(selection, poses))

@@ -96,7 +96,7 @@ def _calibrated(
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
-        robot, choice, minimum, nearby = _with_terms(robot, data, settings, steps)
+        robot, choice, minimum, nearby = _with_terms(robot, data, validation, settings, steps)
         for entry in installed("calib.contradicted"):  # loaded only for a robot that has such a section
             if (section := getattr(robot.description, entry.name)) is not None:
                 robot = entry.load()(robot, data, settings, section)
@@ -134,7 +134,7 @@ def _calibrated(
 
 
 def _with_terms(
-    robot: Robot, data: Measurements, settings: Settings, steps: Steps
+    robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings, steps: Steps
 ) -> tuple[Robot, TermChoice | None, Minimum | None, Nearby | None]:
     """The robot with the joint terms that were asked for; its minimum, or what is left to its fit, if known."""
     described, terms, nearby = robot.description.terms, settings.terms, None
@@ -144,7 +144,7 @@ def _with_terms(
         choice = TermChoice(terms, ())
     elif terms == "auto":
         first = replace(settings, starts=1)
-        minimum = minimum_of(robot, first, data, steps=steps)
+        minimum = minimum_of(robot, first, data, validation, steps=steps)
         choice = choose_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
         if choice.sections == described:

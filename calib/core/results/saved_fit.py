@@ -131,6 +131,7 @@ def _fit_entry(fit: Fit) -> dict[str, Any]:
         "joint_error": fit.joint_error,
         "convergence": convergence,
         "choice": None if fit.terms is None else fit.terms.requested,
+        "expected": None if fit.terms is None or np.isnan(fit.terms.expected_rms) else fit.terms.expected_rms,
         "undecided": None if undecided is None else {**vars(undecided), "terms": _entries(undecided.terms)},
         "identification": _measurements_entry(fit.identification.data),
         "validation": None if fit.validation is None else _measurements_entry(fit.validation.data),
@@ -209,6 +210,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
     choice, undecided, folds = entry["choice"], entry["undecided"], entry["folds"]
+    expected = float("nan") if entry["expected"] is None else float(entry["expected"])
     if undecided is not None:
         undecided = UndecidedTerms(stored_terms(undecided["terms"]), tuple(undecided["names"]), undecided["spread"])
     if folds is not None:
@@ -221,7 +223,7 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
         seconds=entry["seconds"],
         convergence=Convergence(**_tuples(entry["convergence"])),
         asked=Asked(**_tuples(entry["asked"])),
-        terms=None if choice is None else TermChoice(choice, nominal.description.terms, undecided=undecided),
+        terms=None if choice is None else TermChoice(choice, nominal.description.terms, (), undecided, expected),
         folds=folds,
         excluded=tuple(Outlier(**outlier) for outlier in entry["excluded"]),
         with_all=None if entry["with_all"] is None else _fit_of(robot, entry["with_all"]),

@@ -22,6 +22,7 @@ from calib.motion.moves import check_move
 from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
+from calib.programs.languages.languages import read_program
 from tests.six_axis_arm import FREE, URDF, YAML
 
 needs_ompl = pytest.mark.skipif(find_spec("ompl") is None, reason="ways around things need OMPL")
@@ -179,6 +180,31 @@ def test_programs_hold_the_joint_values_and_ask_before_anything_moves(route, lan
     assert 0 < text.index(_CONFIRM[language]) < text.index(_FIRST_MOVE[language])
     for stop in route.stops:
         assert f"pose {stop.name}, clearance {int(1e3 * stop.clearance)} mm" in text
+
+
+@pytest.mark.parametrize("language", _FIRST_MOVE)
+def test_programs_of_a_route_are_read_back_by_what_compensates_them(route, language, tmp_path):
+    path = tmp_path / f"plan{LANGUAGES[language].suffix}"
+    path.write_text(write_program(route, language, Motion("plan")))
+    program = read_program(path)
+    assert not program.left_out
+    np.testing.assert_allclose([target.values for target in program.targets], route.corners()[1:], atol=1e-6)
+
+
+def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
+    text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))
+    values = [
+        [float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", match)] for match in re.findall(r"UT : 1,([^}]*)\}", text)
+    ]
+    expected = np.degrees(route.corners()[1:])
+    expected[:, 2] -= expected[:, 1]
+    np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+def test_fanuc_programs_ask_what_the_third_joint_is(tmp_path, run_calib):
+    run = run_calib("route", "robot.yaml", "poses.csv", "--format", "fanuc", "--out", tmp_path / "route")
+    assert run.code == 2
+    assert "--third-joint" in run.err
 
 
 def test_a_trajectory_of_ros_is_at_rest_at_every_stop(route):

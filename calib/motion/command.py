@@ -25,7 +25,7 @@ from calib.core.commands.common import (
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.plan_files import read_pose_files
 from calib.core.robots.robot import Robot
-from calib.motion.programs import LANGUAGES, Motion, table_to_fill_in, write_program
+from calib.motion.programs import LANGUAGES, THIRD_JOINT, Motion, table_to_fill_in, write_program
 from calib.motion.route import Route, plan_route
 
 _READINGS = "readings.csv"
@@ -75,6 +75,7 @@ _READINGS = "readings.csv"
 @click.option(
     "--output-number", type=click.IntRange(min=-1), default=1, show_default=True, help="Digital output; -1: none."
 )
+@click.option("--third-joint", type=click.Choice(THIRD_JOINT), help="FANUC: what the third joint of the URDF is.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 @values_options
 @click.option("-o", "--out", required=True, metavar="DIR", help="Folder to write.")
@@ -90,6 +91,7 @@ def command(
     dwell: float,
     reading: float,
     output_number: int,
+    third_joint: str | None,
     seed: int,
     parameters: str | None,
     result: str | None,
@@ -104,11 +106,17 @@ def command(
     """
     if not re.fullmatch(r"[A-Za-z]\w{0,30}", name, flags=re.ASCII):
         raise InputError(f"--name {name}: needs a letter, then letters, digits and underscores, 31 in all")
+    if ("fanuc" in languages) != (third_joint is not None):
+        raise InputError(
+            "--format fanuc needs --third-joint, and no other does: j3, or j2+j3 where the robot file counts its third"
+            " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
+        )
     model = with_values(loaded(robot, output), parameters, result)
     visits = different_poses(read_pose_files((poses,), model))
     spare = None if candidates is None else different_poses(read_pose_files((candidates,), model))
     model = placed(model, visits)
-    motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, None if output_number < 0 else output_number)
+    number = None if output_number < 0 else output_number
+    motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, number, third_joint or THIRD_JOINT[0])
     written = languages or ("csv",)
     files = {language: ("route" if language == "csv" else name) + LANGUAGES[language].suffix for language in written}
     files.setdefault("csv", "route.csv")
@@ -118,11 +126,6 @@ def command(
     content = {file: write_program(route, language, motion).encode() for language, file in files.items()}
     write_folder(out, content | {_READINGS: table_to_fill_in(route).encode()}, force=output.force)
     output.say(_report(route))
-    if "fanuc" in files:
-        output.note(
-            "note: joint values are those of the robot file. A FANUC controller counts J3 from the horizontal: if this"
-            " file counts it from link 2, subtract J2 before you run the program"
-        )
     output.say(f"Written to {out}: {', '.join(sorted(content))}, {_READINGS}")
     output.say(f"Next: look at it with `calib view {robot} --data {Path(out, 'route.csv')}`, then run it slowly")
     output.json(_data(route))

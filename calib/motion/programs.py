@@ -22,6 +22,8 @@ from calib.motion.route import Route, Stop
 
 _DEGREES, _MM = PER_SI["angle"]["deg"], PER_SI["length"]["mm"]
 _ROBOT_AXES = 6
+THIRD_JOINT = ("j3", "j2+j3")
+"""What the third joint of a robot file is on a FANUC controller, which counts J3 from the horizontal."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Motion:
         dwell: At each stop before the instrument reads [s].
         reading: How long the output is on [s].
         output: Number of the digital output; None: none is switched.
+        third_joint: Of `THIRD_JOINT`, for FANUC.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Motion:
     dwell: float = 1.0
     reading: float = 1.0
     output: int | None = 0
+    third_joint: str = "j3"
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,14 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
     return LANGUAGES[language].write(route, motion)
 
 
-def _question(route: Route) -> str:
-    """What is asked before anything moves, in letters that every controller shows."""
-    values = ", ".join(f"{value:.1f}" for value in _DEGREES * route.start)
+def _question(route: Route, start: FloatArray | None = None) -> str:
+    """What is asked before anything moves, in letters that every controller shows.
+
+    Args:
+        route: The route.
+        start: Where it starts as the controller counts joints, if not as the robot file does [rad].
+    """
+    values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (
         f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
     )
@@ -173,11 +182,14 @@ def _krl(route: Route, motion: Motion) -> str:
 
 
 def _fanuc(route: Route, motion: Motion) -> str:
-    code: list[str] = [f"!{_question(route)[:100]}", "PAUSE"]
+    def counted(joints: FloatArray) -> FloatArray:
+        return joints - joints[1] * (np.arange(len(joints)) == 2) * (motion.third_joint == THIRD_JOINT[1])
+
+    code: list[str] = [f"!{_question(route, counted(route.start))[:100]}", "PAUSE"]
     points: list[FloatArray] = []
 
     def move(joints: FloatArray) -> str:
-        points.append(joints)
+        points.append(counted(joints))
         return f"J P[{len(points)}] {max(1, round(100 * motion.speed))}% FINE"
 
     for stop in route.stops:

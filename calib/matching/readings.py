@@ -115,7 +115,10 @@ class Reading:
         return np.linalg.inv(T) if self.direction == "inverse" else T
 
     def paired(self, pairs: Pairs) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return joint values and the numbers of positions and rotations that belong to them, in the file's units."""
+        """Return joint values (n, n_joints) and the numbers of positions and rotations that belong to them (n, k) each.
+
+        All in the units of the file.
+        """
         ahead, behind = max(self.shift, 0), max(-self.shift, 0)
         n = len(pairs) - ahead - behind
         q, other = slice(ahead, ahead + n), slice(behind, behind + n)
@@ -201,7 +204,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
         pairs: The file.
 
     Raises:
-        DataError: None fits.
+        DataError: None fits, or two fit alike; see `alike_error`.
     """
     simple = list(_simple(robot, pairs))
     short = _shortlist(robot, pairs, simple)

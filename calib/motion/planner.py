@@ -6,7 +6,7 @@ stop serves the next. Where the map ends, OMPL's RRT-Connect searches, whose edg
 a point is free, and whether a straight move is (`calib.motion.moves`), and never sees shapes. The way is shortened by
 leaving out corners while the move past them is free.
 
-Reference: Bohlin and Kavraki 2000; Kuffner and LaValle 2000; Sucan, Moll and Kavraki 2012.
+Reference: bohlin2000; kuffner2000; sucan2012.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.version import DISTRIBUTION
 from calib.motion.moves import Move, check_move
 from calib.motion.scene import Scene
 
@@ -99,7 +100,7 @@ class Planner:
         except ImportError:
             raise InputError(
                 f"a straight move is blocked ({self.move(start, end).hit}), and a way around it needs OMPL; install"
-                " it: pip install 'medrue[motion]'"
+                f" it: pip install '{DISTRIBUTION}[motion]'"
             ) from None
         return search(
             start,

@@ -10,7 +10,7 @@ about its axis. No point of that shape is farther from the axis than
 so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. That holds for any way between two
 configurations on which joint j moves by |dq_j| at most, whatever the others do. `calib.motion.moves` proves moves so.
 
-Reference: Schwarzer, Saha and Latombe 2005.
+Reference: schwarzer2005.
 """
 
 from __future__ import annotations

@@ -267,7 +267,7 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
 def inside(points: FloatArray, corners: FloatArray) -> bool:
     """Whether the first of points (n, 3) is inside a closed mesh of triangles (m, 3, 3), by their solid angles.
 
-    Reference: Van Oosterom and Strackee 1983.
+    Reference: oosterom1983.
     """
     a, b, c = np.moveaxis(corners - points[0], 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))

@@ -28,6 +28,20 @@ LEGAL = (
 FEW_CYCLES = "ISO 9283 asks for thirty cycles of five poses; even these are few, as the 95 % intervals say."
 MEASURAND = "one coordinate of the tool's position, as the calibrated robot gives it, at poses like those measured"
 _NOT_STATED = "not stated"
+_SHOWN_IN = {
+    "scale": (1e6, "um/m"),
+    "offset": (1e6, "um"),
+    "centring": (1e6, "um"),
+    "diameter": (1e3, "mm"),
+    "calibration": (1.0, "degC"),
+    "use": (1.0, "degC"),
+    "uncertainty": (1.0, "K"),
+    "expansion": (1e6, "um/m/K"),
+    "expansion_uncertainty": (1e6, "um/m/K"),
+}
+"""Factor and unit of numbers of `traceability`, in tables."""
+_SENSITIVITY = {"m": "", "1": "m", "K": "m/K", "1/K": "m K"}
+_LEAST = 1e-4  # um that are shown
 _SIGNED_BY = ("Calibrated by", "Approved by")
 
 
@@ -123,7 +137,8 @@ def document(content: Mapping[str, Any]) -> Document:
 
 
 def _um(length: float) -> str:
-    return f"{1e3 * millimetres(length):.4g}"
+    um = 1e3 * millimetres(length)
+    return f"{um:.4g}" if abs(um) >= _LEAST else "0"
 
 
 def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str]]:
@@ -131,15 +146,17 @@ def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str
         if isinstance(value, Mapping):
             yield from _facts(value, f"{where}{key}: ")
         else:
-            yield f"{where}{key.replace('_', ' ')}", f"{value:g} (SI)" if isinstance(value, float) else str(value)
+            factor, unit = _SHOWN_IN.get(key, (1.0, ""))
+            shown = f"{factor * value:.6g} {unit}".strip() if isinstance(value, float) else str(value)
+            yield f"{where}{key.replace('_', ' ')}", shown
 
 
 def _budget_table(found: Mapping[str, Any]) -> Rows:
     rows = [
         (
             row["quantity"],
-            f"{row['standard_uncertainty']:.3g} {row['unit']}",
-            f"{row['sensitivity']:.3g} m/({row['unit']})",
+            f"{row['standard_uncertainty']:.3g} {'' if row['unit'] == '1' else row['unit']}",
+            f"{row['sensitivity']:.3g} {_SENSITIVITY.get(row['unit'], 'm/' + row['unit'])}",
             _um(row["contribution"]) if row["counts"] else f"({_um(row['contribution'])})",
             _freedom(row["freedom"]),
             row["type"],

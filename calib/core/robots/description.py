@@ -340,7 +340,8 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
         named = "kind" if first == "instruments" else "term"
         if named in entry:
             section = (KINDS if first == "instruments" else TERMS)[entry[named]].section
-    for key in map(str, location[2:-1]):  # sections inside a section
+    unnamed = first == "traceability"  # else a name stands before them
+    for key in map(str, location[1 if unnamed else 2 : -1]):  # sections inside a section
         inner = section.model_fields.get(key)
         kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
         section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), section)

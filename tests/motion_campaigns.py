@@ -230,10 +230,14 @@ def shares(urdf, seed, n=200):
 
 
 if __name__ == "__main__":
-    import sys
+    import argparse
     import time
 
-    for name in sys.argv[2:] or ROBOTS:
+    parser = argparse.ArgumentParser(description="Walk routes of robots step by step, with shapes looked at by FCL.")
+    parser.add_argument("campaigns", type=int, help="how many for each robot")
+    parser.add_argument("robots", nargs="*", metavar="ROBOT", help="URDFs of example-robot-data; those of the list")
+    given = parser.parse_args()
+    for name in given.robots or ROBOTS:
         started = time.perf_counter()
         try:
             ours, theirs = shares(folder() / name, 1)
@@ -241,7 +245,7 @@ if __name__ == "__main__":
                 f"{name}: left out {ours.mean():.3f}, by FCL {theirs.mean():.3f}, differ {np.sum(ours != theirs)}",
                 flush=True,
             )
-            for seed in range(int(sys.argv[1])):
+            for seed in range(given.campaigns):
                 print("  ", seed, campaign(folder() / name, seed), f"{time.perf_counter() - started:.0f} s", flush=True)
         except Exception as error:
             print(f"{name}: {type(error).__name__}: {error}", flush=True)

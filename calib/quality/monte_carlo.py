@@ -1,10 +1,10 @@
 """The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, the fit is made again, positions deviate.
 
 Each draw has a scale and offsets of the instrument, a temperature and an expansion (a Latin hypercube of normal
-numbers), noise of the readings by the sum T^T J^T e that decides the fit, and means of the priors drawn by themselves.
-From the minimum, Gauss-Newton steps with the derivative of each new place lead to the minimum of the drawn readings;
-positions there, exact and with loops closed, less those of the fit are what the measurand is off. Where the base is
-unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves out,
+numbers), noise e of the readings that has the sum T^T J^T e which decides the fit, and means of the priors drawn by
+themselves. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`) finds that of the drawn
+readings; positions there, exact and with loops closed, less those of the fit are what the measurand is off. Where the
+base is unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves out,
 extrapolation) is added as normal numbers of its size.
 
 Reference: jcgm101 (GUM Supplement 1), section 7.
@@ -13,6 +13,7 @@ Reference: jcgm101 (GUM Supplement 1), section 7.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -21,12 +22,15 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UnreachablePoseError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress
+from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.observed import observe
+from calib.core.rows.rows import Rows
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, Budget, LinearFit
 
-_STEPS = 2  # of Gauss-Newton: the second changes a step of the noise's size by its square
+_TOLERANCE = 1e-7  # of the cost
+_SEEN = 1e-4  # part of a direction below which only priors tell of it
 _ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
 
 
@@ -83,12 +87,14 @@ def monte_carlo(
     uniform = scipy.stats.qmc.LatinHypercube(6, seed=rng).random(draws)
     scalars = scipy.special.ndtri(uniform) * np.array([*sizes, heat.uncertainty, heat.expansion_uncertainty])
     values, vectors = np.linalg.eigh(linear.noise)
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    span = linear.fit.weighted_rows.jacobian @ linear.fit.root
+    spread = np.linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     prior, squares = linear.fit.unknowns.prior, []
     for k, drawn in enumerate(scalars):
-        score, mean = spread @ rng.standard_normal(len(values)), prior.root @ rng.standard_normal(len(prior.has))
+        readings = linear.systematic @ drawn[:4] + spread @ rng.standard_normal(len(values))
+        mean = linear.fit.widened * prior.root @ rng.standard_normal(len(prior.has))
         try:
-            moved = _deviation(linear, linear.systematic @ drawn[:4], score, mean)
+            moved = _deviation(linear, readings, mean)
         except UnreachablePoseError:
             continue
         grown = heat.expansion * drawn[4] + heat.difference * drawn[5] + drawn[4] * drawn[5]
@@ -103,31 +109,41 @@ def monte_carlo(
     return MonteCarlo(len(squares), fitted**0.5, combined**0.5, max(through, 0.0) ** 0.5, known.combined)
 
 
-def _deviation(linear: LinearFit, readings: FloatArray, score: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return how far positions move, (n n_targets 3,) [m], where readings, noise and prior means are drawn.
+def _deviation(linear: LinearFit, readings: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return how far positions move, (n n_targets 3,) [m], where readings and prior means are drawn.
 
     Args:
         linear: The linear model.
         readings: Change of the whitened readings, (n_rows,).
-        score: T^T J^T e of the noise, (rank,).
         mean: Of the priors, (n_free,).
     """
     fit = linear.fit
-    unknowns, data, root = fit.unknowns, fit.identification.data, fit.root
-    start = unknowns.deviations(fit.robot.values)
-    u, passive, prior = start, fit.identification.passive, unknowns.prior
-    weights = np.sqrt(fit.weights)[fit.rows.layout.reading]
+    unknowns, data, prior = fit.unknowns, fit.identification.data, fit.unknowns.prior
+    passive, weights = fit.identification.passive, np.sqrt(fit.weights)[fit.rows.layout.reading]
     weighing = fit.whitening.weighing(fit.scales.ratios)
-    pull = np.linalg.pinv(root).T @ score
-    for _ in range(_STEPS):
+
+    @lru_cache(maxsize=4)
+    def rows_at(place: bytes) -> Rows | None:
+        u = np.frombuffer(place)
         robot = unknowns.moved(fit.robot, u)
-        configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
+        try:
+            configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
+        except UnreachablePoseError:
+            return None
         observed = observe(robot, configurations, data.readings)
-        rows = fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whitened(weighing)
-        jacobian, residuals = weights[:, None] * rows.jacobian, weights * rows.residuals - readings
-        normal = jacobian.T @ jacobian + prior.rows.T @ prior.rows
-        gradient = jacobian.T @ residuals + prior.rows.T @ prior.times(u - mean) - pull
-        u = u - root @ np.linalg.solve(root.T @ normal @ root, root.T @ gradient)
+        return fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whitened(weighing)
+
+    def residuals(u: FloatArray) -> FloatArray:
+        rows = rows_at(u.tobytes())
+        own = np.full(len(readings), np.nan) if rows is None else weights * rows.residuals - readings
+        return np.concatenate([own, prior.times(u - mean)])
+
+    def jacobian(u: FloatArray) -> FloatArray:
+        rows = rows_at(u.tobytes())
+        assert rows is not None  # asked for only where the residuals were finite
+        return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
+
+    u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x
     robot = unknowns.moved(fit.robot, u)
     kept = np.setdiff1d(np.arange(len(robot.mechanism.targets)), list(robot.left_out.values()))
     there = robot.positions(data.joints, data.conditions, passive)[:, kept].reshape(-1, 3)

@@ -155,7 +155,7 @@ class LinearFit:
         derivative = rows.reshape(-1, rows.shape[-1]) * fit.unknowns.scales
         pinned = np.linalg.pinv(fit.root * fit.unknowns.scales[:, None])
         core = pinned @ fit.covariance.values @ pinned.T
-        noise = core - prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
+        noise = core - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
         return LinearFit(fit, positions, derivative, noise, _systematic(fit))
 
     @property
@@ -205,12 +205,14 @@ def budget(linear: LinearFit, stated: TraceabilitySection, poses: PosesLike | No
     """
     fit = linear.fit
     shares, freedom = prior_shares(fit.weighted_rows.known, fit.unknowns.prior), fit.statistics.interval_freedom
-    noise, prior, reading = linear.spread(linear.noise), linear.spread(shares), fit.first_noise
+    noise, prior, reading = linear.spread(linear.noise), fit.widened * linear.spread(shares), fit.first_noise
     unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
     counted = "scatter of residuals" if fit.widened == 1.0 else "scatter of residuals, and of regions"
     rows = [
         Contribution(NOISE, reading.sigma, unit, _over(noise, reading.sigma), noise, freedom, "A", True, counted),
-        Contribution(PRIOR, 1.0, "1", prior, prior, math.inf, "B", True, "sigma of the description"),
+        Contribution(
+            PRIOR, fit.widened, "1", prior / fit.widened, prior, math.inf, "B", True, "sigma of the description"
+        ),
         *_from_instrument(linear, stated),
         *_thermal(linear, stated),
     ]

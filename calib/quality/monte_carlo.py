@@ -4,8 +4,8 @@ Each draw has a scale and offsets of the instrument, a temperature and an expans
 numbers), noise e of the readings that has the sum T^T J^T e which decides the fit, and means of the priors drawn by
 themselves. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`) finds that of the drawn
 readings; positions there, exact and with loops closed, less those of the fit are what the measurand is off. Where the
-base is unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves out,
-extrapolation) is added as normal numbers of its size.
+base is unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves
+out, extrapolation) is added as normal numbers of its size.
 
 Reference: jcgm101 (GUM Supplement 1), section 7.
 """

@@ -28,6 +28,7 @@ _COMMANDS = {
     "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
     "qualify": ("calib.quality.command", "Prove that this installation computes rightly."),
+    "certificate": ("calib.quality.certificate_command", "Write a calibration certificate with its budget."),
     "watch": ("calib.planning.commands.watch", "Say while measuring which pose is next, and when to stop."),
     "detect": ("calib.photographs.commands.detect", "Find a printed board in photographs."),
     "board": ("calib.photographs.commands.boards", "Write a board to print."),
@@ -41,7 +42,7 @@ _GROUPS = {
     "Measuring and calibrating": ("watch", "fit", "match", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
-    "Quality systems": ("qualify",),
+    "Quality systems": ("qualify", "certificate"),
 }
 """The commands in the order of work; those that come with the pictures stand after them."""
 

@@ -31,6 +31,7 @@ EXAMPLES = {
     "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
     "calib export": "calib export out/arm --format mjcf --out arm.xml",
     "calib qualify": "calib qualify --out out/qualification",
+    "calib certificate": "calib certificate out/arm --out certificate.pdf",
     "medrue demo": "medrue demo --out out/demo",
     "medrue examples": "medrue examples",
     "medrue poses": "medrue poses --out poses.csv",

@@ -38,6 +38,7 @@ from calib.core.robots.surroundings import Acceptance, Obstacles, ObstacleSectio
 from calib.core.robots.terms.gravity import GravitySection, InclinometerSection
 from calib.core.robots.terms.term import TermSection
 from calib.core.robots.terms.terms import TERMS, AnyTerm
+from calib.core.robots.traceability import TraceabilitySection
 
 
 class BaseSection(FrameSection):
@@ -119,6 +120,7 @@ class Description(Section):
     program knows, such as `ur5e`, or from such a file.
     `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its
     links keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
+    `traceability` is where the measurements come from, for a certificate (`calib.core.robots.traceability`).
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
     nearest `time`, at most `lag` away [s].
@@ -165,6 +167,7 @@ class Description(Section):
     obstacles: Obstacles | None = None
     self_clearance: Annotated[Length, Field(ge=0)] = 0.005
     sight: SightSection | None = None
+    traceability: TraceabilitySection | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
     join: Literal["pose", "rows", "time"] = "pose"
@@ -327,6 +330,7 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
             "gravity": GravitySection,
             "obstacles": ObstacleSection,
             "sight": SightSection,
+            "traceability": TraceabilitySection,
         }
         section = sections.get(first, Description)
     if first == "inclinometers":
@@ -336,7 +340,8 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
         named = "kind" if first == "instruments" else "term"
         if named in entry:
             section = (KINDS if first == "instruments" else TERMS)[entry[named]].section
-    for key in map(str, location[2:-1]):  # sections inside a section
+    unnamed = first == "traceability"  # else a name stands before them
+    for key in map(str, location[1 if unnamed else 2 : -1]):  # sections inside a section
         inner = section.model_fields.get(key)
         kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
         section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), section)

@@ -44,7 +44,7 @@ def xml(content: Mapping[str, Any]) -> bytes:
     try:
         etree = import_module("lxml.etree")
     except ImportError:
-        raise InputError("a digital certificate needs lxml: pip install 'medrue[certificate]'") from None
+        raise InputError(f"a digital certificate needs lxml: pip install '{DISTRIBUTION}[certificate]'") from None
     stated = content["traceability"]
     if not stated.get("date"):
         raise InputError(

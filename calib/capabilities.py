@@ -24,6 +24,11 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
         ("calib.models", "universal robots", "calib.fleets.atlas:MODELS"),
         ("calib.readers", "programs", "calib.files.formats:FORMATS"),
+        ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
+        ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
+        ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
+        ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
+        ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
     )
 )

@@ -2,7 +2,8 @@
 
 What a package adds is named in its `pyproject.toml`, under these groups of entry points:
 
-    calib.kinds                 a kind of measurement: a class derived from `FrameInstrument` or `JointInstrument`
+    calib.kinds                 a kind of measurement: a class derived from `FrameInstrument`, its `Relation`,
+                                or `JointInstrument`
     calib.terms                 a term of a joint's error: a class derived from `JointTerm`
     calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
@@ -39,6 +40,7 @@ from calib.core.instruments.kind import (
 )
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
 from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.held import Holds
@@ -92,6 +94,8 @@ __all__ = [
     "Quantity",
     "Readings",
     "Reason",
+    "RelatedSection",
+    "Relation",
     "ResultUse",
     "Robot",
     "Scene",

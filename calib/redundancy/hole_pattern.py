@@ -1,0 +1,145 @@
+"""Patterns of holes or pins with a known pitch: the target stands in one of them, and nothing is read but the joints.
+
+With p = p_ab, the target seen from hole 0/0 of the pattern, whose x and y axes run along rows of holes, and pitch d,
+
+    (p_x - i d, p_y - j d, p_z)         i / j: the hole, which a file states, or the nearest one where it says `?`
+
+The third row is left out where the target may stand at any depth. The hole that is nearest is looked for again with
+every estimate; to begin with, with the pattern where the stated holes show it.
+
+When it fails. Errors of half a pitch or more: the nearest hole is the wrong one. Without a stated hole the pattern must
+be known to half a pitch; three stated ones that are not on a line place it. A pitch shows the size of the robot: if it
+is unknown itself, nothing does.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength
+from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Readings, Scene, View
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import RelatedSection, Relation
+
+_HOLE = re.compile(r"\(?\s*(\d+)\s*[/;:, ]\s*(\d+)\s*\)?")
+_NEAREST = "?"
+_LEAST = 3  # stated holes that place a pattern
+_PARTS = {
+    "stop": Part("hole", ("x", "y", "z"), "length", plural="positions in holes"),
+    "free": Part("hole", ("x", "y"), "length", plural="positions in holes"),
+}
+
+
+class HolePatternSection(InstrumentSection):
+    """A pattern of holes that a target is put into.
+
+    Attributes:
+        target: The tip of what is put in; the instrument's own name if left out.
+        pattern: Where hole 0/0 is, x and y along the rows of holes, z out of them.
+        pitch: From hole to hole along both [m]: a length; `{value, sigma}`; or `unknown`.
+        holes: How many along x and y.
+        depth: `stop`: the target is at z = 0 of the pattern; `free`: at any depth.
+        sigma: How well the target is centred, and how deep it goes [m].
+    """
+
+    target: str | None = None
+    pattern: RelatedSection
+    pitch: LengthOrUnknown
+    holes: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+    depth: Literal["stop", "free"] = "stop"
+    sigma: PositiveLength | None = None
+
+
+@dataclass(frozen=True)
+class HolePattern(Relation):
+    """Holes of one pattern: details of a reading are 0, i, j, and 1 where these are stated or 0 where not."""
+
+    section = HolePatternSection
+    touches = True
+    pitch: OwnLength = KNOWN_ZERO
+    holes: tuple[int, int] = (1, 1)
+    depth: Literal["stop", "free"] = "stop"
+
+    @classmethod
+    def of(cls, name: str, section: HolePatternSection) -> HolePattern:
+        """Return the instrument that an entry of a robot description means."""
+        if section.pitch.value <= 0:
+            raise ValueError("pitch must be a positive length, or {value, sigma} of one")
+        own, size = (section.pattern.place(f"{name}_pattern"),), section.pitch
+        noise = Noise((PartNoise.of(section.sigma, len(_PARTS[section.depth].axes)),))
+        unknowns = size.parameters(f"{name}.pitch")
+        return cls(
+            name, section.target or name, own, size, section.holes, section.depth, noise=noise, unknowns=unknowns
+        )
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Two or three coordinates."""
+        return (_PARTS[self.depth],)
+
+    def columns(self) -> tuple[()]:
+        """Return nothing: being there has no numbers."""
+        return ()
+
+    def looked_at(
+        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
+    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
+        """Say in which hole each row is, as `3/5`, or `?` for the nearest; an empty cell is no reading."""
+        details = np.zeros((len(where), 4))
+        for k, text in enumerate(texts[self.name]):
+            hole = _HOLE.fullmatch(text)
+            inside = hole is not None and int(hole[1]) < self.holes[0] and int(hole[2]) < self.holes[1]
+            if hole is not None and inside:
+                details[k, 1:] = int(hole[1]), int(hole[2]), 1
+            elif text not in ("", _NEAREST):
+                raise DataError(
+                    f"{where[k]}, column '{self.name}': '{text:.60}' is none of the {self.holes[0]} x {self.holes[1]}"
+                    " holes; write 3/5 for the hole 3 along x and 5 along y of 0/0, or ? for the nearest"
+                )
+        return [bool(text) for text in texts[self.name]], np.zeros(len(where), dtype=np.intp), details
+
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return the holes."""
+        return {self.name: [f"{i:.0f}/{j:.0f}" if stated else _NEAREST for _, i, j, stated in details]}
+
+    def looks(self) -> tuple[IntArray, FloatArray]:
+        """Return every hole."""
+        i, j = (numbers.ravel() for numbers in np.meshgrid(*map(np.arange, self.holes), indexing="ij"))
+        return np.zeros(len(i), dtype=np.intp), np.column_stack([0 * i, i, j, 1 + 0 * i]).astype(float)
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return how far the target is from its hole, (n, 2) or (n, 3) [m]."""
+        off = view.translation.copy()
+        off[:, :2] -= self._pitch(unknowns) * self._holes(view, unknowns, details)
+        return off[:, : self.n_rows]
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return how far the target is from its hole; derivatives stay with one hole."""
+        details = readings.details.copy()
+        details[:, 1:3], details[:, 3] = self._holes(view, unknowns, details), 1
+        return super().compare(view, unknowns, replace(readings, details=details))
+
+    def _pitch(self, unknowns: FloatArray) -> float:
+        return float(unknowns[0]) if len(unknowns) else self.pitch.value
+
+    def _holes(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """The stated or else the nearest hole, (n, 2)."""
+        nearest = np.rint(view.translation[:, :2] / self._pitch(unknowns))
+        inside = np.clip(nearest, 0, np.array(self.holes) - 1)
+        return np.where(details[:, 3:] > 0, details[:, 1:3], inside)
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return where the stated holes show the pattern, where they are enough."""
+        stated = np.flatnonzero(scene.readings.details[:, 3] > 0)
+        if len(stated) < _LEAST:
+            return super().first_values(scene)
+        few = replace(scene, readings=scene.readings.subset(stated), links=scene.links[stated])
+        return super().first_values(few)

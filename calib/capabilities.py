@@ -24,6 +24,8 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
         ("calib.models", "universal robots", "calib.fleets.atlas:MODELS"),
         ("calib.readers", "programs", "calib.files.formats:FORMATS"),
+        ("calib.parametrisations", "altaz", "calib.redundancy.altaz:altaz"),
+        ("calib.terms", "tube_flexure", "calib.redundancy.altaz:TubeFlexure"),
         ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
         ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
         ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),

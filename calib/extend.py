@@ -44,6 +44,7 @@ from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
 from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.held import Holds
+from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.checking import check_term
@@ -78,6 +79,8 @@ __all__ = [
     "JointComparison",
     "JointInstrument",
     "JointTerm",
+    "NamedComponent",
+    "NamedOrigins",
     "Noise",
     "Origin",
     "OtherFormat",

@@ -27,26 +27,18 @@ from calib.core.base.sections import Quantity
 from calib.core.base.units import quantity
 from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection, coefficient
 
-_ANGLE, _LENGTH = 1e-3, 1e-4  # expected size of a coefficient [rad], [m]
+_SIZE = {"angle": 1e-3, "length": 1e-4}  # expected, of a coefficient [rad], [m]
 
 
 class PlaySection(TermSection):
-    """A joint's play.
-
-    Attributes:
-        travel: r, half of the motion after which the joint rests on the other side; one or several.
-    """
+    """A joint's play; `travel` is r, half of the motion that takes the joint through it: one or several."""
 
     travel: Quantity | list[Quantity]
 
 
 @dataclass(frozen=True)
 class Play(JointTerm):
-    """Play with memory; see the module docstring.
-
-    Attributes:
-        travel: Every r [m or rad].
-    """
+    """Play with memory; see the module docstring. `travel` has every r [m or rad]."""
 
     section = PlaySection
     cause = "hysteresis"
@@ -67,9 +59,10 @@ class Play(JointTerm):
         if not travel or min(travel) <= 0:
             raise ValueError("travel must be positive: half of the motion that takes the joint through its play")
         numbers = [""] if len(travel) == 1 else [f"_{k + 1}" for k in range(len(travel))]
-        size = sigma or (_ANGLE if joint.dimension == "angle" else _LENGTH)
-        names = [f"{joint.name}.play{number}" for number in numbers]
-        return cls(joint.name, tuple(coefficient(name, joint.dimension, size) for name in names), travel)
+        size = sigma or _SIZE[joint.dimension]
+        return cls(
+            joint.name, tuple(coefficient(f"{joint.name}.play{k}", joint.dimension, size) for k in numbers), travel
+        )
 
     def reads(self) -> tuple[str, ...]:
         """Return `play_<joint>`, or one column for each r."""
@@ -92,11 +85,7 @@ def stop_states(way: FloatArray) -> FloatArray:
 
 
 class InProportionSection(TermSection):
-    """What gives way.
-
-    Attributes:
-        column: Column of the file with the torque, force or current that it is in proportion to: pure numbers.
-    """
+    """What gives way in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
 
     column: str = Field(min_length=1)
 
@@ -116,8 +105,7 @@ class InProportion(JointTerm):
     @classmethod
     def of(cls, joint: Joint, section: InProportionSection, sigma: float | None) -> InProportion:
         """Return the term that an entry of a robot description means."""
-        size = sigma or (_ANGLE if joint.dimension == "angle" else _LENGTH)
-        name = f"{joint.name}.per_{section.column}"
+        name, size = f"{joint.name}.per_{section.column}", sigma or _SIZE[joint.dimension]
         return cls(joint.name, (coefficient(name, joint.dimension, size),), section.column)
 
     def reads(self) -> tuple[str, ...]:

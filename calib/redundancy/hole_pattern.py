@@ -4,12 +4,10 @@ With p = p_ab, the target seen from hole 0/0 of the pattern, whose x and y axes 
 
     (p_x - i d, p_y - j d, p_z)         i / j: the hole, which a file states, or the nearest one where it says `?`
 
-The third row is left out where the target may stand at any depth. The hole that is nearest is looked for again with
-every estimate; to begin with, with the pattern where the stated holes show it.
+The nearest hole is looked for again with every estimate; to begin with, with the pattern where stated holes show it.
 
-When it fails. Errors of half a pitch or more: the nearest hole is the wrong one. Without a stated hole the pattern must
-be known to half a pitch; three stated ones that are not on a line place it. A pitch shows the size of the robot: if it
-is unknown itself, nothing does.
+When it fails. Errors of half a pitch: the nearest hole is the wrong one. Without three stated holes the pattern must be
+known to half a pitch.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -29,13 +27,8 @@ from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Pa
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
 
-_HOLE = re.compile(r"\(?\s*(\d+)\s*[/;:, ]\s*(\d+)\s*\)?")
-_NEAREST = "?"
+_HOLE, _NEAREST = re.compile(r"(\d+)\s*[/;:, ]\s*(\d+)"), "?"
 _LEAST = 3  # stated holes that place a pattern
-_PARTS = {
-    "stop": Part("hole", ("x", "y", "z"), "length", plural="positions in holes"),
-    "free": Part("hole", ("x", "y"), "length", plural="positions in holes"),
-}
 
 
 class HolePatternSection(InstrumentSection):
@@ -46,16 +39,14 @@ class HolePatternSection(InstrumentSection):
         pattern: Where hole 0/0 is, x and y along the rows of holes, z out of them.
         pitch: From hole to hole along both [m]: a length; `{value, sigma}`; or `unknown`.
         holes: How many along x and y.
-        depth: `stop`: the target is at z = 0 of the pattern; `free`: at any depth.
-        sigma: How well the target is centred, and how deep it goes [m].
+        sigma: How well the target is centred, and how deep it goes [m]: one number, or three.
     """
 
     target: str | None = None
     pattern: RelatedSection
     pitch: LengthOrUnknown
     holes: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-    depth: Literal["stop", "free"] = "stop"
-    sigma: PositiveLength | None = None
+    sigma: PositiveLength | tuple[PositiveLength, PositiveLength, PositiveLength] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,10 +54,10 @@ class HolePattern(Relation):
     """Holes of one pattern: details of a reading are 0, i, j, and 1 where these are stated or 0 where not."""
 
     section = HolePatternSection
+    parts = (Part("hole", ("x", "y", "z"), "length", plural="positions in holes"),)
     touches = True
     pitch: OwnLength = KNOWN_ZERO
     holes: tuple[int, int] = (1, 1)
-    depth: Literal["stop", "free"] = "stop"
 
     @classmethod
     def of(cls, name: str, section: HolePatternSection) -> HolePattern:
@@ -74,20 +65,8 @@ class HolePattern(Relation):
         if section.pitch.value <= 0:
             raise ValueError("pitch must be a positive length, or {value, sigma} of one")
         own, size = (section.pattern.place(f"{name}_pattern"),), section.pitch
-        noise = Noise((PartNoise.of(section.sigma, len(_PARTS[section.depth].axes)),))
-        unknowns = size.parameters(f"{name}.pitch")
-        return cls(
-            name, section.target or name, own, size, section.holes, section.depth, noise=noise, unknowns=unknowns
-        )
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """Two or three coordinates."""
-        return (_PARTS[self.depth],)
-
-    def columns(self) -> tuple[()]:
-        """Return nothing: being there has no numbers."""
-        return ()
+        noise, unknowns = Noise((PartNoise.of(section.sigma, 3),)), size.parameters(f"{name}.pitch")
+        return cls(name, section.target or name, own, size, section.holes, noise=noise, unknowns=unknowns)
 
     def looked_at(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
@@ -96,13 +75,12 @@ class HolePattern(Relation):
         details = np.zeros((len(where), 4))
         for k, text in enumerate(texts[self.name]):
             hole = _HOLE.fullmatch(text)
-            inside = hole is not None and int(hole[1]) < self.holes[0] and int(hole[2]) < self.holes[1]
-            if hole is not None and inside:
+            if hole and int(hole[1]) < self.holes[0] and int(hole[2]) < self.holes[1]:
                 details[k, 1:] = int(hole[1]), int(hole[2]), 1
             elif text not in ("", _NEAREST):
                 raise DataError(
                     f"{where[k]}, column '{self.name}': '{text:.60}' is none of the {self.holes[0]} x {self.holes[1]}"
-                    " holes; write 3/5 for the hole 3 along x and 5 along y of 0/0, or ? for the nearest"
+                    " holes; write 3/5 for hole 3 along x and 5 along y, counted from 0, or ? for the nearest"
                 )
         return [bool(text) for text in texts[self.name]], np.zeros(len(where), dtype=np.intp), details
 
@@ -116,10 +94,9 @@ class HolePattern(Relation):
         return np.zeros(len(i), dtype=np.intp), np.column_stack([0 * i, i, j, 1 + 0 * i]).astype(float)
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return how far the target is from its hole, (n, 2) or (n, 3) [m]."""
-        off = view.translation.copy()
-        off[:, :2] -= self._pitch(unknowns) * self._holes(view, unknowns, details)
-        return off[:, : self.n_rows]
+        """Return how far the target is from its hole, (n, 3) [m]."""
+        hole = self._pitch(unknowns) * self._holes(view, unknowns, details)
+        return view.translation - np.column_stack([hole, np.zeros(len(hole))])
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return how far the target is from its hole; derivatives stay with one hole."""
@@ -139,7 +116,5 @@ class HolePattern(Relation):
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return where the stated holes show the pattern, where they are enough."""
         stated = np.flatnonzero(scene.readings.details[:, 3] > 0)
-        if len(stated) < _LEAST:
-            return super().first_values(scene)
-        few = replace(scene, readings=scene.readings.subset(stated), links=scene.links[stated])
-        return super().first_values(few)
+        chosen = stated if len(stated) >= _LEAST else np.arange(len(scene.readings))
+        return super().first_values(replace(scene, readings=scene.readings.subset(chosen), links=scene.links[chosen]))

@@ -33,7 +33,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component, PlaceSection
 from calib.core.instruments.camera import cube_rotations
-from calib.core.instruments.kind import Comparison, FrameInstrument, Guess, Place, Readings, Scene, View
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View
 
 _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
@@ -84,6 +84,10 @@ class Relation(FrameInstrument):
         """Return the target with each place, or with the measurement frame."""
         names = [place.name for place in self.own] or [base]
         return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return its columns; nothing of a touch, which has no numbers."""
+        return ()
 
     def text_columns(self) -> tuple[str, ...]:
         """Return `<name>`, which says which place a row is about; nothing where there is but one."""

@@ -58,7 +58,7 @@ class RelatedSection(PlaceSection):
 
 @dataclass(frozen=True)
 class Relation(FrameInstrument):
-    """A kind of the module docstring. The first detail of a reading is the number of its place.
+    """A kind of the module docstring. The detail of a reading is the number of its place, where there are several.
 
     Attributes:
         from_target: Whether frame a is the target and b the place; if not, the other way round (class attribute).
@@ -106,7 +106,7 @@ class Relation(FrameInstrument):
                         f"{where[k]}, column '{column}': '{self.name}' has no place '{text:.60}'{nearest(text, names)}"
                     )
                 which[k] = names.index(text) if text else -1
-        return (which >= 0).tolist(), np.maximum(which, 0), which[:, None].astype(float)
+        return (which >= 0).tolist(), np.maximum(which, 0), self._details(which)
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
         """Return the name of the place of each reading."""
@@ -115,7 +115,10 @@ class Relation(FrameInstrument):
     def looks(self) -> tuple[IntArray, FloatArray]:
         """Return every place."""
         which = np.arange(max(len(self.own), 1))
-        return which, which[:, None].astype(float)
+        return which, self._details(which)
+
+    def _details(self, which: IntArray) -> FloatArray:
+        return which[:, None].astype(float)[:, : len(self.text_columns())]
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return the columns side by side; a touch reads nothing, a row of zeros that stands for all."""

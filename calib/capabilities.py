@@ -24,6 +24,8 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
         ("calib.models", "universal robots", "calib.fleets.atlas:MODELS"),
         ("calib.readers", "programs", "calib.files.formats:FORMATS"),
+        ("calib.parametrisations", "rotary_axes", "calib.redundancy.rotary_axes:rotary_axes"),
+        ("calib.formats", "rotary axes", "calib.redundancy.rotary_axes:FORMATS"),
         ("calib.parametrisations", "altaz", "calib.redundancy.altaz:altaz"),
         ("calib.terms", "tube_flexure", "calib.redundancy.altaz:TubeFlexure"),
         ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),

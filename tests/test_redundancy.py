@@ -20,9 +20,12 @@ from test_kind_coverage import BALL, Chain, six_axis_chain
 import calib
 from calib.core.instruments.kind import Readings, View
 from calib.core.instruments.kinds import KINDS
+from calib.core.robots.file_formats import formats_that_hold
+from calib.core.robots.held import Holds
 from calib.core.robots.terms.term import Context, Joint
 from calib.core.robots.terms.terms import TERMS
 from calib.extend import check_kind, check_term
+from calib.redundancy.rotary_axes import FORMATS
 
 ARM = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\npriors: false\nbase: {frame: l0}\n"
 TRUE = {"j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j3.z": 0.602}
@@ -127,7 +130,8 @@ def pegged(folder, stated=4):
     place, turn, pitch = PEGS
     yaml = f"{ARM}targets: {{pin: {{frame: l6, xyz: {BALL.tolist()}, position: unknown}}}}\ninstruments:\n"
     yaml += "  board: {kind: hole_pattern, target: pin, pitch: 25 mm, holes: [12, 24], sigma: 0.02 mm"
-    yaml += ", pattern: {frame: l0, xyz: [440 mm, -310 mm, 340 mm], position: unknown, orientation: unknown, sigma_angle: 0.1}}\n"
+    yaml += ", pattern: {frame: l0, xyz: [440 mm, -310 mm, 340 mm], position: unknown, orientation: unknown"
+    yaml += ", sigma_angle: 0.1}}\n"
     robot = load(folder, "arm.yaml", f"{yaml}parametrisation:\n{FREE}")
     pin = dict(zip(("pin.x", "pin.y", "pin.z"), BALL, strict=True))
     at = {f"board_pattern.{part}": value for part, value in zip("xyz", place, strict=True)}
@@ -180,7 +184,54 @@ def driven(folder, n=300):
     return robot, TURNS, drawn
 
 
-CASES = {"sighting": sighted, "pointing": pointed, "holes": pegged, "drive": driven}
+MACHINE = "<robot name='machine'><link name='bed'/>" + "".join(
+    f"<link name='{child}'/><joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>"
+    f"<origin xyz='{at}'/><axis xyz='{axis}'/><limit lower='-9' upper='9' effort='0' velocity='0'/></joint>"
+    for name, kind, parent, child, at, axis in (
+        ("x", "prismatic", "bed", "saddle", "0 0 0", "1 0 0"),
+        ("y", "prismatic", "saddle", "ram", "0 0 0", "0 1 0"),
+        ("z", "prismatic", "ram", "spindle", "0 0 0", "0 0 1"),
+        ("a", "revolute", "bed", "cradle", "0.2 0.3 -0.2", "1 0 0"),
+        ("c", "revolute", "cradle", "table", "0 0 0.05", "0 0 1"),
+    )
+)
+MACHINE_YAML = """\
+urdf: machine.urdf
+name_mot: [x, y, z, a, c]
+base: {frame: bed}
+targets: {probe: {frame: spindle}}
+instruments:
+  probe:
+    kind: touch
+    sigma: 2 um
+    places: {ball: {frame: table, xyz: [60 mm, 0, 20 mm], position: unknown}}
+parametrisation: rotary_axes
+"""
+AXES = {"EY0A": 1e-4, "EZ0A": -8e-5, "EB0A": 4e-4, "EC0A": -3e-4, "EX0C": 6e-5, "EY0C": -5e-5, "EA0C": 2e-4}
+AXES |= {"EB0C": -4e-4, "ball.x": 0.0604, "ball.y": 0.0011, "ball.z": 0.0197}
+
+
+def turned(vector):
+    return Rotation.from_rotvec(vector)
+
+
+def machined(folder):
+    """A trunnion that turns a ball about a and c; the probe is at its centre, off by the noise."""
+    robot, e = load(folder, "machine.yaml", MACHINE_YAML, MACHINE + "</robot>"), AXES
+    grid = np.radians([(a, c) for a in (-90, -60, -30, 0, 30) for c in range(0, 360, 45)])
+    ball = turned(np.outer(grid[:, 1], [0, 0, 1])).apply([e["ball.x"], e["ball.y"], e["ball.z"]])
+    ball = turned([e["EA0C"], e["EB0C"], 0]).apply(ball) + np.array([e["EX0C"], e["EY0C"], 0.05])
+    ball = turned([0, e["EB0A"], e["EC0A"]]).apply(turned(np.outer(grid[:, 0], [1, 0, 0])).apply(ball))
+    ball += [0.2, 0.3 + e["EY0A"], -0.2 + e["EZ0A"]]
+
+    def drawn(rng):
+        q = np.hstack([ball + 2e-6 * rng.standard_normal(ball.shape), grid])
+        return calib.as_measurements(robot, q, {"probe": ["ball"] * len(q)})
+
+    return robot, AXES, drawn
+
+
+CASES = {"sighting": sighted, "pointing": pointed, "holes": pegged, "drive": driven, "rotary": machined}
 
 
 def coverage(case, folder, n):
@@ -289,7 +340,7 @@ def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tm
     turned = Rotation.from_rotvec(q[:, 3:] * [0, 0, 1.0]).inv().apply(np.array([0.5, 0.1, -0.4]) - q[:, :3])
     true = Rotation.from_euler("x", 180, degrees=True).inv().apply(turned - [-0.456, -0.037, -0.112])
     data = calib.as_measurements(robot, q, {"camera": true + 1e-4 * rng.standard_normal((40, 3))})
-    with pytest.raises(calib.NotIdentifiableError, match="not separable: camera.z, marker.z; hold 1 of them"):
+    with pytest.raises(calib.NotIdentifiableError, match=r"not separable: camera\.z, marker\.z; hold 1 of them"):
         calib.fit(robot, data)
     held = robot.fix("marker.z")
     fit = calib.fit(held, calib.as_measurements(held, q, {"camera": data.readings["camera"]}))
@@ -311,6 +362,22 @@ def test_every_second_star_of_a_real_telescope_tells_of_the_others(tmp_path):
         readings = Readings(np.arange(len(at)), PAIRS[: len(at)], read[others], None, np.zeros((len(at), 0)))
         missed = np.sqrt(np.mean(np.sum(kind.misses(view, np.zeros(0), readings) ** 2, axis=1))) / ARCSEC
         assert missed <= 13.1
+
+
+def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):
+    robot, true, _ = machined(tmp_path)
+    text = FORMATS[0].write(robot.with_parameters(true), ["made"]).content.decode()
+    comment, header, a, c = text.splitlines()
+    assert (comment, header) == ("# made", "axis,x [mm],y [mm],z [mm],i,j,k")
+    assert a == "A,200.00000,300.10000,-200.08000,0.99999988,-0.00030000,-0.00040000"
+    first = turned([0, AXES["EB0A"], AXES["EC0A"]])
+    point = first.apply([AXES["EX0C"], AXES["EY0C"], 0.05]) + np.array([0.2, 0.3001, -0.20008])
+    along = (first * turned([AXES["EA0C"], AXES["EB0C"], 0])).apply([0, 0, 1])
+    assert np.array(c.split(",")[1:], dtype=float) == pytest.approx([*(1e3 * point), *along], abs=1e-5)
+    arm = calib.load(write_six_axis(tmp_path))
+    assert "rotary-axes" not in formats_that_hold(Holds.ORIGINS, arm)
+    with pytest.raises(calib.DescriptionError, match="the URDF has no joint 'a', 'b' or 'c'"):
+        load(tmp_path, "arm.yaml", ARM + "targets: {pin: {frame: l6}}\nparametrisation: rotary_axes\n")
 
 
 def main(n):

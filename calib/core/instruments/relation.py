@@ -39,8 +39,8 @@ _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
 _ROUNDING = 1e-11  # of the largest derivative: less is none
 _STAY = 1e-3  # weight of leaving where a place is said to be by its scale, against the median residual
-_FEW = 200  # readings from which starts are compared
-_TRIED, _IMPROVED = 12, 100  # evaluations of a start, and of the best ones
+_FEW = 60  # readings from which starts are compared
+_TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
 _KEPT = 3
 
 
@@ -180,7 +180,8 @@ def _improved(
     """What is left of f, as a sum of moderate powers, and the least squares of some readings from a start."""
     readings, n_own = scene.readings.subset(chosen), len(kind.unknowns)
     scales = np.array([parameter.sigma_si for parameter in kind.unknowns])
-    pairs = np.unique(readings.pairs)
+    looks = [(k, np.flatnonzero(readings.pairs == k)) for k in np.unique(readings.pairs)]
+    parts = [(scene.pairs[k], own, scene.links[chosen[own]], readings.subset(own)) for k, own in looks]
 
     def moved(x: FloatArray) -> Guess:
         places, steps = dict(start.places), dict[str, FloatArray]()
@@ -195,12 +196,10 @@ def _improved(
 
     def misses(x: FloatArray) -> FloatArray:
         at, result = moved(x), np.zeros((len(readings), kind.n_rows))
-        for k in pairs:
-            own = np.flatnonzero(readings.pairs == k)
-            (a, b), links = scene.pairs[k], scene.links[chosen[own]]
+        assert at.unknowns is not None  # of `moved`
+        for (a, b), own, links, part in parts:
             seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
-            assert at.unknowns is not None  # of `moved`
-            result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, readings.subset(own))
+            result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)
         return np.nan_to_num(result.ravel())
 
     zero = np.zeros(n_own + len(open_))

@@ -31,6 +31,7 @@ BROUGHT = tuple(
         ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
         ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
         ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
+        ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:between_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
         ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),

@@ -30,6 +30,7 @@ BROUGHT = tuple(
         ("calib.terms", "tube_flexure", "calib.redundancy.altaz:TubeFlexure"),
         ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
         ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
+        ("calib.kinds", "cable", "calib.redundancy.cable:Cable"),
         ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
         ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:between_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),

@@ -233,7 +233,52 @@ def machined(folder):
     return robot, AXES, drawn
 
 
-CASES = {"sighting": sighted, "pointing": pointed, "holes": pegged, "drive": driven, "rotary": machined}
+MOVER = "<robot name='mover'><link name='room'/>" + "".join(
+    f"<link name='at_{name}'/><joint name='{name}' type='prismatic'><parent link='{parent}'/><child link='at_{name}'/>"
+    f"<axis xyz='{axis}'/><limit lower='-2' upper='2' effort='0' velocity='0'/></joint>"
+    for name, parent, axis in (("x", "room", "1 0 0"), ("y", "at_x", "0 1 0"), ("z", "at_y", "0 0 1"))
+)
+ANCHORS = {"a": [0.0, -1.6, -0.12], "b": [1.3, 1.2, -0.15], "c": [-1.4, 0.75, -0.15], "d": [0.02, 0.0, 2.3]}
+SPOOL, GROWTH, GEAR = 0.0757, 4e-4, 20 / 255
+
+
+def spooled(folder):
+    """A mover on four cables, two lines each, on spools that grow with every turn: lengths by adding up turns."""
+    words = "".join(
+        f"  {name}: {{kind: cable, target: mover, gear: {GEAR}, lines: 2, sigma: 0.2 mm, length: unknown,"
+        " spool: {value: 75 mm, sigma: 100 mm}, growth: {value: 0.4 mm, sigma: 10 mm},"
+        f" anchor: {{frame: room, xyz: {np.round(at, 1).tolist()}, position: unknown}}}}\n"
+        for name, at in ANCHORS.items()
+    )
+    yaml = "urdf: mover.urdf\nname_mot: [x, y, z]\nbase: {frame: room}\ntargets: {mover: {frame: at_z}}\n"
+    robot = load(folder, "mover.yaml", f"{yaml}parametrisation: []\ninstruments:\n{words}", MOVER + "</robot>")
+    q = np.random.default_rng(4).uniform([-0.6, -0.6, 0.0], [0.6, 0.6, 0.6], (60, 3))
+    turns = np.linspace(-6.0, 6.0, 24001)
+    radii = SPOOL + GROWTH * (turns[1:] + turns[:-1]) / 2
+    lengths = np.concatenate([[0.0], np.cumsum(np.diff(turns) * 2 * np.pi * radii)])
+    lengths -= np.interp(0.0, turns, lengths)
+    true, exact = {}, {}
+    for name, at in ANCHORS.items():
+        true |= {f"{name}_anchor.{axis}": value for axis, value in zip("xyz", at, strict=True)}
+        true |= {f"{name}.length": float(np.linalg.norm(at)), f"{name}.spool": SPOOL, f"{name}.growth": GROWTH}
+        exact[name] = np.linalg.norm(q - at, axis=1) - true[f"{name}.length"]
+
+    def drawn(rng):
+        out = {name: 2 * (length + 2e-4 * rng.standard_normal(60)) for name, length in exact.items()}
+        read = {name: 2 * np.pi * np.interp(each, lengths, turns)[:, None] / GEAR for name, each in out.items()}
+        return calib.as_measurements(robot, q, read)
+
+    return robot, true, drawn
+
+
+CASES = {
+    "sighting": sighted,
+    "pointing": pointed,
+    "holes": pegged,
+    "drive": driven,
+    "rotary": machined,
+    "cables": spooled,
+}
 
 
 def coverage(case, folder, n):
@@ -267,6 +312,12 @@ PAIRS = np.zeros(200, dtype=np.intp)
 ENTRIES = {
     "sighting": {"points": {"a": {"frame": "l0"}, "b": {"frame": "l1", "position": "unknown"}}},
     "pointing": {},
+    "cable": {
+        "anchor": {"frame": "l0"},
+        "length": "unknown",
+        "spool": {"value": "75 mm", "sigma": "1 mm"},
+        "gear": 0.1,
+    },
     "hole_pattern": {"pattern": {"frame": "l0"}, "pitch": {"value": "25 mm", "sigma": "1 mm"}, "holes": [30, 30]},
 }
 

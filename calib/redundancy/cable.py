@@ -63,9 +63,10 @@ class Cable(Relation):
         """Return the instrument that an entry of a robot description means."""
         if section.spool.value <= 0:
             raise ValueError("spool must be a positive radius, or {value, sigma} of one")
-        keys = ("length", "spool", "growth")
-        lengths: tuple[OwnLength, ...] = tuple(getattr(section, key) for key in keys)
-        unknowns = tuple(p for k, own in zip(keys, lengths, strict=True) for p in own.parameters(f"{name}.{k}"))
+        lengths = (section.length, section.spool, section.growth)
+        away = float(np.linalg.norm(section.anchor.xyz))  # where an unknown length starts
+        unknowns = section.length.parameters(f"{name}.length", away)
+        unknowns += section.spool.parameters(f"{name}.spool") + section.growth.parameters(f"{name}.growth")
         own, noise = (section.anchor.place(f"{name}_anchor"),), Noise((PartNoise.of(section.sigma, 1),))
         target = section.target or name
         return cls(name, target, own, lengths, section.gear, section.lines, noise=noise, unknowns=unknowns)

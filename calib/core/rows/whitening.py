@@ -98,7 +98,7 @@ class Whitening:
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def whitened(
-        self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False, across: bool = False
+        self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False
     ) -> FloatArray:
         """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
 
@@ -107,11 +107,8 @@ class Whitening:
             array: What they have.
             chosen: Which readings, (n,).
             in_place: Whether the array may be used up.
-            across: Whether to multiply by the transposed of what whitens.
         """
         inverse = self._inverse[name][chosen]
-        if across and inverse.ndim == 3:
-            inverse = inverse.transpose(0, 2, 1)
         if inverse.ndim == 2:  # no correlations: divide
             scale = inverse if array.ndim == 2 else inverse[:, :, None]
             return np.multiply(array, scale, out=array if in_place else None)

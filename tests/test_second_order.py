@@ -1,5 +1,4 @@
-"""What parameters are off beyond the linear model, against second differences of what is read and a Gauss-Newton step.
-"""
+"""What parameters are off beyond the linear model, against second differences of what is read."""
 
 import numpy as np
 import pytest

@@ -182,8 +182,8 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     rng, n = np.random.default_rng(9), 40
     group, pose = np.zeros(3 * n, dtype=int), np.repeat(np.arange(n), 3)
     layout = Layout(
-        ("tool",), np.array([0, n]), np.array([0, 3 * n]), pose, np.arange(n), np.arange(n), np.full(n, 3), group,
-        (Group("tool", POSITION, stated=False, typical=1.0),),
+        group, np.array([3 * n]), ("tool",), np.array([0, n]), np.array([0, 3 * n]), pose, np.arange(n), np.arange(n),
+        np.full(n, 3), (Group("tool", POSITION, stated=False, typical=1.0),),
     )  # fmt: skip
     columns, errors = np.tile(np.eye(3), (n, 1)), 1e-4 * rng.standard_normal(3 * n)
     rows = Rows(errors - errors.mean(), columns, Prior(np.zeros(3, dtype=bool)), np.zeros(3), layout)

@@ -130,7 +130,7 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     """
     unknowns, groups = problem.unknowns, problem.whitening.start()
     if len(placed.batches) > 1 and not unknowns.families:
-        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns)[0][:, :-1], axis=0)
+        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns).jacobian, axis=0)
     else:
         lengths = problem.derivative(placed, groups, unknowns).lengths()
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))

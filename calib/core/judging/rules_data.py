@@ -15,7 +15,7 @@ from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
 from calib.core.fitting.moved_frame import moved_frame
-from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
+from calib.core.fitting.outliers import Outlier, outliers_in_words
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.copied_readings import copied_visits, reading_keys
@@ -23,7 +23,7 @@ from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import beyond_repeatability
 from calib.core.judging.rounded_joint_values import rounding
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
-from calib.core.numerics.losses import HIGH_LEVERAGE, studentised
+from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
@@ -266,9 +266,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
     if np.any(deciding) and not np.all(lasting):
         rows = fit.rows.only(lasting)
         root = rows.weighted(fit.weights).known.root
-        deciding &= (
-            studentised(blocks(rows, fit.weights), root, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
-        )
+        deciding &= rows.studentised(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
     high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
         yield Code.LEVERAGE.says(

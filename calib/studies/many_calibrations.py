@@ -115,8 +115,7 @@ class Repeated(ReadOnlyArrays):
         weighing = whitening.weighing(first.scales.ratios)
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(first.scales.groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
-        root, pull = rows.known.root, rows.jacobian.T @ whitened + rows.prior.pull(rows.deviations)
-        return first.unknowns.moved(robot, rows.deviations - root @ (root.T @ pull))
+        return first.unknowns.moved(robot, rows.deviations + rows.step(whitened))
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, problem.evaluate(start), self.settings)

@@ -344,9 +344,7 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
-    pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
-    root, unknowns = weighted.known.root, solved.problem.unknowns
-    away = np.abs(root @ (root.T @ pull))
+    away, unknowns = np.abs(weighted.step()), solved.problem.unknowns
     left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message

@@ -90,6 +90,12 @@ class LinearModel:
         """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
         return Span(self.jacobian, self.known.root)
 
+    def step(self, residuals: FloatArray | None = None) -> FloatArray:
+        """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""
+        right = self.residuals if residuals is None else residuals
+        root, pull = self.known.root, self.jacobian.T @ right + self.prior.pull(self.deviations)
+        return -root @ (root.T @ pull)
+
     @property
     def cost(self) -> float:
         """Sum of the squares of residuals and priors."""

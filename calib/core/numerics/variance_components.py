@@ -37,7 +37,6 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.linear_model import LinearModel
-from calib.core.numerics.observability import Information, information
 
 _ROUNDS = 60
 _SETTLED = 1e-4
@@ -157,10 +156,14 @@ def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Co
     parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
     factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
     scales = start.copy()
-    step: FloatArray = np.zeros(model.jacobian.shape[1])
-    for _ in range(_ROUNDS):
+
+    def scaled() -> LinearModel:
         stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
-        known, step = _solved(model, stacked)
+        return replace(model, residuals=stacked[:, -1], jacobian=stacked[:, :-1])
+
+    for _ in range(_ROUNDS):
+        now = scaled()
+        known, step = now.known, now.step()
         change = np.ones(len(start))
         for g in map(int, np.flatnonzero(sought & (counts > 0))):
             factor = factors[g] / scales[g]
@@ -172,11 +175,11 @@ def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Co
             break
     freedom_left = int(np.sum(counts)) - known.root.shape[1] + float(np.sum(model.prior.times(known.root) ** 2))
     require_freedom(freedom_left, int(np.sum(counts)))
-    stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
-    known, step = _solved(model, stacked)
-    cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
+    now = scaled()
+    step = now.step()
+    cost = float(np.sum((now.jacobian @ step + now.residuals) ** 2)) + _prior_cost(model, step)
     determinant = 2.0 * float(np.sum(counts * np.log(scales)))
-    return Components(scales, np.zeros(0), -0.5 * (determinant + known.log_determinant + cost))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + now.known.log_determinant + cost))
 
 
 def found_components(
@@ -281,19 +284,12 @@ class _Root:
 
 
 def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
-    """The same as `_solved` by Cholesky's factors, which do for finding noise and cost a tenth."""
+    """What rows [J y] and the priors determine, by Cholesky's factors, which do for finding noise, and the step."""
     matrix = model.prior.added_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
     pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
     return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
-
-
-def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
-    """What whitened rows [J y] and the priors determine, and the step to their minimum."""
-    known = information(rows[:, :-1], model.prior.rows)
-    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
-    return known, -known.root @ (known.root.T @ pull)
 
 
 def _prior_cost(model: LinearModel, step: FloatArray) -> float:

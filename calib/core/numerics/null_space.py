@@ -85,7 +85,7 @@ def null_groups(
 
 
 def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
-    """Return a group in words, such as `xb +1 mm, dq1 -1 mm`.
+    """Return in words which changes look alike, such as `xb from dq1`, or `1 deg of dq2 from 3 mm of yb and ...`.
 
     Args:
         group: Of `null_groups`.
@@ -94,7 +94,11 @@ def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
     first = parameters[group.members[0]]
     if len(group.members) == 1:
         return f"{first.name} has no effect"
-    return ", ".join(f"{name} {amount:+.4g} {unit}" for name, amount, unit in natural_coefficients(group, parameters))
+    others = natural_coefficients(group, parameters)[1:]
+    if len(others) == 1 and others[0][2] == first.unit and np.isclose(abs(others[0][1]), 1.0):
+        return f"{first.name} from {'-' if others[0][1] > 0 else ''}{others[0][0]}"
+    alike = [f"{-amount:.4g} {unit} of {name}" for name, amount, unit in others]
+    return f"1 {first.unit} of {first.name} from {' and '.join(alike)}"
 
 
 def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:

@@ -155,7 +155,7 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
         reached, bound = (f"{_shown(s.index, value):.5g}" for value in (s.on_grid[s.index], s.bound))
         least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
-            f"Predicted position error {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
+            f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
             if s.index == TASK
             else f"{s.index} = {reached}: at least {least:.1f} % of the best possible choice (certified)"
         )

@@ -90,8 +90,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: {rows} measured coordinates determine {used:.1f} parameters and leave"
-            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many poses",
+            f"too few poses: {rows} measured coordinates for {used:.0f} parameters. Measure several times as many",
             counted=fit.statistics.freedom >= FEW and fit.validation is not None,
         )
 
@@ -137,7 +136,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         if outlying and not (where and moved_frame(fit)):
             rows = fit.validation_rows if where else fit.rows
             n = rows.layout.n_readings if rows else 0
-            words = listed(outliers_in_words(outlying), "; ")
+            words = listed(outliers_in_words(outlying), "; ", 2)
             yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"

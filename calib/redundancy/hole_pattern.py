@@ -112,7 +112,7 @@ class HolePattern(Relation):
 def between_holes(fit: Fit) -> Iterator[Reason]:
     """Refuse rows whose nearest hole is not by far the nearest."""
     for board in (board for board in fit.identification.instruments if isinstance(board, HolePattern)):
-        readings, off = (each.get(board.name) for each in (fit.identification.data.readings, fit.identification.after))
+        readings, off = fit.identification.data.readings.get(board.name), fit.identification.after.get(board.name)
         if readings is not None and off is not None:
             unclear = (readings.details[:, 2] == 0) & (np.abs(off[:, :2]).max(axis=1) > board.pitch.value / 4)
             if count := int(np.sum(unclear)):

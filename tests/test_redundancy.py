@@ -357,6 +357,13 @@ def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
     assert any("from the nearest hole of board: state more" in reason.text for reason in verdict.reasons)
 
 
+def test_a_pitch_that_is_no_length_is_refused():
+    with pytest.raises(ValueError, match="must be a positive length"):
+        KINDS["hole_pattern"].section.model_validate(
+            {"kind": "hole_pattern"} | ENTRIES["hole_pattern"] | {"pitch": "0 mm"}
+        )
+
+
 def test_play_has_a_memory():
     q = np.radians([0, 5, 4.5, 5, 0, 0.5, 1.0, 6.0])
     joint = Joint("elbow", "angle", ("elbow",))

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength
+from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength, PositiveLengthOrUnknown
 from calib.core.instruments.kind import Column, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
@@ -41,7 +41,7 @@ class CableSection(InstrumentSection):
     target: str | None = None
     anchor: RelatedSection
     length: LengthOrUnknown
-    spool: LengthOrUnknown
+    spool: PositiveLengthOrUnknown
     growth: LengthOrUnknown = KNOWN_ZERO
     gear: float = Field(default=1.0, gt=0, allow_inf_nan=False)
     lines: int = Field(default=1, ge=1)
@@ -61,8 +61,6 @@ class Cable(Relation):
     @classmethod
     def of(cls, name: str, section: CableSection) -> Cable:
         """Return the instrument that an entry of a robot description means."""
-        if section.spool.value <= 0:
-            raise ValueError("spool must be a positive radius, or {value, sigma} of one")
         lengths = (section.length, section.spool, section.growth)
         away = float(np.linalg.norm(section.anchor.xyz))  # where an unknown length starts
         unknowns = section.length.parameters(f"{name}.length", away)
@@ -91,7 +89,7 @@ class Cable(Relation):
         return np.linalg.norm(view.translation, axis=1)[:, None] - length - out
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return angles that let out so much more."""
+        """Return angles that let out so much more, (n, 1) [rad]."""
         _, radius, growth = (own.value for own in self.lengths)
         return values + change * self.lines / (self.gear * (radius + growth * self.gear * values / (2 * np.pi)))
 

@@ -22,7 +22,7 @@ from pydantic import Field
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
-from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength
+from calib.core.base.sections import KNOWN_ZERO, OwnLength, PositiveLength, PositiveLengthOrUnknown
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Readings, Scene, View
 from calib.core.instruments.noise import Noise, PartNoise
@@ -37,7 +37,7 @@ class HolePatternSection(InstrumentSection):
 
     target: str | None = None
     pattern: RelatedSection
-    pitch: LengthOrUnknown
+    pitch: PositiveLengthOrUnknown
     holes: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
     sigma: PositiveLength | tuple[PositiveLength, PositiveLength, PositiveLength] | None = None
 
@@ -55,8 +55,6 @@ class HolePattern(Relation):
     @classmethod
     def of(cls, name: str, section: HolePatternSection) -> HolePattern:
         """Return the instrument that an entry of a robot description means."""
-        if section.pitch.value <= 0:
-            raise ValueError("pitch must be a positive length, or {value, sigma} of one")
         own, size = (section.pattern.place(f"{name}_pattern"),), section.pitch
         noise, unknowns = Noise((PartNoise.of(section.sigma, 3),)), size.parameters(f"{name}.pitch")
         return cls(name, section.target or name, own, size, section.holes, noise=noise, unknowns=unknowns)

@@ -72,6 +72,6 @@ class Pointing(Relation):
         return np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return directions that lie so much less to the left and up."""
+        """Return directions that lie so much less to the left and up, (n, 2) [rad]."""
         off = -change / np.column_stack([self.sense * np.cos(values[:, 1]), np.ones(len(values))])
         return values + off

@@ -30,7 +30,11 @@ _OFF, _TILT = 0.5e-3, 1e-3  # expected [m], [rad]
 
 
 def rotary_axes(origins: Mapping[str, Origin]) -> NamedOrigins:
-    """Return the parametrisation of the rotary axes that a machine has."""
+    """Return the parametrisation of the rotary axes that a machine has.
+
+    Raises:
+        DescriptionError: It has none.
+    """
     joints = [(k, name) for k, name in enumerate("abc") if name in origins]
     if not joints:
         raise DescriptionError("parametrisation 'rotary_axes': the URDF has no joint 'a', 'b' or 'c'")

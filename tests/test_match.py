@@ -134,9 +134,8 @@ def test_makers_angles_are_found(stock: Path, tmp_path: Path, words: str) -> Non
     file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], angles, digits=(3, 2, 3))
     (found,) = candidates(robot, read_pairs(file, JOINTS))
     reading = found.reading
-    assert (reading.form, reading.joint_unit, reading.length_unit, reading.angle_unit, reading.direction) == (
-        EULER[words], "deg", "mm", "deg", "direct",
-    )  # fmt: skip
+    units = reading.joint_unit, reading.length_unit, reading.angle_unit
+    assert (reading.convention.form, units, reading.direction) == (EULER[words], ("deg", "mm", "deg"), "direct")
 
 
 def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp_path: Path) -> None:
@@ -147,17 +146,21 @@ def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp
     scalar_first = turns.as_quat()[:, [3, 0, 1, 2]]
     file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], scalar_first, digits=(3, 2, 6))
     (found,) = candidates(robot, read_pairs(file, JOINTS))
-    assert found.reading.form == "qw qx qy qz"
+    assert found.reading.convention.form == "qw qx qy qz"
     lines = [f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, np.hstack([T[:, :3, 3], turns.as_rotvec()]), strict=True)]
     (tmp_path / "log.txt").write_text("\n".join(lines))
     (found,) = candidates(robot, read_pairs(tmp_path / "log.txt", JOINTS))
-    assert (found.reading.form, found.reading.joint_unit, found.reading.length_unit) == ("rotation vector", "rad", "m")
+    assert (found.reading.convention.form, found.reading.joint_unit, found.reading.length_unit) == (
+        "rotation vector",
+        "rad",
+        "m",
+    )
 
 
 def mistakes(stock: Path, file: Path) -> str:
     robot = calib.load(stock)
     pairs = read_pairs(file, JOINTS)
-    return " ".join(candidates(robot, pairs)[0].reading.mistakes(robot, pairs))
+    return " ".join(candidates(robot, pairs)[0].reading.mistakes(pairs))
 
 
 def test_inverse_poses_wrong_units_and_coupled_joints_are_named(stock: Path, tmp_path: Path) -> None:

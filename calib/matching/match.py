@@ -71,8 +71,8 @@ def match(
     if len(read) < _LEAST:
         raise DataError(f"{pairs}: {counted(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
     fits = [_begun(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
-    fit = _decided(fits, nominal, read) if len(fits) > 1 else fits[0]
-    remarks = fit.candidate.reading.mistakes(nominal, read)
+    fit = _decided(fits, read) if len(fits) > 1 else fits[0]
+    remarks = fit.candidate.reading.mistakes(read)
     if not fit.agreed.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
         if free.agreed.left_out < _BETTER * fit.agreed.left_out:
@@ -108,11 +108,11 @@ def _begun(
     return TwinFit(robot, pairs, candidate, places[0], places[1], kept, seed)
 
 
-def _decided(fits: list[TwinFit], robot: Robot, pairs: Pairs) -> TwinFit:
+def _decided(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
     """The reading that fits best; an error where another one fits alike, and no header says which."""
     best = min(fit.agreed.left_out for fit in fits)
     alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
-    said = [fit for fit in alike if not fit.candidate.reading.mistakes(robot, pairs)]
+    said = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
     if len(alike) > 1 and (len(said) != 1 or not pairs.words):
         raise alike_error(pairs, [fit.candidate.reading for fit in alike])
     return said[0] if len(alike) > 1 else alike[0]
@@ -165,7 +165,7 @@ def _stock_misses(fit: TwinFit) -> FloatArray:
     """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = fit.candidate.reading, fit.candidate.aligned
     joints, positions, rotations = reading.paired(fit.pairs)
-    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(fit.robot, joints)) @ aligned.tool
+    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool
     return distances(robot, reading.poses(positions, rotations))
 
 

@@ -21,22 +21,9 @@ from calib.core.base.words import counted
 from calib.core.data.layouts import is_comment
 from calib.core.data.tables import Table, read_table
 from calib.core.judging.rounded_joint_values import usual_step
+from calib.matching.conventions import HEADERS
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_ROTATIONS: dict[str, tuple[str, ...]] = {
-    "qx qy qz qw": ("qx", "qy", "qz", "qw"),
-    "qw qx qy qz": ("qw", "qx", "qy", "qz"),
-    "q1 q2 q3 q4": ("q1", "q2", "q3", "q4"),
-    "w p r": ("w", "p", "r"),
-    "a b c": ("a", "b", "c"),
-    "o a t": ("o", "a", "t"),
-    "roll pitch yaw": ("roll", "pitch", "yaw"),
-    "alpha beta gamma": ("alpha", "beta", "gamma"),
-    "rx ry rz": ("rx", "ry", "rz"),
-    "theta x y z": ("thetax", "thetay", "thetaz"),
-    "matrix": tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
-}
-"""Endings of the names of columns that makers give to rotations."""
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
 """Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
@@ -54,7 +41,7 @@ class Pairs(ReadOnlyArrays):
         rotations: In the units of the file, (n, 3, 4 or 9).
         units: Of joint values, positions and rotations, where the file states them.
         steps: Of the last digit of each joint, of positions, and of rotations, in units of the file, (n_joints + 2,).
-        words: Name of the rotation's columns in `_ROTATIONS`; empty where they say nothing.
+        words: Key of `HEADERS` of the rotation's columns; empty where they say nothing.
     """
 
     path: str
@@ -145,7 +132,7 @@ def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -
 
 
 def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
-    rotations = {ending for endings in _ROTATIONS.values() for ending in endings}
+    rotations = {ending for words in HEADERS for ending in words.split()}
     found = []
     for axis in "xyz":
         fitting = [
@@ -159,8 +146,8 @@ def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
 
 def _rotation_columns(names: list[str], taken: Sequence[int]) -> tuple[list[int], str]:
     left = [k for k in range(len(names)) if k not in taken]
-    for words, endings in _ROTATIONS.items():
-        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in endings]
+    for words in HEADERS:
+        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in words.split()]
         if -1 not in columns and len(set(columns)) == len(columns):
             return columns, words
     after = [k for k in left if k > max(taken, default=-1)]

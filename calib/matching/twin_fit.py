@@ -112,13 +112,13 @@ class TwinFit:
         reading, pairs = self.candidate.reading, self.pairs
         kept = np.array(self.kept)
         joints, positions, rotations = (array[kept] for array in reading.paired(pairs))
-        q, T = reading.joints(model, joints), reading.poses(positions, rotations)
+        q, T = reading.joints(joints), reading.poses(positions, rotations)
         n, n_joints = q.shape
-        steps = reading.steps(model, pairs)
+        steps = reading.steps(pairs)
         by_joint = linearise(model, model.assemble(q), turns=True, joints=True).by_joint
         assert by_joint is not None
         columns = [
-            np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(model, joints + steps[j] * np.eye(n_joints)[j]) - q)
+            np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(joints + steps[j] * np.eye(n_joints)[j]) - q)
             for j in range(n_joints)
         ]
         columns += [_twist(reading.poses(positions + steps[-2] * axis, rotations), T) for axis in np.eye(3)]

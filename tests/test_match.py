@@ -157,6 +157,22 @@ def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp
     )
 
 
+@pytest.mark.parametrize(("stem", "width"), [("actual_TCP_pose", 6), ("O_T_EE", 16)])
+def test_columns_that_are_numbered_as_controllers_log_them_are_read(
+    stock: Path, tmp_path: Path, stem: str, width: int
+) -> None:
+    q = joint_values(1)
+    T = poses(q, origins())
+    vectors = np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
+    numbers = vectors if width == 6 else T.swapaxes(1, 2).reshape(-1, 16)  # column by column
+    names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"{stem}_{k}" for k in range(width))]
+    file = write(tmp_path / "log.csv", ",".join(names), np.arange(30)[:, None], q, numbers, digits=(2, 6, 6))
+    read = read_pairs(file, JOINTS)
+    assert np.allclose(read.joints, q, atol=1e-6)
+    (found,) = candidates(calib.load(stock), read)
+    assert np.allclose(found.reading.poses(read.positions, read.rotations), T, atol=1e-5)
+
+
 def mistakes(stock: Path, file: Path) -> str:
     robot = calib.load(stock)
     pairs = read_pairs(file, JOINTS)

@@ -27,6 +27,10 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
 """Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
+_POSES = ("pose", "otee")
+"""What is in the names of columns of a pose that are numbered: UR's actual_TCP_pose_0, Franka's O_T_EE_0."""
+_NUMBERED = {6: tuple(range(6)), 7: tuple(range(7)), 16: (12, 13, 14, 0, 4, 8, 1, 5, 9, 2, 6, 10)}
+"""Where x, y, z and the rotation are in so many numbers; 16 are a matrix, column by column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +74,7 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
     table = _without_header(path) or read_table(path)
     names = [_plain(name) for name in table.names]
     joints = _joint_columns(table, names, joint_names)
-    positions = _position_columns(names, joints)
-    rotations, words = _rotation_columns(names, (*joints, *positions))
+    positions, rotations, words = _pose_columns(names, joints)
     if not (joints and positions and rotations):
         order = list(range(len(names)))
         n = len(joint_names)
@@ -115,20 +118,36 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]", "", name.casefold())
 
 
-def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
-    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
-    if all(name in table.names for name in joint_names):
-        return [table.names.index(name) for name in joint_names]
-    n = len(joint_names)
+def _series(names: list[str]) -> dict[str, dict[int, int]]:
+    """Columns that are numbered, by what stands before the number: number to column."""
     series: dict[str, dict[int, int]] = {}
     for k, name in enumerate(names):
         if match := re.fullmatch(r"(.*?)(\d+)(?:deg|rad|pos|position)?", name):
             series.setdefault(match[1], {})[int(match[2])] = k
+    return series
+
+
+def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
+    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
+    if all(name in table.names for name in joint_names):
+        return [table.names.index(name) for name in joint_names]
+    series, n = _series(names), len(joint_names)
     for stem in sorted(series, key=lambda stem: _STEMS.index(stem) if stem in _STEMS else len(_STEMS)):
         for first in (1, 0):
             if all(first + k in series[stem] for k in range(n)):
                 return [series[stem][first + k] for k in range(n)]
     return []
+
+
+def _pose_columns(names: list[str], joints: Sequence[int]) -> tuple[list[int], list[int], str]:
+    """Columns of positions and of rotations, and the header's word for these; empty where names do not tell."""
+    for stem, columns in _series(names).items():
+        order = _NUMBERED.get(len(columns))
+        if order is not None and any(word in stem for word in _POSES) and not set(columns.values()) & set(joints):
+            numbers = [columns[k] for k in sorted(columns)]
+            return [numbers[k] for k in order[:3]], [numbers[k] for k in order[3:]], ""
+    positions = _position_columns(names, joints)
+    return positions, *_rotation_columns(names, (*joints, *positions))
 
 
 def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:

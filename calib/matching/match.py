@@ -19,12 +19,11 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError, DataError, InputError
+from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import counted
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.matching.agreement import Agreement
 from calib.matching.alignment import distances
 from calib.matching.pairs import Pairs, read_pairs
 from calib.matching.readings import Candidate, alike_error, candidates, nominal_poses
@@ -79,11 +78,11 @@ def match(
             remarks += ["the tool is another one than the one stated"] if tool is not None else []
             fit = free
     fit = _without_others(fit)
-    tried = _with_terms(fit) if terms and not fit.agreed.to_the_digits else None
+    tried = fit.explanation() if terms and not fit.agreed.to_the_digits else None
     away = _stock_misses(fit)
     gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
     places = _places(fit, stated=(base is not None, tool is not None))
-    return Match(fit.plain[0], fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
+    return Match(fit.fit, fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
 
 
 def _begun(
@@ -128,18 +127,6 @@ def _without_others(fit: TwinFit) -> TwinFit:
         worst = less.kept[int(np.argmax(far))]
         less = replace(less, kept=tuple(k for k in less.kept if k != worst))
     return less if less.agreed.to_the_digits else fit
-
-
-def _with_terms(twin: TwinFit) -> tuple[str, Agreement] | None:
-    """The joint terms that explain more than joint origins, in words, and what they leave."""
-    try:
-        fit, agreed = twin.fitted("auto")
-    except CalibrationError:
-        return None
-    by_term: dict[str, list[str]] = {}
-    for section in fit.robot.description.terms:
-        by_term.setdefault(str(section.term), []).append(str(section.joint))
-    return listed([f"{term} of {listed(joints, shown=7)}" for term, joints in by_term.items()], " and "), agreed
 
 
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:

@@ -24,6 +24,7 @@ from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 from calib.matching.pairs import Pairs
 from calib.matching.readings import Candidate
+from calib.matching.unexplained import explanation
 
 _CONTROLLER = "controller"  # the instrument that stands for it
 
@@ -49,25 +50,29 @@ class TwinFit:
     seed: int
 
     @cached_property
-    def plain(self) -> tuple[JudgedFit, Agreement]:
-        """The fit of joint origins alone, and its agreement."""
-        return self.fitted(None)
-
-    @property
-    def agreed(self) -> Agreement:
-        """What the fit of joint origins is worth."""
-        return self.plain[1]
-
-    def fitted(self, terms: str | None) -> tuple[JudgedFit, Agreement]:
-        """Fit, with joint terms if any are asked for."""
+    def _fitted(self) -> tuple[JudgedFit, Measurements, FloatArray]:
         model = self._model()
         data, rounding = self._measured(model)
-        fit = calibrate(model, data, None, Settings(terms=terms))
-        return fit, agreement(fit, _CONTROLLER, rounding, self.seed)
+        return calibrate(model, data, None, Settings(terms=None)), data, rounding
+
+    @property
+    def fit(self) -> JudgedFit:
+        """The fit of joint origins."""
+        return self._fitted[0]
+
+    @cached_property
+    def agreed(self) -> Agreement:
+        """What the fit is worth."""
+        return agreement(self.fit, _CONTROLLER, self._fitted[2], self.seed)
+
+    def explanation(self) -> tuple[str, Agreement]:
+        """Return what the controller knows beside joint origins, in words, and what that leaves."""
+        fit, data, rounding = self._fitted
+        return explanation(fit, data, _CONTROLLER, rounding, self.seed)
 
     def found(self, place: str) -> FloatArray:
         """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""
-        fit = self.plain[0]
+        fit = self.fit
         mechanism = fit.robot.mechanism
         target = next((each for each in mechanism.targets if each.name == place), None)
         if target is not None:

@@ -86,17 +86,37 @@ def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> 
     assert distance95(matched, lambda q: poses(q, o)) <= matched.agreed.claim
 
 
-@pytest.mark.parametrize(("joint", "by", "size"), [(4, 3, 2e-4), (2, 1, 1e-3)])
-def test_couplings_of_a_controller_are_no_pass(stock: Path, tmp_path: Path, joint: int, by: int, size: float) -> None:
-    def controller(q: np.ndarray) -> np.ndarray:
-        coupled = q.copy()
-        coupled[:, joint] += size * q[:, by]
-        return poses(coupled, origins())
+def coupled(q: np.ndarray) -> np.ndarray:
+    return q + 2e-4 * np.eye(6)[4] * q[:, [3]]
 
+
+def geared(q: np.ndarray) -> np.ndarray:
+    return q + 1e-4 * np.eye(6)[2] * np.sin(3 * q[:, [2]])
+
+
+def loaded(q: np.ndarray) -> np.ndarray:
+    """The shoulder gives way to the masses of upper arm and forearm, 6 and 4 kg at their ends' heights."""
+    reach = 0.425 * np.cos(q[:, [1]])
+    return q + 1e-4 * np.eye(6)[1] * (6 * reach + 4 * (reach + 0.392 * np.cos(q[:, [1]] + q[:, [2]])))
+
+
+@pytest.mark.parametrize(
+    ("knows", "words"),
+    [
+        (coupled, "with coupling of wrist_2_joint by wrist_1_joint it agrees to the digits"),
+        (geared, "with gear of elbow_joint (3 waves a turn) it agrees to the digits"),
+        (loaded, "with gravity at shoulder_lift_joint it agrees to the digits"),
+    ],
+)
+def test_what_a_controller_knows_beside_joint_origins_is_named_and_no_pass(
+    stock: Path, tmp_path: Path, knows: Callable[[np.ndarray], np.ndarray], words: str
+) -> None:
     q = joint_values(1)
-    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, controller(q)), terms=False)
+    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(knows(q), origins())))
     assert matched.grade != "PASS"
     assert "the controller knows something that joint origins cannot hold" in matched.conclusion
+    assert words in matched.conclusion
+    assert matched.agreed.left_out > 2 * matched.agreed.allowed
 
 
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:
@@ -179,19 +199,47 @@ def mistakes(stock: Path, file: Path) -> str:
     return " ".join(candidates(robot, pairs)[0].reading.mistakes(pairs))
 
 
-def test_inverse_poses_wrong_units_and_coupled_joints_are_named(stock: Path, tmp_path: Path) -> None:
-    q = joint_values(1)
-    T = poses(q, origins())
-    assert "inverse poses" in mistakes(stock, ur_pairs(tmp_path / "inverse.csv", q, np.linalg.inv(T)))
-    header = ",".join(f"J{k} [deg]" for k in range(1, 7)) + ",X,Y,Z,rx,ry,rz"
-    vectors = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
-    file = write(tmp_path / "units.csv", header, q, 1e3 * T[:, :3, 3], vectors, digits=(5, 2, 4))
-    assert "joint values are in rad, not in deg" in mistakes(stock, file)
-    fanuc = q.copy()
-    fanuc[:, 2] -= q[:, 1]
-    assert "counts elbow_joint from the horizontal" in mistakes(stock, ur_pairs(tmp_path / "j23.csv", fanuc, T))
-    other = q * np.array([1, 1, -1, 1, 1, 1])
-    assert "elbow_joint counted the other way" in mistakes(stock, ur_pairs(tmp_path / "sign.csv", other, T))
+def numbers(T: np.ndarray, form: str = "") -> np.ndarray:
+    """Positions in mm, and rotations as vectors or angles in degrees."""
+    turns = Rotation.from_matrix(T[:, :3, :3])
+    return np.hstack([1e3 * T[:, :3, 3], turns.as_euler(form, degrees=True) if form else turns.as_rotvec()])
+
+
+IN_DEGREES = ",".join(f"J{k} [deg]" for k in range(1, 7))
+Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values(1)`
+
+
+@pytest.mark.parametrize(
+    ("header", "q", "numbers", "said"),
+    [
+        ("q0,q1,q2,q3,q4,q5,x,y,z,rx,ry,rz", Q, lambda T: numbers(np.linalg.inv(T)), "(inverse poses)"),
+        (f"{IN_DEGREES},X,Y,Z,rx,ry,rz", Q, numbers, "joint values are in rad, not in deg"),
+        ("J1,J2,J3,J4,J5,J6,X,Y,Z,A,B,C", Q, lambda T: numbers(T, "xyz"), "a b c are not ZYX, but xyz"),
+        ("J1,J2,J3,J4,J5,J6,X,Y,Z,W,P,R", Q, lambda T: numbers(T, "ZYX"), "w p r are not xyz, but ZYX"),
+        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q - Q[:, [1]] * np.eye(6)[2], numbers, "elbow_joint from the horizontal"),
+        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q * [1, 1, -1, 1, 1, 1], numbers, "elbow_joint counted the other way"),
+        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q, lambda T: np.roll(numbers(T), 1, axis=0), "1 row above their poses"),
+        (
+            "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",
+            Q,
+            lambda T: numbers(T) * [1, -1, 1, 1, 1, 1],
+            "x, y, z of positions hold",
+        ),
+    ],
+)
+def test_a_file_that_is_not_as_it_seems_is_named(
+    stock: Path, tmp_path: Path, header: str, q: np.ndarray, numbers: Callable[[np.ndarray], np.ndarray], said: str
+) -> None:
+    file = write(tmp_path / "pairs.csv", header, q, numbers(poses(Q, origins())), digits=(5, 3))
+    assert said in mistakes(stock, file)
+
+
+def test_a_base_that_is_not_the_one_stated_is_named(stock: Path, tmp_path: Path) -> None:
+    q, base = joint_values(1), np.eye(4)
+    base[:3, 3] = [0.5, 0.0, 0.7]
+    pairs = ur_pairs(tmp_path / "pairs.csv", q, base @ poses(q, origins()))
+    with pytest.raises(DataError, match="of another base than the one stated: xyz 500"):
+        calib.match(stock, pairs, base=[0, 0, 700, 0, 0, 0])
 
 
 def test_readings_that_fit_alike_are_refused(stock: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -50,25 +50,26 @@ class TwinFit:
     seed: int
 
     @cached_property
-    def _fitted(self) -> tuple[JudgedFit, Measurements, FloatArray]:
-        model = self._model()
-        data, rounding = self._measured(model)
-        return calibrate(model, data, None, Settings(terms=None)), data, rounding
+    def _data(self) -> tuple[Measurements, FloatArray]:
+        return self._measured(self._model())
 
-    @property
+    @cached_property
     def fit(self) -> JudgedFit:
         """The fit of joint origins."""
-        return self._fitted[0]
+        return self._fitted(self._data[0].joints)
 
     @cached_property
     def agreed(self) -> Agreement:
         """What the fit is worth."""
-        return agreement(self.fit, _CONTROLLER, self._fitted[2], self.seed)
+        return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
     def explanation(self) -> tuple[str, Agreement]:
         """Return what the controller knows beside joint origins, in words, and what that leaves."""
-        fit, data, rounding = self._fitted
-        return explanation(fit, data, _CONTROLLER, rounding, self.seed)
+        data, rounding = self._data
+        return explanation(self.fit, self._fitted, data.joints, _CONTROLLER, rounding, self.seed)
+
+    def _fitted(self, joints: FloatArray) -> JudgedFit:
+        return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
 
     def found(self, place: str) -> FloatArray:
         """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""

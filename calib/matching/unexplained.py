@@ -2,12 +2,14 @@
 
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
-    a joint term    coupling, gear (harmonics), gain, curve of one joint (`calib.core.robots.terms`)
-    gravity         one joint gives way to the torque of masses at the origins of links: phi is how fast each of them
-                    rises as the joint turns. No masses need be known
+    gravity     one joint gives way to the torque of masses at the origins of links: phi is how fast each of them rises
+                as the joint turns. No masses need be known
+    coupling    phi is the value of another joint
+    gear        gain, phi = q; waves, phi = sin k q, cos k q
 
-With J the rows of the fit and J d taken up by joint origins again, the hypothesis is added that leaves the smallest
-mean square by degree of freedom, as long as that halves it, and until rounding explains what is left.
+With J the rows of the fit and J d taken up by joint origins again, the hypothesis is added whose information criterion
+(n log sum of squares + c log n) is least, as long as it halves the sum, and until rounding explains what is left. With
+joints moved by what was found, the fit is made again: what origins took up moves them far.
 
 When it fails. What moves no joint; hypotheses that look alike at these pairs: gravity at a joint with a level axis is a
 harmonic of that joint.
@@ -15,27 +17,23 @@ harmonic of that joint.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError
-from calib.core.base.words import listed
-from calib.core.data.measurements import Measurements
+from calib.core.base.words import counted, listed
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.numerics import linalg
-from calib.core.robots.joint_errors import driven_by, term_columns
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 
 _MOST = 4  # hypotheses that are added
 _HALVED = 0.5  # part of the mean square that an added one must take away
+_ROUNDS = 2  # of fits with what was found
+_WAVES = (1, 2, 3, 4, 5, 6)
 _SEEN = 1e-6  # part of a column beyond what joint origins take up, below which it is nothing
 
 
@@ -47,63 +45,61 @@ class Hypothesis:
     phi: FloatArray
 
 
-def explanation(fit: Fit, data: Measurements, name: str, rounding: FloatArray, seed: int) -> tuple[str, Agreement]:
+def explanation(
+    fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, name: str, rounding: FloatArray, seed: int
+) -> tuple[str, Agreement]:
     """Return what explains residuals, in words (empty for nothing), and what it leaves.
 
     Args:
         fit: Of joint origins.
-        data: The pairs.
+        again: What fits to other joint values (n_pairs, n_joints).
+        q: Those of the pairs, (n_pairs, n_joints).
         name, rounding, seed: As for `calib.matching.agreement.agreement`.
     """
-    by_joint = linearise(fit.robot, fit.robot.assemble(data.joints), turns=True, joints=True).by_joint
+    by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).by_joint
     assert by_joint is not None
-    scale = fit.whitening.row_scale(fit.scales.groups)[:, None]
-    basis, rest = linalg.orth(fit.rows.jacobian * scale, _SEEN), fit.rows.residuals * scale[:, 0]
-    rest = rest - basis @ (basis.T @ rest)
     tried = [
-        (each.words, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], each.phi)}))
-        for each in hypotheses(fit.robot, data)
+        (each, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], each.phi)}))
+        for each in hypotheses(fit.robot, q)
     ]
-    words, added = list[str](), np.zeros((len(rest), 0))
+    words, phi, added, moved = list[str](), np.zeros((*q.shape, 0)), np.zeros((6 * len(q), 0)), q
     agreed = agreement(fit, name, rounding, seed)
     while tried and len(words) < _MOST and not agreed.to_the_digits:
+        basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
         spans = [_beyond(basis, G) for _, G in tried]
-        bases = [np.hstack([basis, span]) for span in spans]
-        left = [_per_freedom(rest - span @ (span.T @ rest), wider) for span, wider in zip(spans, bases, strict=True)]
-        best = int(np.argmin(left))
-        if left[best] > _HALVED * _per_freedom(rest, basis):
+        rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
+        left = [rest - span @ (span.T @ rest) for span in spans]
+        best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
+        if left[best] @ left[best] > _HALVED * (rest @ rest):
             break
-        said, G = tried.pop(best)
-        basis, rest = bases[best], rest - spans[best] @ (spans[best].T @ rest)
-        words, added = [*words, said], np.hstack([added, G])
+        one, G = tried.pop(best)
+        words, phi, added = [*words, one.words], np.concatenate([phi, one.phi], axis=2), np.hstack([added, G])
+        for _ in range(_ROUNDS):
+            J, r = _rows(fit)
+            moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
+            fit = again(moved)
         agreed = agreement(fit, name, rounding, seed, more=added)
     return listed(words, " and "), agreed
 
 
-def hypotheses(robot: Robot, data: Measurements) -> Iterator[Hypothesis]:
-    """Yield what these pairs can show."""
+def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Rows whitened by the rounding, and their residuals."""
+    scale = fit.whitening.row_scale(fit.scales.groups)
+    return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
+
+
+def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
+    """Yield what may move each joint of a robot at joint values q (n_pairs, n_joints)."""
     names = robot.joint_names
-    by_link = [robot.jacobian(data.joints, link)[:, 2] for link in _links(robot)]  # rise of each link's origin
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # of links' origins
     for j, joint in enumerate(names):
-        phi = np.zeros((len(data.joints), len(names), len(by_link)))
-        phi[:, j] = np.stack([rise[:, j] for rise in by_link], axis=1)
-        yield Hypothesis(f"gravity at {joint}", phi)
-    for kind in candidates(robot, data):
-        entries = [
-            section.model_copy(update={"joint": joint})
-            for section in kind.sections
-            for joint in (names if section.joint == "all" else (section.joint,))
-        ]
-        if kind.refused or TERMS[kind.term].needs_torque:
-            continue
-        with suppress(CalibrationError):
-            having = robot.with_terms(entries)
-            columns = term_columns(having, data.joints, data.conditions)
-            for section, term, column in zip(entries, having.terms, columns, strict=True):
-                phi = np.zeros((len(data.joints), len(names), column.shape[2]))
-                phi[:, driven_by(term, robot.mechanism)] = column
-                by = f" by {section.driven_by}" if hasattr(section, "driven_by") else ""
-                yield Hypothesis(f"{kind.term} of {section.joint}{by}", phi)
+        moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
+        moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
+        for waves in _WAVES if robot.mechanism.dimensions[joint] == "angle" else ():
+            turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
+            moves[f"gear of {joint} ({counted(waves, 'wave')} a turn)"] = turned
+        for words, phi in moves.items():
+            yield Hypothesis(words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi))
 
 
 def _links(robot: Robot) -> list[str]:
@@ -118,5 +114,5 @@ def _beyond(basis: FloatArray, G: FloatArray) -> FloatArray:
     return np.asarray(left[:, values > _SEEN])
 
 
-def _per_freedom(rest: FloatArray, basis: FloatArray) -> float:
-    return float(rest @ rest) / max(basis.shape[0] - basis.shape[1], 1)
+def _criterion(rest: FloatArray, coefficients: int) -> float:
+    return float(len(rest) * np.log(rest @ rest) + coefficients * np.log(len(rest)))

@@ -31,6 +31,9 @@ _NOT_STATED = "not stated"
 _SHOWN_IN = {
     "scale": (1e6, "um/m"),
     "offset": (1e6, "um"),
+    "offset_angle": (1e6, "urad"),
+    "focal_length": (1e6, "um/m"),
+    "principal_point": (1.0, "px"),
     "centring": (1e6, "um"),
     "diameter": (1e3, "mm"),
     "calibration": (1.0, "degC"),
@@ -115,9 +118,11 @@ def document(content: Mapping[str, Any]) -> Document:
     facts = [("identifier", content["identifier"]), ("robot", content["robot"]), ("program", content["program"])]
     facts += [("verdict of the fit", content["verdict"]), ("poses measured", str(content["n_poses"]))]
     if content["expansion_to_correct"]:
-        grown = f"{1e6 * content['expansion_to_correct']:.3g} um/m: correct for it, the budget takes it as corrected"
-        facts.append(("lengths in use, from the base", grown))
-    facts += list(_facts(content["traceability"])) or [("traceability", _NOT_STATED)]
+        grown = (
+            f"{1e6 * content['expansion_to_correct']:.3g} um/m: apply this correction; the budget takes it as applied"
+        )
+        facts.append(("expansion of lengths from the base, in use", grown))
+    facts += list(_facts(content["traceability"])) or [("metrological traceability", _NOT_STATED)]
     tables = [Rows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]
     if "monte_carlo" in content:
         tables.append(_monte_carlo_table(content["monte_carlo"]))
@@ -125,7 +130,7 @@ def document(content: Mapping[str, Any]) -> Document:
         (p["name"], f"{p['value_si'] * p['per_si']:.5f}", f"{p['std_si'] * p['per_si']:.2g}", p["unit"])
         for p in content["parameters"]
     )
-    tables.append(Rows("Parameters", ("parameter", "value", "standard uncertainty", "unit"), parameters))
+    tables.append(Rows("Parameters", ("parameter", "estimate", "standard uncertainty", "unit"), parameters))
     if content["iso9283"]:
         figures = tuple(
             (f["name"], f["pose"], str(f["cycles"]), _um(f["value"]), f"{_um(f['low95'])} to {_um(f['high95'])}")
@@ -166,16 +171,26 @@ def _budget_table(found: Mapping[str, Any]) -> Rows:
     ]
     effective, blank = _freedom(found["effective_degrees_of_freedom"]), ""
     combined, expanded = _um(found["combined_standard_uncertainty"]), _um(found["expanded_uncertainty"])
-    rows.append(("combined standard uncertainty", blank, blank, combined, effective, blank, "effective (Welch)"))
-    factor = f"coverage factor {found['coverage_factor']:.3f}"
-    rows.append(("expanded uncertainty, 95 %", blank, blank, expanded, blank, blank, factor))
+    rows.append(
+        (
+            "combined standard uncertainty",
+            blank,
+            blank,
+            combined,
+            effective,
+            blank,
+            "degrees of freedom: effective (Welch-Satterthwaite)",
+        )
+    )
+    factor = f"coverage factor {found['coverage_factor']:.3f}, coverage probability {100 * PROBABILITY:.0f} %"
+    rows.append(("expanded uncertainty", blank, blank, expanded, blank, blank, factor))
     columns = (
-        "quantity",
+        "input quantity",
         "standard uncertainty",
         "sensitivity coefficient",
-        "contribution [um]",
+        "uncertainty contribution [um]",
         "degrees of freedom",
-        "type",
+        "type of evaluation",
         "source",
     )
     return Rows("Uncertainty budget (GUM)", columns, tuple(rows))

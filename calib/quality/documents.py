@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
@@ -92,13 +91,22 @@ class Document:
         pdf.add_font("sans", "B", fonts / "DejaVuSans-Bold.ttf")
         pdf.set_auto_page_break(True, margin=15)
         pdf.add_page()
-        self._heading(pdf, self.title, 15)
-        self._heading(pdf, self.answer, 10)
-        for table in self.tables:
-            self._heading(pdf, table.title, 11)
-            self._table(pdf, [table.columns, *table.cells])
+
+        def heading(text: str, size: int) -> None:
+            pdf.ln(2)
+            pdf.set_font("sans", "B", size)
+            pdf.multi_cell(0, size * 0.55, text, new_x="LMARGIN", new_y="NEXT")
+
+        heading(self.title, 15)
+        heading(self.answer, 10)
+        for rows in self.tables:
+            heading(rows.title, 11)
+            pdf.set_font("sans", "", 7)
+            with pdf.table(text_align="LEFT", line_height=4, padding=0.8) as table:
+                for row in (rows.columns, *rows.cells):
+                    table.row([_breakable(cell) for cell in row])
         if self.signatures:
-            self._heading(pdf, "Signatures: name, date, signature", 11)
+            heading("Signatures: name, date, signature", 11)
             pdf.set_font("sans", "", 9)
             for who in self.signatures:
                 pdf.cell(40, 12, who)
@@ -106,19 +114,6 @@ class Document:
         out = io.BytesIO()
         pdf.output(out)
         return out.getvalue()
-
-    @staticmethod
-    def _heading(pdf: object, text: str, size: int) -> None:
-        pdf.ln(2)  # type: ignore[attr-defined]
-        pdf.set_font("sans", "B", size)  # type: ignore[attr-defined]
-        pdf.multi_cell(0, size * 0.55, text, new_x="LMARGIN", new_y="NEXT")  # type: ignore[attr-defined]
-
-    @staticmethod
-    def _table(pdf: object, rows: Sequence[Sequence[str]]) -> None:
-        pdf.set_font("sans", "", 7)  # type: ignore[attr-defined]
-        with pdf.table(text_align="LEFT", line_height=4, padding=0.8) as table:  # type: ignore[attr-defined]
-            for row in rows:
-                table.row([_breakable(cell) for cell in row])
 
 
 def _cell(text: str) -> str:

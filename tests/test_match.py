@@ -193,6 +193,14 @@ def test_columns_that_are_numbered_as_controllers_log_them_are_read(
     assert np.allclose(found.reading.poses(read.positions, read.rotations), T, atol=1e-5)
 
 
+def test_a_log_of_thousands_is_used_evenly(stock: Path, tmp_path: Path) -> None:
+    q = np.repeat(joint_values(1, 40), 50, axis=0)
+    read = read_pairs(ur_pairs(tmp_path / "log.csv", q, poses(q, origins())), JOINTS).evenly(500)
+    assert len(read) == 500
+    assert (read.rows[0], read.rows[-1]) == ("line 2", "line 2001")
+    assert np.allclose(read.joints[[0, -1]], q[[0, -1]], atol=1e-6)
+
+
 def mistakes(stock: Path, file: Path) -> str:
     robot = calib.load(stock)
     pairs = read_pairs(file, JOINTS)

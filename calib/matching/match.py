@@ -31,6 +31,7 @@ from calib.matching.result import Match
 from calib.matching.twin_fit import TwinFit
 
 _LEAST = 4  # pairs
+_MOST = 500  # that are used
 _NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
 _ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
 _ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
@@ -69,9 +70,11 @@ def match(
     read = read_pairs(pairs, nominal.joint_names)
     if len(read) < _LEAST:
         raise DataError(f"{pairs}: {counted(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
+    remarks = [f"{_MOST} of {len(read)} pairs are used, evenly over the file"] * (len(read) > _MOST)
+    read = read.evenly(_MOST)
     fits = [_begun(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
     fit = _decided(fits, read) if len(fits) > 1 else fits[0]
-    remarks = fit.candidate.reading.mistakes(read)
+    remarks += fit.candidate.reading.mistakes(read)
     if not fit.agreed.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
         if free.agreed.left_out < _BETTER * fit.agreed.left_out:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,12 @@ class Pairs(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    def evenly(self, most: int) -> Pairs:
+        """Return at most so many of them, evenly over the file: a log has thousands that say the same."""
+        kept = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+        arrays = {name: getattr(self, name)[kept] for name in ("joints", "positions", "rotations")}
+        return replace(self, rows=tuple(self.rows[k] for k in kept), **arrays)
 
 
 def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:

@@ -3,7 +3,7 @@
 Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
 
     gravity     one joint gives way to the torque of masses at the origins of links: phi is how fast each of them rises
-                as the joint turns. No masses need be known
+                as the joint turns, up being z of the root link. No masses need be known
     coupling    phi is the value of another joint
     gear        gain, phi = q; waves, phi = sin k q, cos k q
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -24,6 +25,8 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 .FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
+_WIDE = 34  # letters of a cell from which it takes several lines
+_ROOM = 130  # letters of a line of a page
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,19 @@ class Rows:
     title: str
     columns: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
+
+    def draw(self, pdf: Any) -> None:
+        """Draw it below what a PDF has: columns as wide as their words need, and long ones twice as wide as short."""
+        widths = [
+            max(*(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
+            for name, *cells in zip(self.columns, *self.cells, strict=True)
+        ]
+        _head(pdf, self.title, 11)
+        pdf.set_font("sans", "", 7)
+        with pdf.table(text_align="LEFT", line_height=4, padding=0.8, col_widths=widths) as table:
+            for row in (self.columns, *self.cells):
+                longest = (max(int(_ROOM * width / sum(widths)) - 3, 4) for width in widths)
+                table.row([_breakable(cell, most) for cell, most in zip(row, longest, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -44,12 +60,14 @@ class Document:
         answer: What it says, in one line.
         tables: What it says it by.
         signatures: Who signs, one line each.
+        mark: What each page says that it belongs to.
     """
 
     title: str
     answer: str
     tables: tuple[Rows, ...]
     signatures: tuple[str, ...]
+    mark: str = ""
 
     def html(self) -> str:
         """Return it as one page that loads nothing."""
@@ -84,29 +102,31 @@ class Document:
             raise InputError(
                 f"a PDF needs fpdf2: pip install '{DISTRIBUTION}[certificate]', or print the HTML"
             ) from None
-        pdf = fpdf.FPDF(format="A4")
+        mark = self.mark
+
+        class Page(fpdf.FPDF):  # type: ignore[name-defined,misc]
+            def footer(self) -> None:
+                self.set_y(-12)
+                self.set_font("sans", "", 7)
+                self.cell(0, 5, f"{mark}  page {self.page_no()} of {{nb}}", align="C")
+
+        pdf = Page(format="A4")
         pdf.set_title(self.title)
         fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")
         pdf.add_font("sans", "", fonts / "DejaVuSans.ttf")
         pdf.add_font("sans", "B", fonts / "DejaVuSans-Bold.ttf")
         pdf.set_auto_page_break(True, margin=15)
         pdf.add_page()
-
-        def heading(text: str, size: int) -> None:
-            pdf.ln(2)
-            pdf.set_font("sans", "B", size)
-            pdf.multi_cell(0, size * 0.55, text, new_x="LMARGIN", new_y="NEXT")
-
-        heading(self.title, 15)
-        heading(self.answer, 10)
+        _head(pdf, self.title, 15)
+        _head(pdf, self.answer, 10)
         for rows in self.tables:
-            heading(rows.title, 11)
-            pdf.set_font("sans", "", 7)
-            with pdf.table(text_align="LEFT", line_height=4, padding=0.8) as table:
-                for row in (rows.columns, *rows.cells):
-                    table.row([_breakable(cell) for cell in row])
+            with pdf.offset_rendering() as trial:
+                rows.draw(trial)
+            if trial.page_break_triggered:
+                pdf.add_page()
+            rows.draw(pdf)
         if self.signatures:
-            heading("Signatures: name, date, signature", 11)
+            _head(pdf, "Signatures: name, date, signature", 11)
             pdf.set_font("sans", "", 9)
             for who in self.signatures:
                 pdf.cell(40, 12, who)
@@ -116,12 +136,18 @@ class Document:
         return out.getvalue()
 
 
+def _head(pdf: Any, text: str, size: int) -> None:
+    pdf.ln(2)
+    pdf.set_font("sans", "B", size)
+    pdf.multi_cell(0, size * 0.55, text, align="L", new_x="LMARGIN", new_y="NEXT")
+
+
 def _cell(text: str) -> str:
     grade = f' class="{text}"' if text in ("PASS", "FAIL", "NOTED") else ""
     return f"<td{grade}>{escape(text)}</td>"
 
 
-def _breakable(text: str, longest: int = 28) -> str:
+def _breakable(text: str, longest: int) -> str:
     """Part words that are too long for a cell, such as digests."""
     return " ".join(
         " ".join(word[k : k + longest] for k in range(0, len(word), longest)) or word for word in text.split(" ")

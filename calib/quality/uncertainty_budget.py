@@ -77,10 +77,10 @@ class Systematic:
 
 
 SYSTEMATIC = (
-    Systematic(SCALE, "scale", "1", 1),
+    Systematic(SCALE, "scale", "m/m", 1),
     Systematic(OFFSET, "offset", "m", 3),
     Systematic(OFFSET_ANGLE, "offset_angle", "rad", 3),
-    Systematic(FOCAL_LENGTH, "focal_length", "1", 1),
+    Systematic(FOCAL_LENGTH, "focal_length", "m/m", 1),
     Systematic(PRINCIPAL_POINT, "principal_point", "px", 2),
 )
 _FIRST = dict(zip((each.quantity for each in SYSTEMATIC), np.cumsum([0, *(s.axes for s in SYSTEMATIC)]), strict=False))

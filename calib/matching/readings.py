@@ -4,9 +4,9 @@ Every reading is tried on the nominal robot, base and tool placed as well as pos
 right one leaves what the robot's origins are off, some millimetres; a wrong one leaves a part of the workspace. Tried
 are: joint values in degrees and radians; all forms of rotations (`calib.matching.conventions`); the tool seen from the
 base, the base from the tool, and rotations alone inverse. Only where none of them fits, a twist is tried: joint 3
-counted from the horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of joint
-values with other order, sign, zero or scale (`calib.core.fitting.column_maps`), and columns of positions in another
-order or with another sign.
+counted from the horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of positions
+in another order or with another sign, and columns of joint values with other order, sign, zero or scale
+(`calib.core.fitting.column_maps`).
 
 What a header says breaks ties and is compared with what was found; it decides nothing by itself.
 
@@ -265,6 +265,8 @@ def _twisted(robot: Robot, pairs: Pairs, usual: Sequence[Reading]) -> Iterator[I
     said = {shift: f"{counted(abs(shift), 'row')} {'below' if shift > 0 else 'above'}" for shift in _SHIFTS}
     shifted = [Twist(f"joint values stand {said[k]} their poses", shift=k) for k in _SHIFTS if len(pairs) > 3 + abs(k)]
     yield _likeliest(robot, pairs, shifted)
+    direct = [each for each in usual[:_MIRRORED] if each.direction == "direct"]
+    yield (replace(each, twist=twist) for twist in _mirrored() for each in direct)
     for one in _plain(robot, pairs):
         positions = one.poses(pairs.positions, pairs.rotations)[:, :3, 3]
         mapped = []
@@ -272,8 +274,6 @@ def _twisted(robot: Robot, pairs: Pairs, usual: Sequence[Reading]) -> Iterator[I
             zeros = at.joints(np.zeros((1, n)))[0]
             mapped.append(Twist(at.words(robot), (at.joints(np.eye(n)) - zeros).T, zeros))
         yield [each for each in _likeliest(robot, pairs, mapped) if each.joint_unit == one.joint_unit]
-    direct = [each for each in usual[:_MIRRORED] if each.direction == "direct"]
-    yield (replace(each, twist=twist) for twist in _mirrored() for each in direct)
 
 
 def _mirrored() -> Iterator[Twist]:

@@ -201,6 +201,21 @@ def test_a_log_of_thousands_is_used_evenly(stock: Path, tmp_path: Path) -> None:
     assert np.allclose(read.joints[[0, -1]], q[[0, -1]], atol=1e-6)
 
 
+def test_a_row_of_a_log_is_where_the_stock_robot_is_and_a_log_at_rest_says_too_little(tmp_path: Path) -> None:
+    """A row that URSim wrote, of a UR3e, as published with a recorder of its RTDE."""
+    q = [1.3084329994998356, -1.5311321190997251, 1.39087118907581, -1.637036610180001, -1.5187584099703901, 0.197163]
+    pose = [0.04737631470299991, -0.34733247603100004, 0.3524927572500001, 0.69333359, 3.00077912, -0.32157151]
+    (tmp_path / "ur3e.urdf").write_bytes(ur_urdf(nominal_origins("ur3e")))
+    header = ",".join([f"actual_q_{k}" for k in range(6)] + [f"actual_TCP_pose_{k}" for k in range(6)])
+    log = write(tmp_path / "log.csv", header, np.tile(q, (9, 1)), np.tile(pose, (9, 1)), digits=(6, 8))
+    robot, read = calib.load(tmp_path / "ur3e.urdf"), read_pairs(log, JOINTS)
+    T = np.linalg.inv(robot.forward(read.joints, "base_link_inertia")) @ robot.forward(read.joints, "tool0")
+    assert np.allclose(T[:, :3, 3], read.positions, atol=1e-6)
+    assert np.allclose(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), read.rotations, atol=1e-5)
+    with pytest.raises(DataError, match="the tool moves by 0 mm only"):
+        calib.match(robot, log)
+
+
 def mistakes(stock: Path, file: Path) -> str:
     robot = calib.load(stock)
     pairs = read_pairs(file, JOINTS)

@@ -35,6 +35,7 @@ from calib.matching.pairs import Pairs
 _SAME = 1e-9  # difference of joint values and poses that is none [m], [rad]
 _FINEST = 1e-6  # digit of a number below which a controller rounds by itself [m or rad]
 _FIT = 0.08  # miss over the spread of the robot's positions, below which a reading fits
+_STILL = 0.005  # spread of the robot's positions below which pairs tell nothing [m]
 _ALIKE = 3.0  # miss over that of the best, up to which a fit has to decide
 _SHORT = 12  # readings of each joint unit and direction whose rotations agree best: six sequences agree alike
 _MIRRORED = 4  # likeliest readings whose columns of positions are tried in other orders
@@ -162,7 +163,13 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
     usual = _likeliest(robot, pairs, [_NONE], _DIRECTIONS)
     tried = [_placed(robot, pairs, reading) for reading in usual]
     points = nominal_poses(robot, usual[0].joints(pairs.joints))[:, :3, 3]
-    limit = _FIT * float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    if spread < _STILL:
+        raise DataError(
+            f"{pairs.path}: the tool moves by {millimetres(spread):.2g} mm only (RMS, {counted(len(pairs), 'pair')});"
+            " add pairs in which all joints turn far"
+        )
+    limit = _FIT * spread
     for readings in _twisted(robot, pairs, usual):
         if min(tried, key=_miss).aligned.miss <= limit:
             break

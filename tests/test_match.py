@@ -212,7 +212,7 @@ def test_a_row_of_a_log_is_where_the_stock_robot_is_and_a_log_at_rest_says_too_l
     T = np.linalg.inv(robot.forward(read.joints, "base_link_inertia")) @ robot.forward(read.joints, "tool0")
     assert np.allclose(T[:, :3, 3], read.positions, atol=1e-6)
     assert np.allclose(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), read.rotations, atol=1e-5)
-    with pytest.raises(DataError, match="the tool moves by 0 mm only"):
+    with pytest.raises(DataError, match="the tool moves by 0.0 mm only"):
         calib.match(robot, log)
 
 

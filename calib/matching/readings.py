@@ -166,7 +166,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[Candidate]:
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if spread < _STILL:
         raise DataError(
-            f"{pairs.path}: the tool moves by {millimetres(spread):.2g} mm only (RMS, {counted(len(pairs), 'pair')});"
+            f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS, {counted(len(pairs), 'pair')});"
             " add pairs in which all joints turn far"
         )
     limit = _FIT * spread

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -212,7 +213,7 @@ def test_a_row_of_a_log_is_where_the_stock_robot_is_and_a_log_at_rest_says_too_l
     T = np.linalg.inv(robot.forward(read.joints, "base_link_inertia")) @ robot.forward(read.joints, "tool0")
     assert np.allclose(T[:, :3, 3], read.positions, atol=1e-6)
     assert np.allclose(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), read.rotations, atol=1e-5)
-    with pytest.raises(DataError, match="the tool moves by 0.0 mm only"):
+    with pytest.raises(DataError, match=r"the tool moves by 0\.0 mm only"):
         calib.match(robot, log)
 
 
@@ -342,3 +343,24 @@ def test_models_that_ship_are_those_of_their_stock_robots(tmp_path: Path, model:
     path.write_bytes(ur_urdf(nominal_origins("ur10")))
     with pytest.raises(calib.DescriptionError, match=f"is no stock '{model}'"):
         with_model(calib.load(path), model)
+
+
+def test_a_prior_says_before_measuring_that_fewer_poses_reach_a_goal(
+    stock: Path, tmp_path: Path, run_calib: Callable[..., Any]
+) -> None:
+    description = (
+        f"urdf: {stock}\nname_mot: [{', '.join(JOINTS)}]\nbase: {{frame: base_link_inertia}}\nsigma: 0.03 mm\n"
+        "targets: {ball: {frame: tool0, xyz: [0, 0, 50 mm]}}\n"
+        "parametrisation:\n"
+        "- {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+        "- {origin: all, components: [rx, ry, rz], sigma: 5 mrad}\n"
+    )
+    write(tmp_path / "candidates.csv", ",".join(JOINTS), joint_values(1, 40, 2.5), digits=(4,))
+    counts = []
+    for name, line in (("without", ""), ("with", "model: ur5e\n")):
+        (tmp_path / f"{name}.yaml").write_text(description + line)
+        out = tmp_path / f"{name}.csv"
+        run = run_calib("select", tmp_path / f"{name}.yaml", tmp_path / "candidates.csv", "--goal-mm", 1, "--out", out)
+        assert run.code == 0, run.err
+        counts.append(sum(not row.startswith("#") for row in out.read_text().splitlines()) - 1)
+    assert 2 * counts[1] <= counts[0]

@@ -26,6 +26,8 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
 _WIDE = 34  # letters of a cell from which it takes several lines
+_EDGE = 4  # letters that the edges of a cell take, and bold ones more than plain ones
+_WHOLE = 30  # rows of a table up to which it is not parted by a page's end
 _ROOM = 130  # letters of a line of a page
 
 
@@ -40,14 +42,14 @@ class Rows:
     def draw(self, pdf: Any) -> None:
         """Draw it below what a PDF has: columns as wide as their words need, and long ones twice as wide as short."""
         widths = [
-            max(*(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
+            max(_EDGE + max(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
             for name, *cells in zip(self.columns, *self.cells, strict=True)
         ]
         _head(pdf, self.title, 11)
         pdf.set_font("sans", "", 7)
         with pdf.table(text_align="LEFT", line_height=4, padding=0.8, col_widths=widths) as table:
             for row in (self.columns, *self.cells):
-                longest = (max(int(_ROOM * width / sum(widths)) - 3, 4) for width in widths)
+                longest = (max(int(_ROOM * width / sum(widths)) - 1, 4) for width in widths)
                 table.row([_breakable(cell, most) for cell, most in zip(row, longest, strict=True)])
 
 
@@ -122,7 +124,7 @@ class Document:
         for rows in self.tables:
             with pdf.offset_rendering() as trial:
                 rows.draw(trial)
-            if trial.page_break_triggered:
+            if trial.page_break_triggered and len(rows.cells) <= _WHOLE:
                 pdf.add_page()
             rows.draw(pdf)
         if self.signatures:

@@ -93,7 +93,9 @@ def _named(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
     if array.ndim == 1:
         return {name: array.tolist()}
     endings: tuple[str, ...]
-    if array.shape[1:] == (4, 4):
+    if array.shape[1:] == (3, 3):
+        array, endings = array.reshape(-1, 9), tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+    elif array.shape[1:] == (4, 4):
         turned = scipy.spatial.transform.Rotation.from_matrix(array[:, :3, :3]).as_quat()
         array, endings = np.hstack([array[:, :3, 3], turned]), _POSE
     else:

@@ -8,9 +8,9 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from calib.core.data.tables import read_table
+from calib.photographs.hand_eye_result import Frames
 from calib.photographs.pose_pairs import solve_pairs
 from calib.photographs.pose_pairs_result import judge_pairs, report_pairs
-from calib.photographs.hand_eye_result import Frames
 from calib.photographs.tool_poses import pose_columns, poses_of
 
 

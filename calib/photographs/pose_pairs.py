@@ -29,6 +29,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
+from calib.core.base.sections import COMPONENTS
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.settings import Settings
@@ -40,7 +41,6 @@ from calib.core.numerics.identifiability import eliminate
 from calib.core.numerics.null_space import null_groups
 from calib.core.robots.description import checked_description
 from calib.core.robots.loading import build
-from calib.core.robots.parametrisation import COMPONENTS
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.text import parse_urdf
 from calib.core.rows.determination import determination

@@ -207,3 +207,27 @@ def test_the_page_has_the_table_of_formats(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "docs" / "site"))
     make_files_table = importlib.import_module("make_files_table")
     assert make_files_table.page() == make_files_table.PAGE.read_text(encoding="utf-8"), "run make_files_table.py"
+
+
+@pytest.mark.parametrize("unit", ["deg", None])
+def test_the_line_that_a_wrong_sign_prints_corrects_it(tmp_path, run_calib, unit):
+    examples = Path(__file__).parents[1] / "docs" / "examples"
+    lines = (examples / "arm_simulated.csv").read_text().splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    rows = [line.split(",") for line in lines[header + 1 :]]
+    names = lines[header].split(",")
+    j, k = names.index("joint_2 [deg]"), names.index("joint_3 [deg]")
+    for row in rows:
+        row[j], row[k] = repr(90 - float(row[j])), repr(-float(row[k]))
+        if unit is None:
+            row[j : j + 1] = [repr(float(np.radians(float(row[j]))))]
+    names[j] = "joint_2 [deg]" if unit else "joint_2"
+    (tmp_path / "w.csv").write_text("\n".join(",".join(row) for row in [names, *rows]))
+    text = (examples / "arm.yaml").read_text().replace("urdf: ", f"urdf: {examples}/", 1)
+    (tmp_path / "arm.yaml").write_text(text)
+    told = run_calib("fit", "arm.yaml", "w.csv", "--out", "o", "--no-pages", cwd=tmp_path)
+    line = re.search(r"columns:\s+\{[^}]*\}", told.out)[0]
+    assert re.sub(r"\s+", " ", line).endswith('joint_3: "-joint_3 [deg]"}')
+    (tmp_path / "arm.yaml").write_text(f"{text}\n{line}\n")
+    again = run_calib("fit", "arm.yaml", "w.csv", "--out", "p", "--no-pages", cwd=tmp_path)
+    assert "Verdict: PASS" in again.out, again

@@ -104,9 +104,33 @@ p1;510,0;120,0;330,0;0,04
 p2;420,0;-200,0;350,0;0,06
 p3;470,0;300,0;290,0;0,08
 """
+POLYWORKS = """PolyWorks|Inspector
+Project: cell 4
+Units: Millimeters
+
+Name\tControl\tNom\tMeas\tTol\tDev\tTest
+p1\tX\t500.000\t510.0\t0.100\t10.0\tFail
+\tY\t120.000\t120.0\t0.100\t0.0\tPass
+\tZ\t330.000\t330.0\t0.100\t0.0\tPass
+p2\tX\t400.000\t420.0\t0.100\t20.0\tFail
+\tY\t-200.000\t-200.0\t0.100\t0.0\tPass
+\tZ\t350.000\t350.0\t0.100\t0.0\tPass
+p3\tX\t500.000\t470.0\t0.100\t-30.0\tFail
+\tY\t300.000\t300.0\t0.100\t0.0\tPass
+\tZ\t290.000\t290.0\t0.100\t0.0\tPass
+"""
+FARO = """"Feature","Nominal X","Nominal Y","Nominal Z","Actual X (mm)","Actual Y (mm)","Actual Z (mm)","3D Dev"
+"p1",500,120,330,510.0,120.0,330.0,10
+"p2",500,120,330,420.0,-200.0,350.0,10
+"p3",500,120,330,470.0,300.0,290.0,10
+"""
 
 
-@pytest.mark.parametrize("content", [SPATIAL_ANALYZER, VICON, MOTIVE, U95], ids=["sa", "vicon", "motive", "leica"])
+@pytest.mark.parametrize(
+    "content",
+    [SPATIAL_ANALYZER, VICON, MOTIVE, U95, POLYWORKS, FARO],
+    ids=["sa", "vicon", "motive", "leica", "polyworks", "faro"],
+)
 def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, caplog):
     robot = arm("join: rows")
     (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
@@ -115,7 +139,8 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
     check(data, robot)
     assert "read as" in caplog.text
     assert "joined row by row with" in caplog.text
-    (tmp_path / "fewer.txt").write_text("\n".join(content.splitlines()[:-1]))
+    short = "\n".join(content.splitlines()[: -3 if content is POLYWORKS else -1])
+    (tmp_path / "fewer.txt").write_text(short)
     with pytest.raises(calib.DataError, match=r"has 2 rows and .* 3; join: rows needs as many"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], robot)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.core.data.other_formats import OtherFormat, SomeFile
-from calib.files import arrays, text
+from calib.files import arrays, reports, text
 
 
 def _is_calibration_of_servos(file: SomeFile) -> bool:
@@ -54,6 +54,13 @@ FORMATS = (
         "rigid bodies and markers are columns NAME_x to NAME_z, with quaternions NAME_qx to NAME_qw",
         lambda file: bool(file.first_lines) and file.first_lines[0].lstrip('"').startswith("Format Version"),
         text.motive_lines,
+    ),
+    OtherFormat(
+        "a report of measured beside nominal values, as PolyWorks and FARO write it",
+        "`Name` with `Meas X`, `Actual X`, ...; or with `Meas` and a column of X, Y, Z below each other",
+        "columns pose (the name), X, Y, Z as measured, with the unit that the header or a line above names",
+        reports.is_report,
+        reports.report_lines,
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon writes it",

@@ -212,6 +212,17 @@ def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
     (tmp_path / "so101.json").write_text(json.dumps({"elbow_flex": servo, "gripper": servo}))
     with pytest.raises(calib.DataError, match=re.escape('columns: {elbow_flex.pos: "0.9 * elbow_flex [deg]"}')):
         calib.read_measurements(tmp_path / "so101.json", arm())
+    with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "0.087891 * elbow_flex - 180 [deg]"')):
+        calib.read_measurements(tmp_path / "so101.json", arm())
+    old = {
+        "homing_offset": [1, 2],
+        "drive_mode": [0, 1],
+        "calib_mode": ["DEGREE"],
+        "motor_names": ["elbow_flex", "grip"],
+    }
+    (tmp_path / "so100.json").write_text(json.dumps(old))
+    with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} in the robot desc')):
+        calib.read_measurements(tmp_path / "so100.json", arm())
     (tmp_path / "d.parquet").write_bytes(b"PAR1" + bytes(100))
     with pytest.raises(calib.DataError, match=r"this looks like a Parquet file: .*read_parquet"):
         calib.read_measurements(tmp_path / "d.parquet", arm())

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from calib.core.data.other_formats import OtherFormat, SomeFile
-from calib.files import arrays, reports, text
-
-
-def _is_calibration_of_servos(file: SomeFile) -> bool:
-    return file.head.lstrip()[:1] == b"{" and all(key in file.head for key in (b'"homing_offset"', b'"range_min"'))
-
+from calib.core.data.other_formats import OtherFormat
+from calib.files import arrays, reports, servos, text
 
 FORMATS = (
     OtherFormat(
@@ -43,10 +38,10 @@ FORMATS = (
     ),
     OtherFormat(
         "a calibration of LeRobot's servos",
-        'JSON with `"homing_offset"` and `"range_min"`',
-        "no measurements: the message gives the lines of `columns` that take a log's -100..100 to degrees",
-        _is_calibration_of_servos,
-        text.servo_lines,
+        'JSON with `"homing_offset"` and `"range_min"`, or `"motor_names"` of the first versions',
+        "no measurements: the message gives the lines of `columns` for logs of -100..100, degrees and raw ticks",
+        servos.is_calibration_of_servos,
+        servos.servo_lines,
     ),
     OtherFormat(
         "an export of Motive (OptiTrack)",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 
@@ -15,7 +14,6 @@ _U95 = re.compile(r"u[ _]?95[ _]?\(?([xyz]?)\)?(?:\s*[\[(](.+)[\])])?", re.IGNOR
 _UNITS = {"millimeters": "mm", "millimetres": "mm", "meters": "m", "metres": "m", "micrometers": "um"}
 SEEN = 40
 """Lines among which a header is."""
-_TICKS = 4096  # of a turn of the servos that LeRobot's arms have
 _AXES = ["x", "y", "z"]
 
 
@@ -243,23 +241,3 @@ def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
 
 def _semicolons(cells: Sequence[str]) -> str:
     return ";".join(cells)
-
-
-def servo_lines(file: SomeFile) -> list[str]:
-    """Raise `DataError` that says which lines of `columns` take a log's numbers to joint angles."""
-    try:
-        servos = json.loads("\n".join(file.lines))
-        ranges = {str(name): int(s["range_max"]) - int(s["range_min"]) for name, s in servos.items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise DataError(
-            f"{file.path}: looks like a calibration of LeRobot, but cannot be read; save it again"
-        ) from None
-    said = ", ".join(
-        f'{name}.pos: "{span / 200 * 360 / _TICKS:.4g} * {name} [deg]"'
-        for name, span in ranges.items()
-        if "grip" not in name
-    )
-    raise DataError(
-        f"{file.path}: this looks like a calibration of LeRobot's servos, not measurements; a log of -100..100 needs"
-        f" columns: {{{said}}} in the robot description (one in degrees, a factor of 1), and zeros from a few poses"
-    )

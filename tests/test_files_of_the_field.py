@@ -183,6 +183,44 @@ def test_what_savetxt_writes_is_read(tmp_path, arm):
         calib.read_measurements(tmp_path / "bare.txt", arm())
 
 
+def test_names_and_numbers_may_be_parted_by_blanks(tmp_path, arm):
+    names, numbers = "turn slide wrist tool_x tool_y tool_z\n", text_of(rows(), " ")
+    (tmp_path / "blanks.txt").write_text(names.replace("_x", "_x  ") + numbers)
+    check(calib.read_measurements(tmp_path / "blanks.txt", arm()), arm())
+    (tmp_path / "named.txt").write_text(
+        "pose " + names + "".join(f"p{k} {n}\n" for k, n in enumerate(numbers.split("\n")[:-1]))
+    )
+    check(calib.read_measurements(tmp_path / "named.txt", arm()), arm())
+
+
+SEGMENTS = """Segments
+100
+,,Arm:Hand,,,,,,Arm:Base,,,,,
+Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ
+,,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm
+1,0,1,2,3,4,5,6,7,8,9,10,11,12
+"""
+
+
+def test_segments_markers_and_other_heads_are_told_apart(tmp_path, arm):
+    (tmp_path / "s.csv").write_text(SEGMENTS)
+    table = read_table(tmp_path / "s.csv")
+    assert table.names[2:8] == ("Hand_rx", "Hand_ry", "Hand_rz", "Hand_x", "Hand_y", "Hand_z")
+    assert table.units[8:14] == ("deg", "deg", "deg", "mm", "mm", "mm")
+    markers = MOTIVE.replace("Quaternion", "XYZ").replace(
+        "Rotation,Rotation,Rotation,Rotation", "Marker,Marker,Marker,Marker"
+    )
+    (tmp_path / "m.csv").write_text(markers)
+    assert "Ball_x" in read_table(tmp_path / "m.csv").names
+    (tmp_path / "inches.txt").write_text(
+        SPATIAL_ANALYZER.replace("[mm]", "").replace("export", "export, Units: Inches")
+    )
+    assert read_table(tmp_path / "inches.txt").units[5] == "in"
+    (tmp_path / "a.json").write_text('{"a": 1}')
+    with pytest.raises(calib.DataError, match="this looks like JSON: write a CSV"):
+        read_table(tmp_path / "a.json")
+
+
 def test_arrays_are_columns(tmp_path, arm):
     robot = arm("columns: {q_x: turn, q_y: slide, q_z: wrist}")
     arrays = {"q": JOINTS, "tool": POINTS, "dt": np.float64(0.1), "note": np.array("text")}
@@ -190,6 +228,8 @@ def test_arrays_are_columns(tmp_path, arm):
     scipy.io.savemat(tmp_path / "a.mat", {"q": JOINTS, "tool": POINTS, "dt": 0.1})
     for name in ("a.npz", "a.mat"):
         check(calib.read_measurements(tmp_path / name, robot), robot)
+    scipy.io.savemat(tmp_path / "s.mat", {"run": {"q": JOINTS, "tool": POINTS}})
+    assert read_table(tmp_path / "s.mat").names[0] == "run_q_x"
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "b.mat", "w") as file:
         file["q"], file["tool"] = JOINTS.T, POINTS.T

@@ -44,6 +44,12 @@ FORMATS = (
         servos.servo_lines,
     ),
     OtherFormat(
+        "JSON",
+        "begins with `{` or `[`",
+        "write a CSV file with a header, or give a data frame from Python",
+        lambda file: file.head.lstrip()[:1] in (b"{", b"["),
+    ),
+    OtherFormat(
         "an export of Motive (OptiTrack)",
         "begins with `Format Version`",
         "rigid bodies and markers are columns NAME_x to NAME_z, with quaternions NAME_qx to NAME_qw",
@@ -70,6 +76,13 @@ FORMATS = (
         "that comment is the header; a unit behind Z is that of X and Y",
         text.has_header_in_comment,
         text.commented_header_lines,
+    ),
+    OtherFormat(
+        "a table parted by blanks",
+        "names parted by blanks above as many numbers in each line",
+        "read as if commas stood there",
+        text.is_parted_by_blanks,
+        text.blank_lines,
     ),
     OtherFormat(
         "numbers without names, as np.savetxt writes them",

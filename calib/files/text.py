@@ -11,10 +11,19 @@ from calib.core.data.other_formats import SomeFile
 _MARKS = ("//", "#", "%")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan", re.ASCII | re.IGNORECASE)
 _U95 = re.compile(r"u[ _]?95[ _]?\(?([xyz]?)\)?(?:\s*[\[(](.+)[\])])?", re.IGNORECASE)
-_UNITS = {"millimeters": "mm", "millimetres": "mm", "meters": "m", "metres": "m", "micrometers": "um"}
+_UNITS = {
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "meters": "m",
+    "metres": "m",
+    "micrometers": "um",
+    "inches": "in",
+    "feet": "ft",
+}
 SEEN = 40
 """Lines among which a header is."""
 _AXES = ["x", "y", "z"]
+_TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 
 
 def cells_of(line: str) -> list[str]:
@@ -120,6 +129,27 @@ def has_only_blank_numbers(file: SomeFile) -> bool:
     return row is not None and not re.search("[,;\t]", file.first_lines[row]) and has_only_numbers(file)
 
 
+def _blank_header(file: SomeFile) -> int | None:
+    """The line of names above numbers, both parted by blanks; rows may begin with a name."""
+    k = _first_row(file.first_lines)
+    rows = [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:SEEN]
+    if len(rows) < 2 or any(re.search("[,;\t]", row) for row in rows):
+        return None
+    names, *table = [row.split() for row in rows]
+    whole = all(len(cells) == len(names) and _numbers(cells) >= max(len(cells) - 1, 2) for cells in table)
+    return k if whole and not _numbers(names) else None
+
+
+def is_parted_by_blanks(file: SomeFile) -> bool:
+    """Whether names and the numbers below are parted by blanks."""
+    return _blank_header(file) is not None
+
+
+def blank_lines(file: SomeFile) -> list[str]:
+    """Return the lines with commas between their cells."""
+    return [line if _comment(line) is not None else ",".join(line.split()) for line in file.lines]
+
+
 def numbered_lines(file: SomeFile) -> list[str]:
     """Return the lines below a header of numbers from 1."""
     rows = [line for line in file.lines if line.strip() and _comment(line) is None]
@@ -128,13 +158,14 @@ def numbered_lines(file: SomeFile) -> list[str]:
 
 
 def _axes_line(file: SomeFile) -> int | None:
-    """The line of X, Y, Z whose names stand in the line above."""
-    lines = [cells_of(line) for line in file.first_lines[:SEEN] if line is not None]
+    """The line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) whose names stand in the line above."""
+    lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k in range(1, len(lines)):
-        letters = [cell.casefold() for cell in lines[k]]
-        starts = [j for j in range(len(letters) - 2) if letters[j : j + 3] == _AXES]
-        above = lines[k - 1]
-        if starts and all(j < len(above) and above[j] and not any(above[j + 1 : j + 3]) for j in starts):
+        letters, above = [cell.casefold() for cell in lines[k]], lines[k - 1]
+        starts = {j for j in range(len(letters) - 2) if letters[j : j + 3] in _TRIPLES}
+        named = {j for j, cell in enumerate(above) if cell}
+        first = {j for j in starts if letters[j] != "tx" or j - 3 not in starts}  # behind the angles of the same name
+        if first and first == named:
             return k
     return None
 
@@ -154,9 +185,10 @@ def named_above_lines(file: SomeFile) -> list[str]:
     header, name = [], ""
     for j, letter in enumerate(letters):
         name = above[j].rpartition(":")[2] if j < len(above) and above[j] else name
-        measured = letter.casefold() in _AXES and name
+        axis = letter.casefold().removeprefix("t")
+        measured = any(axis in triple for triple in _TRIPLES) and name
         unit = f" [{units[j]}]" if has_units and j < len(units) and units[j] else ""
-        header.append((f"{name}_{letter.casefold()}" if measured else letter or f"column_{j + 1}") + unit)
+        header.append((f"{name}_{axis}" if measured else letter or f"column_{j + 1}") + unit)
     return _with_header(lines, k + 1 + has_units, header)
 
 
@@ -184,7 +216,7 @@ def motive_lines(file: SomeFile) -> list[str]:
     k = next((k for k, line in enumerate(lines[:14]) if cells_of(line)[:1] == ["Frame"]), None)
     if k is None or "Name" not in rows:
         raise DataError(f"{file.path}: an export of Motive without a row 'Name' above 'Frame'; export it with headers")
-    if settings.get("Rotation Type", "Quaternion") != "Quaternion":
+    if settings.get("Rotation Type", "Quaternion") != "Quaternion" and "Rotation" in cells_of(lines[k - 1]):
         raise DataError(f"{file.path}: rotations as {settings['Rotation Type']}; export them from Motive as Quaternion")
     kinds, letters = cells_of(lines[k - 1]), cells_of(lines[k])
     header = []

@@ -13,7 +13,7 @@ With the poses of links, joints and frames resolved in the model (`relative_to`,
 
 When it fails. Included and nested models, and joints that URDF has no word for, are errors that say so.
 
-Reference: the SDF specification, sdformat.org.
+Reference: sdformat.
 """
 
 from __future__ import annotations

@@ -266,7 +266,11 @@ def test_robots_that_a_language_has_no_moves_for_are_said(route, tmp_path):
 def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     run = run_calib("sample", yaml, "-n", 60, "--out", tmp_path / "s.csv")
-    assert re.search(r"Left out: \d+ of \d+ poses not free \(\d+ ", run.out)
+    assert re.search(r"Left out: \d+ of \d+ poses not free \(\d+ .*\); O1 is \d+\.\d % of what it would be", run.out)
+    whole = calib.load(_write(tmp_path, "obstacles: unchecked\n"))
+    with_, without = (calib.check(whole, poses).scaled["O1"] for poses in (tmp_path / "s.csv", calib.sample(whole, 60)))
+    assert f"O1 is {100 * with_ / without:.1f} %" in run.out  # as `calib check` says
+    yaml = _write(tmp_path, _obstacles())
     robot = calib.load(yaml)
     sampled = read_poses(tmp_path / "s.csv", robot)
     assert len(sampled) == 60
@@ -344,6 +348,12 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     scene = surroundings(calib.load(yaml)).scene
     assert "l2 - l4" not in {scene.name(k) for k in range(len(scene.pairs))}
     assert "l2 - l5" in {scene.name(k) for k in range(len(scene.pairs))}
+    srdf = (tmp_path / "arm.srdf").read_text()
+    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
+    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "other").replace("l4", "wrist"))
+    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+        surroundings(calib.load(yaml))
     (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))

@@ -436,3 +436,15 @@ def test_poses_are_shown_in_red_where_they_collide(tmp_path):
     assert {"obstacle/table", "obstacle/post"} <= {shape.name for shape in scene.shapes}
     marks = {group["name"]: group["mark"] for group in scene_data(scene)["groups"]}
     assert marks["collides"] == "alarm"
+
+
+@pytest.mark.parametrize("kind", ["position", "pose", "orientation", "distance", "touch", "joint_reading"])
+def test_plain_poses_of_every_kind_are_shown(tmp_path, kind):
+    from viz.inputs import gather
+
+    place = "{frame: l0, xyz: [0.5 m, 0, 0.3 m], position: unknown, sigma: 10 mm}"
+    more = {"distance": f"end: {place}", "touch": f"places: {{plate: {place}}}", "joint_reading": "joint: j2"}
+    target = "" if kind == "joint_reading" else ", target: ball"
+    section = f"instruments: {{own: {{kind: {kind}{target}, {more.get(kind, '')}}}}}\n".replace(", }", "}")
+    poses = as_poses(calib.load(_write(tmp_path, section)), np.zeros((1, 6)), ["home"])
+    assert set(gather(calib.load(tmp_path / "arm.yaml"), data=poses).scene.poses.group) <= {"planned", "collides"}

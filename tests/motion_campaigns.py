@@ -256,13 +256,12 @@ class Checker:
             for k in np.flatnonzero(near & ~result):
                 inside = b.holds(T[k, :3, :3] @ a.mesh.vertices[0] + T[k, :3, 3])
                 inside = inside or a.holds(T[k, :3, :3].T @ (b.mesh.vertices[0] - T[k, :3, 3]))
-                result[k] = inside or self._distance(a, b, T[k]) <= 0
+                result[k] = inside or fcl.collide(*_placed(a, b, T[k]), fcl.CollisionRequest(), fcl.CollisionResult())
         return result
 
     def _distance(self, a, b, T):
         self.looks += 1
-        objects = fcl.CollisionObject(a.shape, fcl.Transform(T[:3, :3], T[:3, 3])), fcl.CollisionObject(b.shape)
-        return fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
+        return fcl.distance(*_placed(a, b, T), fcl.DistanceRequest(), fcl.DistanceResult())
 
     def walk(self, values):
         """Return the pairs that touch at steps {name: values (n,)} or, where they come near, at ten between two."""
@@ -289,6 +288,10 @@ class Checker:
         T = self.frames({name: value[k] + parts * (value[k + 1] - value[k]) for name, value in values.items()})
         one, other = (T[each.owner] @ each.place if not each.is_obstacle else each.place[None] for each in (a, b))
         return any(self._distance(a, b, each) <= 0 for each in np.linalg.inv(other) @ one)
+
+
+def _placed(a, b, T):
+    return fcl.CollisionObject(a.shape, fcl.Transform(T[:3, :3], T[:3, 3])), fcl.CollisionObject(b.shape)
 
 
 def scene_names(scene):

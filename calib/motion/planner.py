@@ -27,6 +27,7 @@ _MOST_ASKED = 150  # times that OMPL may ask for a move
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
 _TRIED = 100  # ways on it that are checked
+_SAME = 1e-9  # length of a move between nodes that are the same
 _KNOWN = 0.7  # length of a move that is known to be free, of its own: ways that are known are cheap
 
 
@@ -55,11 +56,9 @@ class Planner:
         n, width = len(self.nodes), np.maximum(np.ptp(self.limits, axis=1), 1e-9)
         self._scaled = self.nodes / np.where(np.isfinite(width), width, 2 * np.pi)
         gaps = np.max(np.abs(self._scaled[:, None] - self._scaled[None]), axis=2)
-        near = np.argsort(gaps, axis=1, kind="stable")[:, 1 : _NEAREST + 1]
-        rows = np.repeat(np.arange(n), near.shape[1])
-        self._lengths, self._free = np.zeros((n, n)), np.zeros((n, n), dtype=bool)
-        self._lengths[rows, near.ravel()] = np.maximum(gaps[rows, near.ravel()], 1e-9)
-        self._lengths = np.maximum(self._lengths, self._lengths.T)
+        near = gaps <= np.sort(gaps, axis=1)[:, [min(_NEAREST, n - 1)]]
+        self._lengths = np.where(near | near.T, np.maximum(gaps, _SAME), 0.0)
+        self._free = np.zeros((n, n), dtype=bool)
         number = {node.tobytes(): k for k, node in enumerate(self.nodes)}
         for key, move in self.known.items():
             ends = (number.get(key[: len(key) // 2]), number.get(key[len(key) // 2 :]))
@@ -104,15 +103,14 @@ class Planner:
         return free
 
     def _mark(self, a: int, b: int, *, free: bool) -> None:
+        length = max(float(np.max(np.abs(self._scaled[a] - self._scaled[b]))), _SAME)
         self._free[a, b] = self._free[b, a] = free
-        if not free:
-            self._lengths[a, b] = self._lengths[b, a] = 0.0
+        self._lengths[a, b] = self._lengths[b, a] = _KNOWN * length if free else 0.0
 
     def _on_roadmap(self, start: int, end: int) -> FloatArray | None:
         """The shortest way along the nodes whose moves are free."""
         for _ in range(_TRIED):
-            lengths = np.where(self._free, _KNOWN * self._lengths, self._lengths)
-            length, before = scipy.sparse.csgraph.dijkstra(lengths, indices=start, return_predecessors=True)
+            length, before = scipy.sparse.csgraph.dijkstra(self._lengths, indices=start, return_predecessors=True)
             if not np.isfinite(length[end]):
                 return None
             way = [end]
@@ -130,22 +128,20 @@ class Planner:
                 f"a straight move is blocked ({self.move(self.nodes[start], self.nodes[end]).hit}), and a way around it"
                 f" needs OMPL; install it: pip install '{DISTRIBUTION}[motion]'"
             ) from None
-        length, before = scipy.sparse.csgraph.dijkstra(
-            self._free * self._lengths, indices=start, return_predecessors=True
-        )
+        reached = scipy.sparse.csgraph.connected_components(self._free)[1]
         gaps = np.max(np.abs(self._scaled - self._scaled[end]), axis=1)
-        way = [int(np.argmin(np.where(np.isfinite(length), gaps, np.inf)))]
-        while way[-1] != start:
-            way.append(int(before[way[-1]]))
+        gaps[end] = np.inf
+        near = int(np.argmin(np.where(reached == reached[start], gaps, np.inf)))
         found = search(
-            self.nodes[way[0]],
+            self.nodes[near],
             self.nodes[end],
             self.limits,
             lambda q: not self.scene.hits(q[None])[0],
             lambda one, other: not self.move(one, other).hit,
             _MOST_ASKED,
         )
-        return None if found is None else np.vstack([self.nodes[way[:0:-1]], found])
+        before = self.nodes[[start]] if near == start else self._on_roadmap(start, near)
+        return None if found is None or before is None else np.vstack([before[:-1], found])
 
     def _shortened(self, corners: FloatArray) -> FloatArray:
         """A way with fewer corners, and shorter ones."""

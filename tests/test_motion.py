@@ -189,6 +189,19 @@ def test_a_pose_that_only_a_joint_turned_round_reaches_is_visited_so_and_said(tm
     assert any("whole turn" in remark and "round" in remark for remark in route.remarks)
 
 
+def test_what_cannot_be_visited_is_replaced_by_the_next_best_and_nothing_else_is(tmp_path):
+    robot = calib.load(_write(tmp_path, _obstacles()))
+    free = [[0.1 * k, -0.1 * k, 0.2, 0.1, 0.3, 0.05 * k] for k in range(1, 6)]
+    candidates = as_poses(robot, np.array([*free, [0, 2.5, 0, 0, 0, 0]]), ["a", "b", "c", "d", "e", "low"])
+    plan = plan_route(robot, candidates.subset(np.array([0, 1])), candidates=candidates)
+    assert (plan.left_out, plan.replaced, len(plan.stops)) == ({}, (), 2)
+    plan = plan_route(robot, candidates.subset(np.array([0, 1, 5])), candidates=candidates)
+    assert set(plan.left_out) == {"low"}
+    assert len(plan.stops) == 3
+    assert len(plan.replaced) == 1
+    assert set(plan.replaced) <= {"c", "d", "e"}
+
+
 _FIRST_MOVE = {"urscript": "movej", "rapid": "MoveAbsJ", "krl": "PTP {", "fanuc": "J P[1]"}
 _CONFIRM = {"urscript": "popup(", "rapid": "Stop;", "krl": "HALT", "fanuc": "PAUSE"}
 _JOINTS = {

@@ -117,7 +117,8 @@ def plan_route(
     candidates = poses.subset(np.zeros(0, dtype=np.intp)) if candidates is None else candidates
     tried = set(poses.names)
     for _ in range(_ROUNDS if stops else 0):
-        best = _next_best(robot, candidates, tried, stops + replaced, len(left_out) - len(replaced))
+        missing = len(left_out) - len(replaced)
+        best = _next_best(robot, candidates, tried, stops + replaced, missing)
         tried |= set(best.names)
         replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
     if not stops:
@@ -244,8 +245,8 @@ def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence
     hits = _blocked(robot, candidates.joints)
     usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))
-    if len(rest) <= count:
-        return rest
+    if len(rest) <= count or not count:
+        return rest.subset(np.arange(min(len(rest), count)))
     select = brought("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

@@ -117,8 +117,7 @@ def plan_route(
     candidates = poses.subset(np.zeros(0, dtype=np.intp)) if candidates is None else candidates
     tried = set(poses.names)
     for _ in range(_ROUNDS if stops else 0):
-        missing = len(left_out) - len(replaced)
-        best = _next_best(robot, candidates, tried, stops + replaced, missing)
+        best = _next_best(robot, candidates, tried, stops + replaced, len(left_out) - len(replaced))
         tried |= set(best.names)
         replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
     if not stops:
@@ -127,10 +126,8 @@ def plan_route(
     names = tuple(stop.name for stop in replaced)
     given = dict(zip(candidates.names + poses.names, (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
-    remarks = scene.remarks
-    if round_:
-        remarks += (f"the same pose by joints a whole turn from those given: {listed(round_, shown=8)}",)
-    return Route(robot, start, (*stops, *replaced), left_out, names, remarks)
+    said = (f"the same pose by joints a whole turn from those given: {listed(round_, shown=8)}",) if round_ else ()
+    return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + said)
 
 
 def _blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:

@@ -300,7 +300,8 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
 def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     run_calib("sample", yaml, "-n", 5, "--out", tmp_path / "s.csv")
-    run = run_calib("route", yaml, tmp_path / "s.csv", "--format", "krl", "--out", tmp_path / "r")
+    spare = ("--candidates", tmp_path / "s.csv")
+    run = run_calib("route", yaml, tmp_path / "s.csv", *spare, "--format", "krl", "--out", tmp_path / "r")
     assert run.code == 0, run.err
     assert {path.name for path in (tmp_path / "r").iterdir()} >= {"calib_route.src", "route.csv", "readings.csv"}
     lines = [line for line in (tmp_path / "r/readings.csv").read_text().splitlines() if not line.startswith("#")]

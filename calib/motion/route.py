@@ -124,7 +124,7 @@ def plan_route(
         reasons = listed([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
         raise ComputationError(f"none of {counted(len(poses), 'pose')} can be visited ({reasons})")
     names = tuple(stop.name for stop in replaced)
-    given = dict(zip(candidates.names + poses.names, (*candidates.joints, *poses.joints), strict=True))
+    given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
     round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
     said = (f"the same pose by joints a whole turn from those given: {listed(round_, shown=8)}",) if round_ else ()
     return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + said)

@@ -61,9 +61,9 @@ class Planner:
         self._free = np.zeros((n, n), dtype=bool)
         number = {node.tobytes(): k for k, node in enumerate(self.nodes)}
         for key, move in self.known.items():
-            ends = (number.get(key[: len(key) // 2]), number.get(key[len(key) // 2 :]))
-            if None not in ends:
-                self._mark(ends[0], ends[1], free=not move.hit)
+            start, end = (number.get(half) for half in (key[: len(key) // 2], key[len(key) // 2 :]))
+            if start is not None and end is not None:
+                self._mark(start, end, free=not move.hit)
 
     def add(self, nodes: FloatArray) -> int:
         """Add nodes (n, n_actuated) [m or rad] and return the number of the first."""

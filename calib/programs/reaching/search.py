@@ -1,10 +1,9 @@
 """Starts from which goals are searched: the nearest goals that are solved, and configurations spread evenly.
 
 Goals are solved nearest to home first, each from the nearest solved one; those that fail are tried again from other
-neighbours, and then from configurations spread evenly over the joint limits (a Halton sequence, so that the answer is
-always the same). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a
-goal that is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is
-missed.
+neighbours, and then from configurations spread evenly over the joint limits (the same ones however the robot is
+described). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a goal that
+is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is missed.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.numerics.halton import halton
 from calib.core.robots import loops
 from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.reaching import Configured, Reach, descend
 
@@ -51,6 +50,7 @@ class Search:
     def __init__(self, reach: Reach, home: Configured) -> None:
         n = len(reach.goals)
         self.reach, self.home = reach, home
+        self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
         repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
         self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
         goal_features = _features(
@@ -61,7 +61,7 @@ class Search:
     @property
     def solved(self) -> BoolArray:
         """Which goals are reached, (n,)."""
-        return self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
+        return self.best.distance <= self._reached
 
     def run(self, robot: Robot) -> None:
         """Try every start of the module docstring until a goal is reached."""
@@ -113,7 +113,8 @@ class Search:
         )[1]
         index = np.repeat(todo, count)
         solutions = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
-        best = np.argmin(solutions.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
+        misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # of several that reach it, the first
+        best = np.argmin(misses, axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
         self.keep(todo[better], solutions.subset(best[better]))
 
@@ -146,7 +147,7 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
     lower = np.where(np.isfinite(lower), lower, robot.home - turn)
     upper = np.where(np.isfinite(upper), upper, robot.home + turn)
-    sample = halton(_SPREAD, n_actuated)
+    sample = joint_samples(reach.mode, _SPREAD)[:, :n_actuated]
     actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
     closed = loops.close(reach.mechanism, reach.mode, actuated)
     return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

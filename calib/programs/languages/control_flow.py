@@ -89,7 +89,7 @@ class Flow:
     def __init__(self, start: State) -> None:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
-        self._open: list[tuple[str, list[Block]]] = []
+        self._open: list[tuple[str, list[Block]]] = [("", [])]  # outside of all routines
         self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
@@ -109,28 +109,20 @@ class Flow:
     def finish(self) -> None:
         """End the routine that is open."""
         self.label("return")
-        self._open.pop()
-
-    def finish_all(self) -> None:
-        """End what is outside of all routines."""
-        while self._open:
-            self.finish()
+        if len(self._open) > 1:
+            self._open.pop()
 
     @property
     def routine(self) -> str:
         """Name of the routine that is open; empty outside of all."""
-        return self._open[-1][0] if self._open else ""
+        return self._open[-1][0]
 
     @property
     def blocks(self) -> list[Block]:
         """Branches and loops that are open, the innermost last."""
-        if not self._open:
-            self._open.append(("", []))
         return self._open[-1][1]
 
     def _add(self, step: _Step) -> None:
-        if not self._open:
-            self._open.append(("", []))
         routine = self.routines[self.routine]
         if step.kind == "label":
             routine.labels[step.place] = len(routine.steps)

@@ -124,7 +124,7 @@ class NominalCell:
         closed = self.robot.close(starts)
         reach = problem(self.robot, goals)
         index = np.flatnonzero(closed.ok)
-        start = Configured(starts[index], closed.passive[index], np.full(len(index), np.inf))
+        start = Configured.unknown(starts[index], closed.passive[index])
         reached = descend(reach, np.zeros(len(index), dtype=np.intp), start)
         tolerance = _REACHED if len(before) >= 6 else _ROUNDED
         solutions = [self._turned(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]

@@ -36,7 +36,7 @@ def inside(reach: Reach, q: FloatArray) -> FloatArray:
 def closed_start(robot: Robot, reach: Reach) -> Configured:
     """Return home, moved inside the joint limits where it is not."""
     start = robot.assemble(inside(reach, robot.home))
-    return Configured(start.actuated, start.passive, np.array([np.inf]))
+    return Configured.unknown(start.actuated, start.passive)
 
 
 class Search:
@@ -51,8 +51,7 @@ class Search:
         n = len(reach.goals)
         self.reach, self.home = reach, home
         self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
-        repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
-        self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
+        self.best = reach.stood(np.arange(n), home.subset(np.zeros(n, dtype=np.intp)))
         goal_features = _features(
             reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
         )
@@ -77,8 +76,7 @@ class Search:
 
     def keep(self, index: IntArray, solutions: Configured) -> None:
         """Take over what was found for the goals `index`, (n,)."""
-        self.best.actuated[index], self.best.passive[index] = solutions.actuated, solutions.passive
-        self.best.distance[index] = solutions.distance
+        self.best.take(index, solutions)
 
     def _batches(self) -> Iterator[IntArray]:
         """Goals in order of their distance from home's pose, in batches that double in size."""
@@ -92,16 +90,8 @@ class Search:
     def _known(self) -> Configured:
         """Home and all solved configurations."""
         solved = self.best.subset(np.flatnonzero(self.solved))
-        return Configured(
-            *(
-                np.concatenate(parts)
-                for parts in (
-                    (self.home.actuated, solved.actuated),
-                    (self.home.passive, solved.passive),
-                    (self.home.distance, solved.distance),
-                )
-            )
-        )
+        pairs = zip(vars(self.home).values(), vars(solved).values(), strict=True)
+        return Configured(*map(np.concatenate, pairs))
 
     def _improve(self, todo: IntArray, starts: Configured, count: int) -> None:
         """Search for the goals `todo`, each from the `count` nearest starts; keep what is better."""
@@ -150,4 +140,4 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     sample = joint_samples(reach.mode, _SPREAD)[:, :n_actuated]
     actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
     closed = loops.close(reach.mechanism, reach.mode, actuated)
-    return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))
+    return Configured.unknown(actuated[closed.ok], closed.passive[closed.ok])

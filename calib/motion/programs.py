@@ -70,9 +70,8 @@ class _Words:
     """How a controller's language says the steps of a route.
 
     Attributes:
-        begin, end: Lines before and behind the stops, with {name}, {question}, {speed} [rad/s], {along} [mm/s] and
-            {percent}.
-        move: With {joints}, and {k}: which move it is, from 1.
+        begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
+        move: With {joints}; {k}, which move it is, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
         joint: Of one joint, with {k}, from 1, and {value}.
         remark: A comment.
         wait: With a time [s].
@@ -143,21 +142,22 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
     """
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (
-        f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
+        f"Robot must stand at {values} deg. Nothing moves before you confirm."
+        f" Ready for stop {_plain(route.stops[0].name)}"
     )
 
 
-def _plain(stop: Stop) -> str:
-    return re.sub(r"[^\w .:+-]", "_", stop.name, flags=re.ASCII)
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w .:+-]", "_", name, flags=re.ASCII)
 
 
 def _remark(stop: Stop) -> str:
     """Pose name and clearance of a stop."""
     if not np.isfinite(stop.clearance):
-        return f"pose {_plain(stop)}"
-    pair = re.sub(r"[^\w .:+-]", "_", stop.pair, flags=re.ASCII)
+        return f"pose {_plain(stop.name)}"
     at_stop, on_the_way = (int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.on_the_way)))
-    return f"pose {_plain(stop)}, clearance {at_stop} mm ({pair}), on the way {on_the_way} mm"
+    clearance = f"clearance {at_stop} mm ({_plain(stop.pair)}), on the way {on_the_way} mm"
+    return f"pose {_plain(stop.name)}, {clearance}"
 
 
 _URSCRIPT = _Words(

@@ -88,8 +88,8 @@ def correction_grid(
     shape = tuple(len(axes[k]) for k in long)
     linear = scipy.interpolate.RegularGridInterpolator(tuple(axes[k] for k in long), at_nodes.reshape(*shape, 6))
     off = linear(tried[:, long]) - exact
-    errors = (np.linalg.norm(part, axis=1) for part in np.hsplit(off, 2))
-    return CorrectionGrid(nodes, *np.hsplit(at_nodes, 2), *errors, compensation)
+    off_position, off_angle = (np.linalg.norm(part, axis=1) for part in np.hsplit(off, 2))
+    return CorrectionGrid(nodes, at_nodes[:, :3], at_nodes[:, 3:], off_position, off_angle, compensation)
 
 
 def _one_orientation(robot: Robot, program: Goals) -> FloatArray | None:

@@ -236,6 +236,7 @@ def test_programs_of_a_route_are_read_back_by_what_compensates_them(route, langu
 
 
 def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
+    assert "BAS(#VEL_PTP, 1)" in write_program(route, "krl", Motion("plan", speed=0.001))  # 0 % is no speed
     text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))
     values = [
         [float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", match)] for match in re.findall(r"UT : 1,([^}]*)\}", text)

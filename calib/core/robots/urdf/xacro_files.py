@@ -34,7 +34,11 @@ _DEEP = 4  # folders below one of ROS_PACKAGE_PATH, or beside a package, in whic
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 _FORBIDDEN = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "socket.")
 _IDENTIFIER = re.compile(r"[A-Za-z]\w{0,60}")
-_QUOTED = re.compile(r"'([^']*)'|[Uu]ndefined substitution argument (\S+)|unknown macro name: (\S+)")
+_FILE = re.compile(r"[A-Za-z][\w.-]{0,60}\.(?:xacro|yaml|yml)")
+_QUOTED = re.compile(
+    r"'([^']*)'|[Uu]ndefined substitution argument (\S+)|unknown macro name: (\S+)|Invalid parameter \"(\w+)\""
+)
+_EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
 def expanded(path: Path | str, arguments: Mapping[str, str]) -> bytes:
@@ -79,6 +83,7 @@ def _main(path: str, *given: str) -> int:
     packages = _Packages(Path(path))
     substitution_args._eval_find = packages.find
     sys.addaudithook(_guard(packages))
+    os.environ.clear()  # no expression reads it from here on
     values = dict(argument.split(":=", 1) for argument in given)
     try:
         text: bytes = _processed(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
@@ -105,6 +110,9 @@ def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
             if name is None or name in lacking or not _IDENTIFIER.fullmatch(name):
                 if lacking:
                     raise _OutsideError(_without_value(lacking)) from None
+                missing = next((cause for cause in _causes(error) if isinstance(cause, FileNotFoundError)), None)
+                if missing is not None:
+                    raise _OutsideError(_without_file(path, str(missing.filename), values)) from None
                 raise
             lacking[name] = name  # to see what else is missing
             continue
@@ -115,6 +123,16 @@ def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
 
 def _without_value(names: Mapping[str, str]) -> str:
     return f"no value for {', '.join(names)}: calib init FILE {' '.join(f'--xacro {name}:=VALUE' for name in names)}"
+
+
+def _without_file(path: str, missing: str, values: Mapping[str, str]) -> str:
+    """What to do about a file that is not there: often its name has a part of an argument that nobody gave."""
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    empty = [name for name in dict.fromkeys(_EMPTY.findall(text)) if not values.get(name)]
+    given = f"; these arguments are empty: {', '.join(empty)}; give them: --xacro {empty[0]}:=VALUE" if empty else ""
+    name = Path(missing).name
+    called = f" ({name})" if _FILE.fullmatch(name) else ""
+    return f"a file that it includes is not there{called}{given}"
 
 
 def _causes(error: BaseException) -> list[BaseException]:
@@ -161,6 +179,7 @@ class _Packages:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
         self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
         self.found: dict[str, str] = {}
+        self._prefixes, self._roots = _listed("AMENT_PREFIX_PATH"), _listed("ROS_PACKAGE_PATH")
 
     def find(self, name: str) -> str:
         """Return the folder of a package."""
@@ -176,13 +195,16 @@ class _Packages:
 
     def _folders(self, name: str) -> Iterator[Path]:
         yield from (folder for folder in (self.own, *self.own.parents) if (folder / "package.xml").is_file())
-        for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-            yield Path(prefix) / "share" / name
-        roots = [Path(root) for root in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if root]
-        for root in (*list(self.own.parents)[:2], *roots):
+        yield from (Path(prefix) / "share" / name for prefix in self._prefixes)
+        for root in (*list(self.own.parents)[:2], *map(Path, self._roots)):
             yield root / name
             for depth in range(_DEEP):
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
+
+
+def _listed(name: str) -> list[str]:
+    """Folders that a variable of the environment lists."""
+    return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 
 def _is_package(folder: Path, name: str) -> bool:
@@ -196,7 +218,7 @@ def _is_package(folder: Path, name: str) -> bool:
 
 def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    installed = [entry for name in _PACKAGES for entry in os.environ.get(name, "").split(os.pathsep) if entry]
+    installed = [entry for name in _PACKAGES for entry in _listed(name)]
     python = [sys.prefix, sys.base_prefix, *sys.path]
     folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 

@@ -85,12 +85,12 @@ def test_several_signs_are_named_together(arm, data, turned):
 @pytest.mark.parametrize(
     ("offsets", "words"),
     [
-        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right):"),
-        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right):"),
+        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right)"),
+        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right)"),
         (
             {2: 180, 4: 180},
             "joint j3 counted from another zero (j3 +180 deg would be right) and joint j5 counted from another zero"
-            " (j5 +180 deg would be right):",
+            " (j5 +180 deg would be right)",
         ),
     ],
 )
@@ -101,7 +101,7 @@ def test_zeros_that_are_quarter_turns_off_are_named(arm, data, offsets, words):
 
 def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, data):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), 2), np.pi / 2 - q[:, 2]))
-    assert "joint j3 counted from another zero (90 deg - j3 would be right):" in likely_mistake(arm, wrong)
+    assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
 
 
 def test_joint_values_beside_the_wrong_row_are_named(arm, data):
@@ -255,14 +255,14 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        (1e3, "mm were read as m:"),
-        (1e-3, "m were read as mm:"),
-        (1 / 25.4, "inches were read as mm:"),
-        (1 / 0.0254, "inches were read as m:"),
-        (1 / 304.8, "feet were read as mm:"),
-        (0.1, "cm were read as mm:"),
-        (1 / 2.54, "tenths of an inch were read as mm:"),
-        (0.2, " times as long as the robot's, which no usual unit explains:"),
+        (1e3, "mm were read as m"),
+        (1e-3, "m were read as mm"),
+        (1 / 25.4, "inches were read as mm"),
+        (1 / 0.0254, "inches were read as m"),
+        (1 / 304.8, "feet were read as mm"),
+        (0.1, "cm were read as mm"),
+        (1 / 2.54, "tenths of an inch were read as mm"),
+        (0.2, " times as long as the robot's, which no usual unit explains"),
     ],
 )
 def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):

@@ -382,7 +382,9 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     assert np.linalg.norm(away) < 1.5e-3
     page = (tmp_path / "out" / "photographs.html").read_text()
     assert 'class="verdict PASS"' in page
-    assert page.count("<svg") == page.count('data-row="') == len(result["images"])  # each belongs to a mark of the plots
+    assert (
+        page.count("<svg") == page.count('data-row="') == len(result["images"])
+    )  # each belongs to a mark of the plots
     assert all(f'id="{name}"' in page for name in ("images", "pixels", "tool"))
     wrong = runner.invoke(group, [*told[:-1], board, "--out", str(tmp_path / "other")])
     assert wrong.exit_code == 2

@@ -4,7 +4,7 @@ What is read is made by other code: the six-axis arm written out, formulas of po
 `python tests/test_redundancy.py 400` prints coverage of many calibrations.
 """
 
-import sys
+import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -448,7 +448,11 @@ def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):
         load(tmp_path, "arm.yaml", ARM + "targets: {pin: {frame: l6}}\nparametrisation: rotary_axes\n")
 
 
-def main(n):
+def main():
+    """Print the coverage of intervals over many calibrations of each case."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("fits", type=int, help="how many of each case")
+    n = parser.parse_args().fits
     for name, case in CASES.items():
         with tempfile.TemporaryDirectory() as folder:
             parts, chi_square = coverage(case, Path(folder), n)
@@ -458,4 +462,4 @@ def main(n):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main()

@@ -347,7 +347,8 @@ def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArra
 
 def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
     """Return what joint terms depend on and the order of commands (n, n_actuated) tells, (n,) each by column."""
-    states = [term.states_by_order(joints[:, robot.joint_names.index(term.joint)]) for term in robot.terms]
+    commands = dict(zip(robot.joint_names, joints.T, strict=True))  # no one commands passive joints
+    states = [term.states_by_order(commands[term.joint]) for term in robot.terms if term.joint in commands]
     return {column: values for own in states for column, values in own.items()}
 
 

@@ -26,9 +26,9 @@ from calib.core.judging.acceptance import verify as verify
 from calib.core.results.comparing_results import compare as compare
 from calib.core.results.comparison_report import ResultComparison as ResultComparison
 from calib.core.results.loaded_result import LoadedResult as LoadedResult
-from calib.core.results.loaded_result import load_result as load_result
 from calib.core.results.loaded_result import predict as predict
 from calib.core.results.result_reading import load as load
+from calib.core.results.result_reading import load_result as load_result
 from calib.core.robots.held import Holds as Holds
 from calib.core.robots.loading import robot as robot
 from calib.core.robots.parameters import Origin as Origin

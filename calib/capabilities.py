@@ -14,7 +14,7 @@ BROUGHT = tuple(
         ("calib.formats", "printers", "calib.printers.file_formats:FORMATS"),
         ("calib.formats", "more", "calib.exporting.file_formats:MORE_FORMATS"),
         ("calib.methods", "export", "calib.exporting.formats:export"),
-        ("calib.methods", "photographs", "calib.photographs.simulated:photographs"),
+        ("calib.methods", "photographs", "calib.photographs.rendering:photographs"),
         ("calib.measures", "camera", "calib.photographs.first_words:camera_words"),
         ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),
         ("calib.first_descriptions", "marlin", "calib.printers.first_files:MARLIN"),

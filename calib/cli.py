@@ -25,6 +25,7 @@ _COMMANDS = {
     "compensate": ("calib.programs.commands.compensate", "Correct a program for the real robot."),
     "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
+    "qualify": ("calib.quality.command", "Prove that this installation computes rightly."),
     "watch": ("calib.planning.commands.watch", "Say while measuring which pose is next, and when to stop."),
     "detect": ("calib.photographs.commands.detect", "Find a printed board in photographs."),
     "board": ("calib.photographs.commands.boards", "Write a board to print."),
@@ -38,6 +39,7 @@ _GROUPS = {
     "Measuring and calibrating": ("watch", "fit", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
+    "Quality systems": ("qualify",),
 }
 """The commands in the order of work; those that come with the pictures stand after them."""
 

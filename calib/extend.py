@@ -8,6 +8,7 @@ What a package adds is named in its `pyproject.toml`, under these groups of entr
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
     calib.formats               formats of `calib export`: a tuple of `Format`
     calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
+    calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
 A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` are for their tests.
 """
@@ -44,10 +45,12 @@ from calib.core.robots.terms.checking import check_term
 from calib.core.robots.terms.formula import Formula, Proportional, Source, Waves
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
 from calib.core.robots.terms.terms import TERMS
+from calib.quality.protocol import Check, Phase
 
 __all__ = [
     "KINDS",
     "TERMS",
+    "Check",
     "Column",
     "Comparison",
     "ComputationError",
@@ -77,6 +80,7 @@ __all__ = [
     "Parametrisation",
     "Part",
     "PartNoise",
+    "Phase",
     "Place",
     "PositiveAngle",
     "PositiveLength",

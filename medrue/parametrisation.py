@@ -126,31 +126,6 @@ class MedrueParametrisation:
         }
         return {name: turning.get(name, twist) for name, (_, twist) in self._turned.items()}
 
-    def of_many(self, values: FloatArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-        """Return the same of many sets of values at once, (n, 36): origins (n, 12), and twists (n, 6, 36)."""
-        xyz, rpy = _ALL_XYZ @ values.T, _ALL_RPY @ values.T  # (n_origins, 3, n)
-        vectors = {k: (values[:, places[:2]] - values[:, places[2:]]).T for k, places in _ANCHORS.items()}
-        for place, five_bar in _ROLLS:
-            y, z = vectors[five_bar]
-            rpy[place, 0] += np.arctan2(z, y)
-        xyz += (self._given[0] - self._nominal[0])[:, :, None]
-        rpy += (self._given[1] - self._nominal[1])[:, :, None]
-        turned = dict(zip(_TURNING, zip(*_turned_by(rpy[_TURNING_PLACES]), strict=True), strict=True))
-        poses, twists = dict[str, FloatArray](), dict[str, FloatArray]()
-        for k, (name, (rotation, twist)) in enumerate(self._turned.items()):
-            poses[name], twists[name] = np.empty((len(values), 12)), np.empty((len(values), 6, len(PARAMETERS)))
-            poses[name][:, :9], poses[name][:, 9:], twists[name][:] = rotation.T.ravel(), xyz[k].T, twist
-            if name in _TURNING:
-                d_xyz, d_rpy = _LINEAR[name][0], np.repeat(_LINEAR[name][1][None], len(values), axis=0)
-                if name in _FIVE_BARS:
-                    y, z = vectors[_FIVE_BARS[name]]
-                    slopes = np.stack([-z, y, z, -y], axis=1) / (y * y + z * z)[:, None]
-                    d_rpy[:, 0, _ANCHORS[_FIVE_BARS[name]]] = slopes
-                columns, local = turned[name]
-                poses[name][:, :9] = columns.reshape(-1, 9)
-                twists[name][:, :3], twists[name][:, 3:] = columns @ d_xyz, local @ d_rpy
-        return poses, twists
-
     @cached_property
     def _nominal(self) -> tuple[FloatArray, FloatArray]:
         """Xyz and rpy of all origins from the nominal parameters, (n_origins, 3)."""
@@ -177,16 +152,6 @@ class MedrueParametrisation:
         return {name: own for name, own in zip(_COORDINATES, rpy, strict=True) if name in _TURNING}
 
 
-def _turned_by(rpy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Transposed rotations by angles (m, 3, n), and turns in their axes by the rate of each angle, (m, n, 3, 3)."""
-    (a, b, c), (s, t, u) = np.cos(rpy).swapaxes(0, 1), np.sin(rpy).swapaxes(0, 1)
-    none, one = np.zeros_like(a), np.ones_like(a)
-    x, y = (b * c, b * u, -t), (s * t * c - a * u, s * t * u + a * c, s * b)
-    z = (a * t * c + s * u, a * t * u - s * c, a * b)
-    local = (one, none, -t), (none, a, s * b), (none, -s, a * b)
-    return np.array((x, y, z)).transpose(2, 3, 0, 1), np.array(local).transpose(2, 3, 0, 1)
-
-
 def _linear(name: str) -> tuple[FloatArray, FloatArray]:
     """d(xyz)/d(parameters) and d(rpy)/d(parameters) without the direction of a five-bar, (3, 36) each."""
     d_xyz, d_rpy = np.zeros((3, len(PARAMETERS))), np.zeros((3, len(PARAMETERS)))
@@ -201,7 +166,6 @@ _LINEAR = {name: _linear(name) for name in _COORDINATES}
 
 
 _ALL_XYZ, _ALL_RPY = (np.array([_LINEAR[name][part] for name in _COORDINATES]) for part in (0, 1))
-_TURNING_PLACES = [list(_COORDINATES).index(name) for name in _TURNING]
 _ROLLS = [(k, _FIVE_BARS[name]) for k, name in enumerate(_COORDINATES) if name in _FIVE_BARS]
 
 

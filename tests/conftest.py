@@ -27,6 +27,12 @@ class Run:
     out: str
     err: str
 
+    def refusal(self) -> str:
+        """The one line that says what is wrong with the input."""
+        assert self.code == 2, self
+        (line,) = self.err.strip().splitlines()
+        return line
+
 
 RunCalib = Callable[..., Run]
 

@@ -87,10 +87,8 @@ def test_a_mistake_in_an_entry_is_named(tmp_path, run_calib, kind, mistake):
     edit, said = IN_ENTRIES[mistake]
     assert edit(KINDS[kind]) != KINDS[kind]
     run = run_calib("check", write_six_axis(tmp_path, YAML.replace("INSTRUMENT", edit(KINDS[kind]))))
-    assert run.code == 2, run.out
-    assert len(run.err.strip().splitlines()) == 1, run.err
-    for words in said.split("..."):
-        assert words in run.err
+    line = run.refusal()
+    assert all(words in line for words in said.split("...")), line
 
 
 def at(row, column, value):
@@ -120,21 +118,12 @@ def without(column):
     )
 
 
-IN_FILES = {
+IN_FILES = {  # what is wrong with columns of joints is tested with one kind: tests/test_bad_input.py
     "no header": (lambda names, rows: (rows[0], rows[1:]), ""),
     "no rows": (lambda names, rows: (names, []), "no rows"),
-    "nothing at all": (lambda names, rows: ([], []), ""),
     "a joint without a column": (without(2), "no column 'j3'"),
-    "a joint that is misspelled": (header(1, lambda _: "j22 [rad]"), "j2"),
-    "a joint in metres": (header(0, lambda _: "j1 [m]"), "column 'j1'"),
-    "a joint in an unknown unit": (header(0, lambda _: "j1 [turns]"), "column 'j1'"),
     "a joint that is a word": (at(3, 1, "zero"), "line 5, column 'j2': 'zero' is not a number"),
-    "a joint that is not a number": (at(3, 1, "nan"), "line 5, column 'j2'"),
-    "an infinite joint": (at(3, 1, "inf"), "line 5, column 'j2'"),
-    "a joint that is empty": (at(3, 1, ""), "line 5, column 'j2': is empty"),
-    "a joint that no robot has": (at(3, 1, "1e9"), "column 'j2'"),
     "a row that is too short": (lambda names, rows: (names, [*rows[:4], rows[4][:-1], *rows[5:]]), "line 6"),
-    "a row that is too long": (lambda names, rows: (names, [*rows[:4], [*rows[4], "1"], *rows[5:]]), "line 6"),
     "one column twice": (header(1, lambda _: "j1 [rad]"), "j1"),
     "no column of the instrument": (header(-1, lambda _: "remark"), "seen"),
 }
@@ -148,8 +137,6 @@ def test_a_mistake_in_a_file_is_named(tmp_path, run_calib, good, kind, mistake):
     robot = write_six_axis(tmp_path, YAML.replace("INSTRUMENT", KINDS[kind]))
     (tmp_path / "data.csv").write_text("\n".join(",".join(cells) for cells in [names, *rows]) + "\n")
     run = run_calib("fit", robot, tmp_path / "data.csv", "--no-pages", "--out", tmp_path / "out")
-    assert run.code == 2, run.out
-    assert len(run.err.strip().splitlines()) == 1, run.err
-    for words in said.split("..."):
-        assert words in run.err
+    line = run.refusal()
+    assert all(words in line for words in said.split("...")), line
     assert not (tmp_path / "out").exists()

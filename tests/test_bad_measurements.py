@@ -6,19 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
-from small_robots import write_arm
+from small_robots import write_arm, write_parallelogram
 
 import calib
 from calib.core.robots.file_formats import formats
 from calib.exporting.formats import JOINT_TABLES
 from calib.printers import COMMENTS as FIRMWARES
-from medrue.closed_form import forward
-from medrue.paper_tables import table1
-from medrue.workspace import target_workspace
 
 SIGMA = 4e-5
 ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m]" for axis in "xyz")])
-MEDRUE_HEADER = ",".join(["q1 [m]", *(f"q{k} [rad]" for k in range(2, 7)), *(f"tool_{axis} [m]" for axis in "xyz")])
 UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
 
@@ -165,6 +161,9 @@ def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
     run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0))
     assert run.code == 3
     assert "calibrated.urdf was not written" in one_line(run)
+    assert run.err.startswith("calib: verdict FAIL: ")
+    assert "(--force writes it)" in run.err
+    assert "Verdict: FAIL" in run.out
     assert result["verdict"]["grade"] == "FAIL"
     assert "noise_as_large_as_robot" in result["verdict"]["codes"]
     assert not (folder / "out" / "calibrated.urdf").exists()
@@ -174,6 +173,7 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0), "arm.yaml", "--force")
     assert run.code == 0
     assert result["verdict"]["forced"] is True
+    assert (folder / "out" / "calibrated.urdf").exists()
     assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
     for file_format in (item for item in formats() if item not in ("ur-kinematics", JOINT_TABLES, *FIRMWARES)):
         target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
@@ -238,16 +238,12 @@ def test_positions_in_the_wrong_unit_fail(folder, fit_file):
 
 
 @pytest.mark.parametrize("trouble", ["metres", "other poses", "wrong unit"])
-def test_a_closed_loop_robot_ends_in_a_verdict_too(medrue, fit_file, run_calib, trouble):
-    q = np.array(target_workspace().q)[::5]
-    positions = forward(q, table1().actual).p_world_tool
-    if trouble == "metres":
-        positions = positions + 2.0 * RNG.standard_normal(positions.shape)
-    elif trouble == "other poses":
-        positions = positions[::-1]
-    else:
-        positions = 1e-3 * positions
-    run, result = fit_file(q, positions, medrue.path, header=MEDRUE_HEADER)
+def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path, trouble):
+    q = np.linspace(0.35, 2.8, 20)[:, None]
+    positions = 0.5 * np.column_stack([np.cos(q) + 1, np.sin(q), 0 * q])
+    noise = RNG.standard_normal(positions.shape)
+    read = {"metres": positions + 2.0 * noise, "other poses": positions[::-1], "wrong unit": 1e-3 * positions}[trouble]
+    run, result = fit_file(q, read + SIGMA * noise, write_parallelogram(tmp_path), header="a [rad],pin_x,pin_y,pin_z")
     assert run.code == 3
     one_line(run)
     if result is not None:

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from compensated_robots import TrueFrame, poses_of
+from saved_results import with_verdict
 from six_axis_arm import write_six_axis
 from test_denavit_hartenberg import robot_of, write_table
 
@@ -496,7 +497,7 @@ def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calib
     assert "is not a result folder; give that as ROBOT, or with --result DIR" in outcome.output
 
 
-@pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without covariance"])
+@pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without the fit"])
 def test_wrong_results_are_refused(tmp_path, calibrated, what):
     folder, robot, code = tmp_path / "result", EXAMPLES / "arm.yaml", 2
     if what != "missing":
@@ -507,18 +508,16 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
         robot = write_six_axis(tmp_path)
     if what == "failed":
         code = 3
-        content = json.loads((folder / "result.json").read_text())
-        content["verdict"] = {"grade": "FAIL", "forced": False, "reasons": ["it was wrong"]}
-        (folder / "result.json").write_text(json.dumps(content))
-    if what == "without covariance":
-        (folder / "covariance.csv").unlink()
+        with_verdict(folder, "FAIL", "it was wrong")
+    if what == "without the fit":
+        (folder / "fit.npz").unlink()
     joints = "j1,j2,j3,j4,j5,j6" if what == "of another robot" else JOINTS
     outcome = run(tmp_path, f"{joints}\n0,0,0.3,0,0.5,0\n", robot=robot, result=folder)
     message = {
         "missing": "holds no result",
         "of another robot": "result of another robot",
         "failed": "it was wrong",
-        "without covariance": "no such file; run the fit again",
+        "without the fit": "(fit.npz of a later one is missing); run the fit again",
     }[what]
     assert (outcome.exit_code, message in outcome.output) == (code, True), outcome.output
 

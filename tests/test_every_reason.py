@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from situations import SIGMA, SITUATIONS, Shop, rms
+from situations import GRADES, SIGMA, SITUATIONS, Shop, rms
 from six_axis_arm import joints, measurements, noisy
 
 import calib
@@ -29,6 +29,10 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
     assert match, made.reasons(made.there)
     assert [float(number) for number in match.groups()] == pytest.approx(list(made.numbers), rel=made.within), texts
     assert code not in [reason.code for reason in made.reasons(made.gone)], made.gone.verdict
+    if code in GRADES:
+        (reason,) = (reason for reason in made.there.verdict.reasons if reason.code == code)
+        assert (made.there.verdict.grade, reason.grade) == (GRADES[code], GRADES[code])
+        assert GRADES[code] != "PASS" or (reason.counted and made.there.verdict.claim.holds)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from compensated_robots import FORMS, OF_THREE_AXES, Trial, described, lengths
 from six_axis_arm import write_six_axis
 
 import calib
-from calib.core.results.result_reading import load_known
+from calib.core.results.result_reading import load_result
 from calib.core.rows.common_motion import CommonMotion, Loose
 from calib.core.rows.frames import measurement_frame, program_frame
 from calib.core.rows.known_robot import KnownRobot
@@ -218,7 +218,7 @@ def test_along_coordinates_that_are_not_asked_for_nothing_is_expected(tmp_path):
 
 def test_a_result_folder_knows_the_frame_as_the_fit_does(nominal_delta):
     trial, folder = nominal_delta
-    known, again = trial.fit.known, load_known(folder, trial.nominal)
+    known, again = trial.fit.known, load_result(folder, trial.nominal).known
     assert again.nothing_to_correct
     np.testing.assert_allclose(again.joints, known.joints, rtol=1e-14)
     frames = [program_frame(replace(item, nothing_to_correct=False)) for item in (known, again)]
@@ -276,17 +276,3 @@ def test_solve_writes_what_is_expected_at_each_target(nominal_delta, tmp_path, r
     plain = run_calib("solve", folder / "nominal.yaml", tmp_path / "goals.csv", "--skip-unreachable", "--out", out)
     assert "expected" not in plain.out
     assert "expected" not in out.read_text() if plain.code == 0 else plain.code == 2
-
-
-def test_a_result_that_lacks_its_poses_says_what_that_costs(nominal_delta, tmp_path, run_calib):
-    _, folder = nominal_delta
-    old = tmp_path / "old"
-    old.mkdir()
-    for file in folder.iterdir():
-        if file.name != "residuals.csv":
-            (old / file.name).write_bytes(file.read_bytes())
-    (tmp_path / "joints.csv").write_text("arm_1,arm_2,arm_3\n0.1,0.2,-0.05\n")
-    done = run_calib("compensate", old, tmp_path / "joints.csv", "--out", tmp_path / "out.csv")
-    assert done.code == 0
-    assert "has no residuals.csv, so the measured poses are not known" in done.err
-    assert "agree best around home" in done.out

@@ -16,6 +16,7 @@ from calib.photographs.estimation import estimate, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.left_out import left_out, rms
+from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import Placed, on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 
@@ -145,15 +146,12 @@ def test_order_names_and_the_boards_origin_do_not_matter():
 
 def test_each_mistake_is_named_and_none_passes():
     view = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
-    n = len(view)
-    shifted = replace(view, tool=np.roll(view.tool, 1, axis=0))
-    larger = replace(view, body=view.body / 1.02)
     swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
-    late = np.arange(n) >= 5
+    late = np.arange(len(view)) >= 5
     moved = replace(view, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ view.tool, view.tool))
     cases = {
-        "pairs_shifted": (shifted, INTRINSICS),
-        "square_size": (larger, INTRINSICS),
+        "pairs_shifted": (replace(view, tool=np.roll(view.tool, 1, axis=0)), INTRINSICS),
+        "square_size": (replace(view, body=view.body / 1.02), INTRINSICS),
         "principal_point": (view, swapped),
         "moved": (moved, INTRINSICS),
     }
@@ -177,17 +175,16 @@ def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(order, w
     assert judge(kept).grade == "FAIL"
 
 
-def test_a_size_far_off_and_other_units_are_named():
+def test_a_size_far_off_is_named():
     exact = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
-    for factor, code, words in ((1.2, "square_size", "17 % smaller"), (0.1, "units", "10 times as large")):
-        result = calibrate(replace(exact, body=factor * exact.body), INTRINSICS, mounts=("tool",))
-        assert codes(result)[:1] == [code]
-        assert words in judge(result).reasons[0]
-        assert judge(result).grade == "FAIL"
+    result = calibrate(replace(exact, body=1.2 * exact.body), INTRINSICS, mounts=("tool",))
+    assert codes(result)[:1] == ["square_size"]
+    assert "17 % smaller" in judge(result).reasons[0]
+    assert judge(result).grade == "FAIL"
 
 
-def test_rotations_in_another_order_are_named():
-    exact = scene(9, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+def misread(exact):
+    """An exact scene as it is read where files mean something else, by words of what is wrong."""
     rotation = Rotation.from_matrix(exact.tool[:, :3, :3])
     quaternions = rotation.as_quat()
     ways = {
@@ -200,9 +197,37 @@ def test_rotations_in_another_order_are_named():
     for words, read in ways.items():
         tool = exact.tool.copy()
         tool[:, :3, :3] = read.as_matrix()
-        judgement = judge(calibrate(replace(exact, tool=tool), INTRINSICS))
-        assert judgement.grade == "FAIL"
-        assert words in judgement.reasons[0]
+        yield words, replace(exact, tool=tool)
+    yield "10 times as large", replace(exact, body=0.1 * exact.body)
+    yield "mirrored", replace(exact, pixels=exact.pixels * [-1, 1] + [exact.size[0] - 1, 0])
+
+
+def same(scene, other):
+    return all(np.allclose(getattr(scene, part), getattr(other, part)) for part in ("tool", "body", "pixels"))
+
+
+def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
+    """What is tried and found to explain the images: it is the real scene, whatever finds it."""
+    exact = scene(9, "tool", noise=0.0)
+    for words, wrong in misread(exact):
+        fits = [
+            reading.text
+            for reading in other_readings(wrong, ("tool",))
+            if len(reading.scene) == len(exact)
+            and all(
+                np.allclose(getattr(reading.scene, part), getattr(exact, part)) for part in ("tool", "body", "pixels")
+            )
+        ]
+        assert len(fits) == 1, words
+        assert words in fits[0]
+
+
+@pytest.mark.parametrize("words", ["real part first", "10 times as large"])
+def test_another_reading_is_named_with_what_it_leaves(words):
+    wrong = dict(misread(scene(9, "tool", noise=0.2, shift=2e-4, turn=2e-4)))[words]
+    judgement = judge(calibrate(wrong, INTRINSICS, mounts=("tool",)))
+    assert judgement.grade == "FAIL"
+    assert words in judgement.reasons[0]
 
 
 @pytest.mark.parametrize("mount", ["tool", "base"])

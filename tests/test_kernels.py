@@ -116,58 +116,24 @@ def test_poses_that_cannot_close_are_refused_alike():
     assert np.array_equal(result.ok, expected.ok)
 
 
-@pytest.fixture(scope="module")
-def parts():
-    """Functions that are only called by compiled code, as Python calls them."""
+def test_systems_are_solved_with_pivots():
     numba, functions = import_module("numba"), import_module("calib.core.robots.kernels")
-    factor, solve, solve_left, sines = functions._factor, functions._solve, functions._solve_left, functions._sines
+    solve = functions._solve  # only called by compiled code
 
     @numba.njit
-    def solved(plan, A, b, c, x, y, sign):
-        n, larger = len(x), np.empty((A.shape[0], A.shape[1]))
-        factor(plan, A, n, larger, sign)
-        solve(plan, A, n, larger, b, x)
-        solve_left(plan, A, larger, c, y, len(y) // n)
+    def solved(A, B):
+        return solve(A, B, len(A))
 
-    @numba.njit
-    def sines_of(tree, q, s, c):
-        sines(tree, q, s, c)
-
-    return SimpleNamespace(solved=solved, sines=sines_of, functions=functions)
-
-
-def test_systems_are_solved_with_pivots_of_their_own(parts):
-    rng, n, lanes = np.random.default_rng(3), 5, parts.functions._LANES
-    pattern = np.eye(n, dtype=bool) | (rng.random((n, n)) < 0.7)
-    matrices = rng.standard_normal((lanes, n, n)) * pattern
-    matrices[::2, range(n), range(n)] = 0.0  # rows must change places, not in every lane
-    matrices[7, 2], right, left = 0.0, rng.standard_normal((lanes, n)), rng.standard_normal((lanes, 2, n))
-    blocks = (np.array([3, 0, 4, 1, 2]),), (np.array([1, 4, 0, 2, 3]),)
-    plan, sign = parts.functions._plan(pattern, *blocks), np.empty((1, lanes))
-    x, y = np.empty((n, lanes)), np.empty((2 * n, lanes))
-    rows = [array.reshape(lanes, -1).T.copy() for array in (matrices, right, left.transpose(0, 2, 1))]
-    parts.solved(plan, *rows, x, y, sign)
-    regular = np.arange(lanes) != 7
-    assert not np.any(np.isfinite(x[:, 7]))
-    expected = np.linalg.solve(matrices[regular], right[regular, :, None])[:, :, 0]
-    assert np.allclose(x.T[regular], expected, rtol=1e-6)
-    assert np.allclose(y.T.reshape(lanes, n, 2).transpose(0, 2, 1)[regular] @ matrices[regular], left[regular])
-    signs = np.sign(np.linalg.det(matrices[:, blocks[0][0][:, None], blocks[1][0]]))
-    assert np.array_equal((plan.signs * sign[0])[regular], signs[regular])
-
-
-def test_sines_are_those_of_numpy(parts):
-    lanes = parts.functions._LANES
-    q = np.stack([np.linspace(-7, 7, lanes), np.arange(lanes) * np.pi / 4, np.linspace(-9e3, 9e3, lanes)])
-    q = np.vstack([q, [np.linspace(0, 1e6, lanes)], [np.full(lanes, 2.0)]])
-    axes = np.repeat([[0.0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0]], [4, 1], axis=0)
-    tree = parts.functions.Tree(np.arange(5), np.zeros((5, 12)), axes)
-    s, c = np.empty_like(q), np.empty_like(q)
-    parts.sines(tree, q, s, c)
-    assert np.allclose(s[:4], np.sin(q[:4]), rtol=0, atol=3e-16)
-    assert np.allclose(c[:4], np.cos(q[:4]), rtol=0, atol=3e-16)
-    assert np.array_equal(s[4], np.zeros(lanes))
-    assert np.array_equal(c[4], np.ones(lanes))
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        A, B = rng.standard_normal((5, 5)) * (rng.random((5, 5)) < 0.8) + 1e-3 * np.eye(5), rng.standard_normal((5, 2))
+        A[0, 0] = 0.0  # rows must change places
+        X = B.copy()
+        assert solved(A.copy(), X) == np.sign(np.linalg.det(A))
+        assert np.allclose(X, np.linalg.solve(A, B), rtol=1e-9)
+    A[2] = 0.0
+    assert solved(A.copy(), X) == 0.0
+    assert not np.all(np.isfinite(X))
 
 
 def test_a_whole_fit_gives_the_same_numbers():
@@ -218,11 +184,11 @@ def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch
         assert (kernels(mechanism, 10) is not None) is kept
     assert (kernels(mechanism, 5000) is not None) is kept
     assert kernels(mechanism, 4000) is None
-    assert kernels(mechanism, 75_000) is not None
+    assert kernels(mechanism, 35_000) is not None
     arm = calib.load(EXAMPLES / "arm.yaml").mechanism  # a pose without loops saves less
     assert (kernels(arm, 20_000) is not None) is kept
     assert kernels(arm, 19_000) is None
-    assert kernels(arm, 300_000) is not None
+    assert kernels(arm, 140_000) is not None
 
 
 @pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])
@@ -259,5 +225,5 @@ def test_the_first_program_says_once_that_it_compiles(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     program = [sys.executable, "-c", FIRST_USE]
     first, second = (subprocess.run(program, env=environment, capture_output=True, text=True, check=True) for _ in "12")
-    assert first.stderr == "numba compiles the kinematics; this takes about 10 s, once for each version\n"
+    assert first.stderr == "numba compiles the kinematics; this takes about 5 s, once for each version\n"
     assert second.stderr == ""

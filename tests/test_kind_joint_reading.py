@@ -11,9 +11,6 @@ from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallel
 import calib
 from calib.core.rows.observed import observe, predicted_readings
 from calib.core.rows.registration import register
-from medrue import robot_file
-from medrue.paper_tables import table1
-from medrue.workspace import target_workspace
 from viz.reading_errors import of_fit as readings_of_fit
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -84,19 +81,6 @@ def test_derivatives_through_the_loop_of_a_five_bar(tmp_path):
         for name, result in by_joint.items():
             difference = (sides[0][name].residuals - sides[1][name].residuals) / (2 * step)
             np.testing.assert_allclose(result[:, :, j], difference, atol=1e-8)
-
-
-def test_derivatives_through_the_loops_of_medrue(tmp_path):
-    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
-    encoders = "".join(
-        f"  at_{name}: {{kind: joint_reading, joint: {name}, zero: unknown{unit}}}\n"
-        for name, unit in (("B1", ""), ("D2", ""), ("beta", ""), ("slide", ", dimension: length"))
-    )
-    (tmp_path / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", f"instruments:\n{encoders}"))
-    robot = calib.load(tmp_path / "medrue.yaml")
-    robot = robot.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
-    q = target_workspace().q[::200]
-    assert chain_error(robot, q, predicted_readings(robot, robot.assemble(q))) <= 1e-6
 
 
 def test_a_follower_reads_what_its_leader_does(tmp_path):
@@ -216,9 +200,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, line, said):
     path = tmp_path / "five_bar.yaml"
     path.write_text(path.read_text() + f"  e: {line}\n")
     run = run_calib("check", path)
-    assert run.code == 2
-    assert len(run.err.strip().splitlines()) == 1
-    assert said in run.err
+    assert said in run.refusal()
 
 
 def test_an_encoder_must_not_be_called_as_a_motor(tmp_path, run_calib):

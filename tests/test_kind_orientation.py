@@ -1,8 +1,7 @@
-"""Orientations and tilts: derivatives, a known truth found again, intervals that hold it, and input that cannot be."""
+"""Orientations and tilts: a known truth found again, intervals that hold it, and input that cannot be."""
 
 import numpy as np
 import pytest
-from kind_checks import chain_error, kind_error
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -10,11 +9,8 @@ from six_axis_arm import joints, write_six_axis
 import calib
 from calib.core.data.measurement_files import format_measurements, read_measurements
 from calib.core.instruments.hand_eye import fixed_poses
-from calib.core.instruments.kind import Readings, View
-from calib.core.rows.observed import predicted_readings
+from calib.core.instruments.kind import View
 from calib.core.rows.registration import register
-from medrue import robot_file
-from medrue.workspace import target_workspace
 
 ANGLES = ("j2.rx", "j3.rx", "j3.rz", "j4.ry", "j4.rz", "j5.rx", "j5.rz", "j6.ry", "j6.rz")
 """What orientations determine of the arm, where both of its ends are unknown."""
@@ -76,36 +72,6 @@ def test_tilts_grow_as_the_sensor_turns_about_its_own_axes(tmp_path):
     view = View(turned, np.zeros((4, 3)))
     expected = [[0.3, 0], [0, 0.2], [0, 0], [0, 0]]
     np.testing.assert_allclose(instrument.predict(view, np.zeros(0), np.zeros((4, 0))), expected, atol=1e-15)
-
-
-@pytest.mark.parametrize("yaml", [YAML, TILTED], ids=["all", "gravity"])
-def test_the_kind_has_exact_derivatives(tmp_path, yaml):
-    instrument = arm(tmp_path, yaml).instrument("sensor")
-    rng = np.random.default_rng(1)
-    view = View(Rotation.random(30, rng).as_matrix(), rng.normal(size=(30, 3)))
-    nothing = np.zeros(30, dtype=int)
-    near = instrument.moved(
-        instrument.predict(view, np.zeros(0), np.zeros((30, 0))), rng.normal(0, 0.3, (30, instrument.n_rows))
-    )
-    readings = Readings(nothing, nothing, near, None, np.zeros((30, 0)))
-    assert kind_error(instrument, view, np.zeros(0), readings) <= 1e-6
-
-
-@pytest.mark.parametrize("yaml", [YAML, TILTED], ids=["all", "gravity"])
-def test_the_chain_has_exact_derivatives_on_a_serial_arm(tmp_path, yaml):
-    robot = arm(tmp_path, yaml)
-    q = upright(robot, 6, 2)
-    assert chain_error(robot, q, predicted_readings(robot, robot.assemble(q))) <= 1e-6
-
-
-@pytest.mark.parametrize("axes", ["all", "gravity"])
-def test_the_chain_has_exact_derivatives_on_a_robot_with_three_loops(tmp_path, axes):
-    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
-    sensor = f"instruments: {{level: {{kind: orientation, target: tool, axes: {axes}}}}}\n"
-    (tmp_path / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", sensor))
-    robot = calib.load(tmp_path / "medrue.yaml")
-    q = target_workspace().q[::300]
-    assert chain_error(robot, q, predicted_readings(robot, robot.assemble(q))) <= 1e-6
 
 
 def test_both_ends_are_found_in_closed_form():
@@ -205,9 +171,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
     yaml = TILTED.replace(*edit)
     assert yaml != TILTED
     run = run_calib("check", write_six_axis(tmp_path, yaml))
-    assert run.code == 2
-    assert len(run.err.strip().splitlines()) == 1
-    assert said in run.err
+    assert said in run.refusal()
 
 
 @pytest.mark.parametrize(
@@ -223,9 +187,7 @@ def test_files_that_cannot_be(tmp_path, run_calib, header, cells, said):
     path = write_six_axis(tmp_path, TILTED)
     (tmp_path / "data.csv").write_text(f"j1,j2,j3,j4,j5,j6,{header}\n0,0,0,0,0,0,{cells}\n")
     run = run_calib("fit", path, tmp_path / "data.csv", "--out", tmp_path / "out")
-    assert run.code == 2
-    assert len(run.err.strip().splitlines()) == 1
-    assert said in run.err
+    assert said in run.refusal()
 
 
 def test_numbers_that_are_no_rotation_are_named(tmp_path, run_calib):

@@ -1,4 +1,4 @@
-"""Pixels: derivatives, cameras found from anywhere, a known truth found again, intervals, and input that cannot be."""
+"""Pixels: cameras found from anywhere, a known truth found again, intervals, and input that cannot be."""
 
 import json
 from dataclasses import replace
@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kind_checks import chain_error, kind_error
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -123,22 +122,6 @@ def test_points_behind_a_camera_have_finite_pixels_that_lead_back_to_its_front()
     assert in_front(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]])).tolist() == [True, False, False]
 
 
-@pytest.mark.parametrize("unknown", [False, True])
-def test_the_kind_has_exact_derivatives(tmp_path, unknown):
-    sigmas = ", unknown_intrinsics: {fx: 20, fy: 20, cx: 20, cy: 20, k1: 0.1, k2: 0.1, p1: 0.01, p2: 0.01, k3: 0.1}"
-    yaml = YAML.replace(", image:", f"{sigmas if unknown else ''}, image:")
-    instrument = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
-    rng = np.random.default_rng(3)
-    n = 30
-    places_ = np.column_stack([rng.uniform(-0.4, 0.4, (n, 2)), rng.uniform(1, 2, n)])
-    view = View(Rotation.random(n, rng).as_matrix(), places_)
-    nothing = np.zeros(n, dtype=int)
-    readings = Readings(nothing, nothing, rng.uniform(0, 2000, (n, 2)), None, rng.integers(0, 12, (n, 1)).astype(float))
-    unknowns = CAMERA if unknown else np.zeros(0)
-    assert len(instrument.unknowns) == len(unknowns)
-    assert kind_error(instrument, view, unknowns, readings) <= 1e-6
-
-
 def standing(robot, camera, body):
     """The robot with its camera and body there: six numbers each."""
     values = {}
@@ -149,28 +132,13 @@ def standing(robot, camera, body):
     return robot.with_parameters(values)
 
 
-def test_the_chain_has_exact_derivatives_for_a_camera_beside_the_robot(arm):
+def test_a_camera_beside_the_robot_reads_what_opencv_says(arm):
     camera, body = places(4)
     q = joints(12, 4)
     data = data_of(arm, q, photographs(arm, q, camera, body, most=2))
     there = standing(arm, camera, body)
-    assert chain_error(there, data.joints, data.readings) <= 1e-6
     predicted = predicted_readings(there, there.assemble(data.joints), data.readings)["eye"].values
     np.testing.assert_allclose(predicted, data.readings["eye"].values, atol=1e-7)
-
-
-def test_the_chain_has_exact_derivatives_for_a_camera_on_the_robot(tmp_path):
-    yaml = YAML.replace("camera: {frame: l0}", "camera: {frame: l6, xyz: [0, 0, 0.1], rpy: [0, 0.3, 0]}")
-    yaml = yaml.replace("{frame: l6, position", "{frame: l0, xyz: [0.3, 0.2, 2.5], position").replace(
-        ", image: [2000, 1600]", ""
-    )
-    robot = calib.load(write_six_axis(tmp_path, yaml))
-    q = joints(40, 5) * 0.3
-    readings = predicted_readings(robot, robot.assemble(q))["eye"]
-    seen = np.flatnonzero(np.isfinite(readings.values).all(axis=1))[::20]
-    some = Readings(readings.visits[seen], readings.pairs[seen], readings.values[seen], None, readings.details[seen])
-    assert len(seen) > 5
-    assert chain_error(robot, q, {"eye": some}) <= 1e-6
 
 
 @pytest.mark.amount(2, 4)
@@ -362,9 +330,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
     yaml = YAML.replace(*edit)
     assert yaml != YAML
     run = run_calib("check", write_six_axis(tmp_path, yaml))
-    assert run.code == 2
-    assert len(run.err.strip().splitlines()) == 1
-    assert said in run.err
+    assert said in run.refusal()
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,10 @@
-"""Touches: derivatives, a known truth found again, intervals that hold it, bad input, and two real robots."""
+"""Touches: a known truth found again, intervals that hold it, bad input, and two real robots."""
 
 import json
 
 import numpy as np
 import pytest
-from kind_checks import brought, chain_error, kind_error
+from kind_checks import brought
 from public_data import from_sockets, masses_of, mukca, mukca_joints
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
@@ -13,13 +13,9 @@ from test_kind_distance import FREE
 
 import calib
 from calib.core.data.measurement_files import format_measurements
-from calib.core.instruments.kind import Readings, View
 from calib.core.rows.observed import predicted_readings
 from calib.core.rows.registration import register
 from calib.planning.pose_sampling import sample
-from medrue import robot_file
-from medrue.paper_tables import table1
-from medrue.workspace import target_workspace
 
 YAML = """\
 urdf: arm.urdf
@@ -61,57 +57,6 @@ PLACED = Rotation.from_euler("xyz", [0.3, -0.4, 2.0]).as_matrix(), np.array([0.5
 def arm_with(folder, instrument, free=FREE):
     folder.mkdir(exist_ok=True)
     return calib.load(write_six_axis(folder, YAML.replace("INSTRUMENT", instrument) + free))
-
-
-@pytest.fixture(scope="module", params=list(EVERY))
-def any_arm(request, tmp_path_factory):
-    return arm_with(tmp_path_factory.mktemp("arm"), EVERY[request.param])
-
-
-def everything(robot, q):
-    """Readings of all that the probe can touch, at every pose, of nothing but zeros."""
-    predicted = predicted_readings(robot, robot.assemble(q))["probe"]
-    return {
-        "probe": Readings(predicted.visits, predicted.pairs, np.zeros_like(predicted.values), None, predicted.details)
-    }
-
-
-def test_the_kind_has_exact_derivatives(any_arm):
-    instrument, rng = any_arm.instrument("probe"), np.random.default_rng(1)
-    pairs, details = (np.tile(part, (10, 1) if part.ndim > 1 else 10) for part in instrument.looks())
-    n = len(pairs)
-    view = View(Rotation.random(n, rng).as_matrix(), 0.5 + rng.random((n, 3)))
-    readings = Readings(np.zeros(n, dtype=int), pairs, np.zeros((n, instrument.n_rows)), None, details)
-    unknowns = rng.normal(0.02, 0.005, len(instrument.unknowns))
-    assert kind_error(instrument, view, unknowns, readings) <= 1e-7
-
-
-def test_the_chain_has_exact_derivatives_on_a_serial_arm(any_arm):
-    values = any_arm.values + np.random.default_rng(2).normal(0, 0.01, len(any_arm.values))
-    robot = any_arm.with_parameters(values)
-    q = joints(4)
-    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
-
-
-def test_the_chain_has_exact_derivatives_on_a_robot_with_three_loops(tmp_path):
-    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
-    probe = "instruments: {probe: {kind: touch, target: tool, " + PLATE.replace("l0", "world") + "}}\n"
-    (tmp_path / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", probe))
-    robot = calib.load(tmp_path / "medrue.yaml")
-    robot = robot.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
-    q = target_workspace().q[::140]
-    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
-
-
-def test_the_chain_has_exact_derivatives_on_a_five_bar(tmp_path):
-    folder = robot_file().parents[1] / "docs" / "examples"
-    yaml = (folder / "five_bar.yaml").read_text().replace("urdf: five_bar.urdf", f"urdf: {folder / 'five_bar.urdf'}")
-    yaml = yaml.replace("pose: unknown", "pose: known").replace("sigma: 0.02 mm", "")
-    yaml += "instruments: {probe: {kind: touch, target: pen, places: {pin: {frame: table, position: unknown}}}}\n"
-    (tmp_path / "five_bar.yaml").write_text(yaml)
-    robot = calib.load(tmp_path / "five_bar.yaml")
-    q = robot.home + np.random.default_rng(5).uniform(-0.4, 0.4, (5, 2))
-    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
 
 
 def directions(rng, n):
@@ -337,9 +282,7 @@ def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_
 def test_descriptions_that_cannot_be(tmp_path, run_calib, instrument, said):
     write_six_axis(tmp_path, YAML.replace("INSTRUMENT", instrument) + FREE)
     run = run_calib("check", tmp_path / "arm.yaml")
-    assert run.code == 2
-    assert said in run.err
-    assert len(run.err.strip().splitlines()) == 1
+    assert said in run.refusal()
 
 
 @pytest.mark.parametrize(

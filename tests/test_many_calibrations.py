@@ -2,7 +2,6 @@
 
 import json
 import os
-import pickle
 import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import fields, replace
@@ -17,10 +16,7 @@ from test_workers import Shared
 
 import calib
 from calib.core.base.workers import Workers, in_order
-from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
-from calib.core.robots.acceleration import compiled
-from calib.core.rows.many_robots import ManyRobots
 from calib.studies.many_calibrations import Repeated
 from calib.studies.study_data import Drawn, Resampled
 from calib.studies.study_result import Draws, DrawSums
@@ -89,8 +85,7 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    repeated = Repeated.of(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings)
-    (result,) = repeated.estimates([Drawn(truth, data[1])])
+    result = Repeated(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(Drawn(truth, data[1]))
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
     off = (result.values - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
@@ -116,7 +111,7 @@ def with_errors(data, name, errors):
 
 
 @pytest.mark.parametrize("instruments", [TWO_INSTRUMENTS, "parametrisation:\n"])
-def test_draws_together_give_the_numbers_of_separate_fits(instruments, tmp_path, monkeypatch):
+def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
     """Several groups of rows, an outlier; poses that are visited again and are off by the same each time."""
     several = instruments is TWO_INSTRUMENTS
     yaml = NO_PRIORS + YAML.replace("targets:\n", "targets:\n  plate: {frame: l6}\n" if several else "targets:\n")
@@ -126,15 +121,15 @@ def test_draws_together_give_the_numbers_of_separate_fits(instruments, tmp_path,
     exact = calib.simulate(truth, poses, 0.0)
     named = exact if several else replace(exact, names=tuple(str(k if k < 27 else (k - 27) % 4) for k in range(35)))
     data = [calib.simulate(truth, named, sigma, seed) for seed in range(4)]
-    repeated = Repeated.of(calib.fit(robot, data[0], sigma=sigma), Settings(sigma=sigma))
+    repeated = Repeated(calib.fit(robot, data[0], sigma=sigma), Settings(sigma=sigma))
     off = np.zeros((len(poses), 3))
     if several:
         off[3, 0] = 1.2e-4
     else:
         off[:4] = off[27:31] = off[31:] = 3e-4 * np.random.default_rng(0).standard_normal((4, 3))
     data.append(with_errors(data[0], name, off))
-    monkeypatch.setattr(Repeated, "_alone", None)
-    for made, each in zip(repeated.estimates([Drawn(robot, each) for each in data]), data, strict=True):
+    for each in data:
+        made = repeated.estimate(Drawn(robot, each))
         alone = calib.fit(robot, each, sigma=sigma)
         statistics = alone.statistics
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / statistics.std) < 1e-4
@@ -149,7 +144,7 @@ def test_draws_together_give_the_numbers_of_separate_fits(instruments, tmp_path,
     assert (statistics.shared is None) == several
 
 
-def test_draws_of_which_more_is_to_be_found_go_the_way_of_fits(five_bar):
+def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
     """Noise that contradicts what is stated, with priors; readings that are missing."""
     robot, data = five_bar
     robot = robot.with_prior("left_elbow.x", "0.1 mm")
@@ -157,9 +152,9 @@ def test_draws_of_which_more_is_to_be_found_go_the_way_of_fits(five_bar):
     pen = quiet.readings["pen"]
     fewer = {key: np.delete(getattr(pen, key), 7, axis=0) for key in ("visits", "pairs", "values", "details")}
     missing = replace(quiet, readings={"pen": replace(pen, **fewer)})
-    repeated = Repeated.of(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
-    alike, *others = repeated.estimates([Drawn(robot, each) for each in (quiet, loud, missing)])
-    for made, each in zip((alike, *others), (quiet, loud, missing), strict=True):
+    repeated = Repeated(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
+    for each in (quiet, loud, missing):
+        made = repeated.estimate(Drawn(robot, each))
         alone = calib.fit(robot, each, sigma=SIGMA)
         assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
         assert made.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
@@ -537,26 +532,3 @@ def test_intervals_hold_what_bends_along_directions_that_priors_hold():
     linear = fit.statistics.coverage_factor * fit.statistics.std
     assert np.mean(off[:, k] <= linear[k]) < 52 / 60
     assert np.all(fit.statistics.half_width >= linear)
-
-
-def test_rows_of_many_robots_are_those_of_each_alone(five_bar):
-    pytest.importorskip("numba")
-    robot, exact = five_bar
-    data = [calib.simulate(robot, exact.joints, SIGMA, seed) for seed in range(3)]
-    problem = Problem.of(robot, data[0], SIGMA)
-    unknowns, driven = problem.unknowns, robot.mechanism.untilted(data[0].joints)
-    values = robot.values + 1e-4 * np.random.default_rng(0).standard_normal((3, len(robot.values)))
-    values[1, 0] += 10.0  # no loop closes
-    with compiled():
-        many = ManyRobots.of(robot, driven, data[0].readings, unknowns.index, problem.whitening)
-        many = pickle.loads(pickle.dumps(many))  # as it goes to other processes
-        seeds = np.repeat(problem.passive[None], 3, axis=0)
-        found = list(many.rows(values, seeds, [each.readings for each in data]))
-    assert found[1] is None
-    for k in (0, 2):
-        alone = problem.read_again(data[k], problem.passive)
-        with compiled(False):
-            rows = alone.rows(alone.evaluate(robot.with_parameters(values[k])), np.ones(1))
-        assert found[k][0] == pytest.approx(rows.residuals, abs=1e-9 * np.max(np.abs(rows.residuals)))
-        whole = found[k][1] * unknowns.scales
-        assert whole == pytest.approx(rows.jacobian, abs=1e-9 * np.max(np.abs(rows.jacobian)))

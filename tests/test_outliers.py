@@ -12,8 +12,7 @@ from calib.core.data.tables import read_table
 from calib.core.instruments.kind import Readings
 from calib.core.judging import findings
 from calib.core.numerics.losses import Blocks, studentised
-from viz.reading_errors import of_fit, of_saved
-from viz.saved_readings import read_saved
+from viz.reading_errors import of_fit
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)
@@ -205,8 +204,7 @@ def test_a_folder_says_which_reading_of_a_photograph_is_off(photographed, tmp_pa
         point = int(data.readings["eye"].details[outlier.reading, 0])
         assert row["looked_at"] == f"p{point}"
         assert lines[row["row"]].split(",")[:4] == ["identification", row["pose"], "eye", f"p{point}"]
-    saved = read_saved(tmp_path / "out", arm)
-    (own,), (told,) = of_fit(fit), of_saved(saved, fit.placed, fit.robot)
+    (own,), (told,) = of_fit(fit), of_fit(calib.load_result(tmp_path / "out").fit)
     assert own.outlier.sum() == len(fit.outliers) >= 3 + len(off["image"])
 
     def marked(table):
@@ -232,9 +230,9 @@ def test_a_folder_has_the_readings_that_were_left_out_too(photographed, tmp_path
     errors = np.stack([table.column(f"error_after_{axis}", "pixel") for axis in "uv"], 1)
     assert np.abs(errors[used:]).max() > 5.0 > np.abs(errors[:used]).max()
     assert table.text("weight")[used:] == [""] * (data.n_readings - used)
-    saved = read_saved(tmp_path / "out", arm)
-    assert [*saved.sets] == ["identification", "left out"]
-    assert saved.sets["identification"].data.n_readings == used
+    again = calib.load_result(tmp_path / "out").fit
+    assert again.identification.data.n_readings == used
+    assert again.excluded == fit.excluded
 
 
 def test_so_many_single_readings_cannot_be_outliers(photographed):

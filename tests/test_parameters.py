@@ -277,17 +277,3 @@ def test_a_plugin_for_another_robot_says_what_it_misses(tmp_path):
     yaml = ARM_YAML[: ARM_YAML.index("parametrisation:")] + "parametrisation: medrue\n"
     with pytest.raises(DescriptionError, match="parametrisation 'medrue': the URDF has no joint"):
         calib.load(write_arm(tmp_path, yaml))
-
-
-def test_medrue_computes_many_sets_of_values_as_one_by_one(medrue):
-    parametrisation = medrue.parametrisation
-    nominal = np.array([parameter.nominal_si for parameter in parametrisation.parameters])
-    values = nominal + 0.01 * np.random.default_rng(0).standard_normal((4, len(nominal)))
-    poses, twists = parametrisation.of_many(values)
-    for k, own in enumerate(values):
-        placements, alone = parametrisation.placements(own), parametrisation.twists(own)
-        assert poses.keys() == twists.keys() == placements.keys() == alone.keys()
-        for name, placement in placements.items():
-            numbers = np.concatenate([placement.rotation.T.ravel(), placement.translation])
-            assert poses[name][k] == pytest.approx(numbers, abs=1e-13)
-            assert twists[name][k] == pytest.approx(alone[name], abs=1e-12)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from saved_results import with_verdict
 from small_robots import ARM_YAML, write_arm
 
 import calib
@@ -97,9 +98,7 @@ def test_fits_of_the_same_readings_are_shown_and_not_tested(fits, tmp_path):
 
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
-    result = json.loads((tmp_path / "failed" / "result.json").read_text())
-    result["verdict"] |= {"grade": "FAIL", "reasons": ["not to be used"], "grades": ["FAIL"]}
-    (tmp_path / "failed" / "result.json").write_text(json.dumps(result))
+    with_verdict(tmp_path / "failed", "FAIL", "not to be used")
     comparison = calib.compare(fits / "before", tmp_path / "failed")
     assert np.isnan(comparison.together[0])
     assert "FAIL" in comparison.report()

@@ -3,11 +3,13 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
 import pytest
+from saved_results import with_verdict
 from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -16,9 +18,10 @@ import calib
 from calib.core.base.errors import CalibrationError, ComputationError, DataError, InputError
 from calib.core.base.files import write_folder
 from calib.core.data.tables import read_table
-from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import _covariance_table, save
 from calib.core.robots.description import description_yaml, read_description
+from calib.core.robots.held import Holds
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip
@@ -107,7 +110,7 @@ def test_the_contract_s_files_are_there(folder):
 def test_result_json_says_what_the_contract_asks(folder, fitted):
     content = strict((folder / "result.json").read_text())
     assert set(CONTRACT) <= set(content)
-    assert content == read_result(folder)
+    assert content == read_content(folder)
     assert content["converged"] is True
     assert content["robot"] == fitted.nominal.path
     assert (content["n_poses"], content["n_rows"], content["n_parameters"]) == (30, 30, 23)
@@ -118,7 +121,7 @@ def test_result_json_says_what_the_contract_asks(folder, fitted):
 
 
 def test_parameters_are_listed_in_mm_and_deg_and_a_held_one_has_no_uncertainty(folder, fitted):
-    rows = read_result(folder)["parameters"]
+    rows = read_content(folder)["parameters"]
     keys = ["name", "unit", "nominal", "value", "std", "low95", "high95", "status"]
     for row, parameter, value, free in zip(
         rows, fitted.robot.parameters, fitted.robot.values, fitted.free, strict=True
@@ -147,7 +150,7 @@ def test_the_error_tables_are_those_of_the_robots(folder, fitted, name, state):
     robot = {"before": fitted.nominal, "after": fitted.robot}[state]
     error = 1e3 * (robot.positions(data.joints) - data.points(robot))[:, 0]
     distance = np.linalg.norm(error, axis=1)
-    table = read_result(folder)["errors"][name][state]
+    table = read_content(folder)["errors"][name][state]
     expected = {
         "mean": distance.mean(),
         "max": distance.max(),
@@ -162,7 +165,7 @@ def test_the_error_tables_are_those_of_the_robots(folder, fitted, name, state):
 
 
 def test_the_calibrated_robot_reads_back_to_the_last_digits(folder, fitted):
-    robot = load_calibrated(folder, fitted.nominal)
+    robot = load_result(folder, fitted.nominal).robot
     assert np.abs(robot.values - fitted.robot.values).max() < 1e-15
     q = fitted.identification.data.joints
     assert np.abs(robot.positions(q) - fitted.robot.positions(q)).max() < 1e-14
@@ -214,7 +217,7 @@ def test_a_second_result_replaces_the_first_and_leaves_other_files(fitted, tmp_p
     write_folder(out, {"result.json": b"old"})
     fitted.save(out)
     assert (out / "notes.txt").read_text() == "mine"
-    assert read_result(out)["n_poses"] == 30
+    assert read_content(out)["n_poses"] == 30
 
 
 @pytest.mark.parametrize("failing", ["result.json", "calibrated.urdf", "residuals.csv"])
@@ -249,20 +252,21 @@ def test_saving_twice_gives_the_same_bytes(fitted, folder, tmp_path):
     ("content", "message"),
     [
         (None, "holds no result (no result.json); give the folder that `calib fit --out` wrote"),
-        ("", "cannot be read"),
-        ("{", "cannot be read"),
-        ('{"a":' * 100_000, "cannot be read"),
-        ("[1, 2]", "is not a result of format version"),
+        ("", "is a damaged result of format version 1"),
+        ("{", "is a damaged result of format version 1"),
+        ('{"a":' * 100_000, "is a damaged result of format version 1"),
+        ("[1, 2]", "is a damaged result of format version 1"),
         ('{"version": 999}', "is not a result of format version"),
         (b"\xff\xfe\x00", "is not UTF-8 text"),
-        ('{"version": 1, "robot"', "cannot be read"),
+        ('{"version": 1, "robot"', "is a damaged result of format version 1"),
+        ('{"version": 2}', "fit.npz of a later one is missing"),
     ],
 )
 def test_a_folder_without_a_result_is_an_error(tmp_path, content, message):
     if content is not None:
         (tmp_path / "result.json").write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(DataError) as caught:
-        read_result(tmp_path)
+        read_content(tmp_path)
     assert message in str(caught.value)
     assert str(tmp_path) in str(caught.value)
 
@@ -271,33 +275,110 @@ def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "absent"):
         with pytest.raises(DataError, match=r"file|absent"):
-            read_result(path)
+            read_content(path)
 
 
 def test_the_result_of_another_robot_is_refused(folder, tmp_path):
     other = calib.load(write_parallelogram(tmp_path, PARALLELOGRAM_YAML))
     with pytest.raises(DataError, match=r"is the result of another robot \(.*arm\.yaml\); its parameters differ"):
-        load_calibrated(folder, other)
+        load_result(folder, other)
 
 
-@pytest.mark.parametrize("damage", ["missing", "truncated", "another name", "another value", "no value"])
-def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tmp_path, damage):
-    for name, content in tree(folder).items():
-        (tmp_path / name).write_bytes(content)
-    path = tmp_path / "parameters.csv"
-    if damage == "missing":
-        path.unlink()
-    elif damage == "truncated":
-        lines = path.read_text().splitlines()
-        path.write_text("\n".join(lines[:-3]) + "\n")
-    elif damage == "another name":
-        path.write_text(path.read_text().replace("slide.x", "slide.q"))
-    else:
-        result = json.loads((tmp_path / "result.json").read_text())
-        result["parameters"][3]["value"] = None if damage == "no value" else result["parameters"][3]["value"] + 0.001
-        (tmp_path / "result.json").write_text(json.dumps(result))
-    with pytest.raises(CalibrationError, match="parameters"):
-        load_calibrated(tmp_path, fitted.nominal)
+def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tmp_path):
+    """Bits at random, and ends, of what is read back."""
+    shutil.copytree(folder, tmp_path / "out")
+    path, whole, rng = tmp_path / "out" / "fit.npz", (folder / "fit.npz").read_bytes(), np.random.default_rng(5)
+    damaged = [whole[:end] for end in range(0, len(whole), len(whole) // 30)]
+    for place in rng.integers(0, len(whole), 300):
+        damaged.append(whole[:place] + bytes([whole[place] ^ (1 << int(rng.integers(8)))]) + whole[place + 1 :])
+    errors = []
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            loaded = load_result(tmp_path / "out")
+        except DataError as error:
+            errors.append(str(error))
+        else:  # what was hit says nothing, such as a date in the zip
+            np.testing.assert_array_equal(loaded.robot.values, fitted.robot.values)
+            assert loaded.content == json.loads((folder / "result.json").read_text())
+    assert len(errors) > 0.8 * len(damaged)
+    assert all(re.fullmatch(r"[^\n]*fit\.npz: cannot be read [^\n]*; run the fit again", error) for error in errors)
+
+
+def test_what_people_read_may_be_edited_or_lost(fitted, folder, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(folder, out)
+    for name in ("parameters.csv", "covariance.csv", "residuals.csv", "calibrated.urdf", ".written-by-calib.json"):
+        (out / name).unlink()
+    (out / "result.json").write_text("{}")
+    loaded = load_result(out)
+    np.testing.assert_array_equal(loaded.robot.values, fitted.robot.values)
+    np.testing.assert_allclose(loaded.covariance, fitted.covariance, rtol=1e-12)
+    assert (loaded.verdict.grade, loaded.rms) == (fitted.verdict.grade, pytest.approx(fitted.rms, rel=1e-9))
+
+
+def test_a_fit_comes_back_whole(tmp_path):
+    """Its residuals, intervals and noise, with outliers left out, folds, a robust loss and unknown noise."""
+    arm = calib.load(write_arm(tmp_path, ARM_YAML))
+    data = measured(arm, 40, 3)
+    values = data.readings["tip"].values.copy()
+    values[7] += 0.004
+    data = replace(data, readings={"tip": replace(data.readings["tip"], values=values)})
+    for number, options in enumerate(({"exclude_outliers": True, "folds": 4}, {"loss": "huber"})):
+        fit = calib.fit(arm, data, **options)
+        save(fit, tmp_path / f"out{number}", force=True)
+        again = load_result(tmp_path / f"out{number}", failed_too=True).fit
+        assert (again.excluded, again.loss, again.convergence) == (fit.excluded, fit.loss, fit.convergence)
+        assert again.errors.keys() == fit.errors.keys()
+        np.testing.assert_allclose(again.residuals["tip"], fit.residuals["tip"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(again.covariance, fit.covariance, rtol=1e-9)
+        np.testing.assert_array_equal(again.weights, fit.weights)
+        assert again.sigma == pytest.approx(fit.sigma, rel=1e-9)
+        assert again.rms == pytest.approx(fit.rms, rel=1e-9)
+        for name, estimate in fit.parameters.items():
+            assert again.parameters[name].interval == pytest.approx(estimate.interval, rel=1e-7, abs=1e-9, nan_ok=True)
+
+
+def test_a_folder_of_version_1_is_still_read(run_calib, tmp_path):
+    """One that version 0.1.0 wrote, with what it predicted then."""
+    old = ROOT / "tests" / "version_1"
+    content, loaded = json.loads((old / "result.json").read_text()), calib.load_result(old)
+    assert (loaded.verdict.grade, loaded.sigma) == (content["verdict"]["grade"], content["sigma"])
+    for row in content["parameters"]:
+        assert loaded.parameters[row["name"]].value == pytest.approx(row["value"], rel=1e-12, abs=1e-15)
+    predicted, table = tmp_path / "p.csv", read_table(old / "predicted.csv")
+    assert run_calib("predict", old, old / "predicted.csv", "--out", predicted).code == 0
+    for column in table.names[4:]:
+        again = read_table(predicted).text(column)
+        np.testing.assert_allclose(list(map(float, again)), list(map(float, table.text(column))), rtol=1e-9)
+    robot, uncertainty = loaded.held_by(Holds.ORIGINS)
+    assert not robot.terms
+    assert len(uncertainty.covariance) == int(np.sum(uncertainty.free))
+    assert loaded.promise.freedom == content["degrees_of_freedom"]
+    assert (len(loaded.joints), *map(len, loaded.readings().values())) == (30, 30, 10)
+    assert run_calib("verify", old, old / "residuals.csv").code == 2  # no measurements: what it needs is named
+
+
+@pytest.mark.parametrize(
+    ("name", "edit"),
+    [
+        ("result.json", lambda text: text.replace('"parameters": [', '"parameters": [3, ')),
+        ("result.json", lambda text: text.replace('"grade": "PASS"', '"grade": "GOOD"')),
+        ("result.json", lambda text: text.replace('"files": [', '"files": [7, ')),
+        ("result.json", lambda text: text.replace('"sha256": {', '"sha": {')),
+        ("result.json", lambda text: text[:-40]),
+        ("parameters.csv", lambda text: text.replace("turn.x", "turn.q")),
+        ("covariance.csv", lambda text: text + "1"),
+        ("without_terms.csv", lambda text: ""),
+        ("nominal.urdf", lambda text: text.replace("0", "1")),
+    ],
+)
+def test_a_damaged_folder_of_version_1_is_one_clear_line(run_calib, tmp_path, name, edit):
+    shutil.copytree(ROOT / "tests" / "version_1", tmp_path / "old")
+    (tmp_path / "old" / name).write_text(edit((tmp_path / "old" / name).read_text()))
+    run = run_calib("predict", tmp_path / "old", tmp_path / "old" / "predicted.csv", "--out", tmp_path / "p.csv")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "run the fit again" in run.err
 
 
 def test_results_are_written_with_one_blas_thread(fitted, tmp_path):
@@ -325,30 +406,7 @@ def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fit
     values = np.array([[float(cell) for cell in row[2:]] for row in covariance.rows])
     std = [row["std"] for row in rows if row["name"] in covariance.text("parameter")]
     np.testing.assert_allclose(np.sqrt(np.diag(values)), std, rtol=1e-12)  # one product and one root
-    np.testing.assert_allclose(load_uncertainty(folder, fitted.nominal).covariance, fitted.covariance, rtol=1e-14)
-
-
-@pytest.mark.parametrize("damage", ["missing", "not finite", "another sign", "no freedom", "boundless freedom"])
-def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, damage):
-    for name, content in tree(folder).items():
-        (tmp_path / name).write_bytes(content)
-    path = tmp_path / "covariance.csv"
-    if damage == "missing":
-        path.unlink()
-    elif damage == "not finite":
-        lines = path.read_text().splitlines()
-        lines[-1] = ",".join([*lines[-1].split(",")[:-1], "inf"])
-        path.write_text("\n".join(lines) + "\n")
-    elif damage == "another sign":
-        *lines, last = path.read_text().splitlines()
-        *cells, variance = last.split(",")
-        path.write_text("\n".join([*lines, ",".join([*cells, f"-{variance}"])]) + "\n")
-    else:
-        result = json.loads((tmp_path / "result.json").read_text())
-        freedom = {"no freedom": "many", "boundless freedom": 1e300}[damage]
-        (tmp_path / "result.json").write_text(json.dumps(result | {"interval_degrees_of_freedom": freedom}))
-    with pytest.raises(CalibrationError, match="run the fit again"):
-        load_uncertainty(tmp_path, fitted.nominal)
+    np.testing.assert_allclose(load_result(folder).covariance, fitted.covariance, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["arm", "five_bar", "motoman_right", "medrue", "everything"])
@@ -427,13 +485,11 @@ def test_a_plain_urdf_and_its_meshes_are_in_the_folder(tmp_path):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        ("result.json", "holds no result"),
+        ("fit.npz", "fit.npz of a later one is missing"),
         ("nominal.yaml", "nominal.yaml: no such file; run the fit again"),
         ("nominal.urdf", "nominal.urdf: no such file; run the fit again"),
-        ("parameters.csv", "parameters.csv: no such file"),
         ("another robot", "nominal.yaml: was changed after the fit"),
         ("another urdf", "nominal.urdf: was changed after the fit"),
-        ("no digest", "nominal.urdf: was changed after the fit"),
         ("failed", "the fit failed and gives no calibrated robot"),
     ],
 )
@@ -446,14 +502,8 @@ def test_a_folder_that_gives_no_robot_is_one_clear_line(fitted, folder, tmp_path
         (out / "nominal.yaml").write_text((out / "nominal.yaml").read_text().replace("[x, y, z]", "[x, y]"))
     elif damage == "another urdf":
         (out / "nominal.urdf").write_text((out / "nominal.urdf").read_text().replace("1e-1", "2e-1"))
-    elif damage == "no digest":
-        result = json.loads((out / "result.json").read_text())
-        del result["sha256"]["nominal.urdf"]
-        (out / "result.json").write_text(json.dumps(result))
     else:
-        result = json.loads((out / "result.json").read_text())
-        result["verdict"] = {"grade": "FAIL", "reasons": ["no reason"]}
-        (out / "result.json").write_text(json.dumps(result))
+        with_verdict(out, "FAIL", "no reason")
     with pytest.raises(CalibrationError) as caught:
         calib.load(out)
     assert message in str(caught.value)
@@ -497,7 +547,7 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
     assert "truth: done" in (tmp_path / "m.csv").read_text()
     run = run_calib("fit", "done", "m.csv", "--sigma-mm", "0.02", "--out", "again", cwd=tmp_path)
     assert run.code in (0, 3), run.err
-    before = read_result(tmp_path / "again")["errors"]["identification"]["before"]
+    before = read_content(tmp_path / "again")["errors"]["identification"]["before"]
     assert before["max"] < 1e-3  # mm: the digits of the file; before is the calibrated robot
 
 
@@ -506,38 +556,3 @@ def test_without_pages_old_ones_are_removed(fitted, tmp_path):
     with_pages = set(tree(tmp_path))
     save(fitted, tmp_path)
     assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}
-
-
-@pytest.mark.parametrize(
-    ("entry", "wrong", "words"),
-    [
-        ("parameters", [{}], "'parameters[0].name'"),
-        ("parameters", "none", "'parameters'"),
-        ("verdict", {"grade": "GOOD", "reasons": []}, "'verdict.grade'"),
-        ("verdict", {"grade": "FAIL", "reasons": []}, "failed without a reason"),
-        ("errors", {"identification": {}}, "'errors.identification.after'"),
-        ("instruments", [], "'instruments'"),
-        ("n_poses", -1, "'n_poses'"),
-        ("degrees_of_freedom", "many", "'degrees_of_freedom'"),
-        ("outliers", [3], "'outliers[0]'"),
-        ("joint_terms", None, "'joint_terms'"),
-        ("sha256", None, "'sha256'"),
-    ],
-)
-@pytest.mark.parametrize("command", ["compare", "predict"])
-def test_a_damaged_result_is_one_line_that_names_the_entry(fitted, tmp_path, run_calib, command, entry, wrong, words):
-    for name in ("done", "other"):
-        save(fitted, tmp_path / name)
-    path = tmp_path / "other" / "result.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {entry: wrong}))
-    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.1,0.1\n")
-    arguments = {
-        "compare": ("done", "other"),
-        "predict": ("other", "q.csv", "--out", "out.csv"),
-    }[command]
-    run = run_calib(command, *arguments, cwd=tmp_path)
-    assert run.code == 2
-    assert run.err.count("\n") == 1
-    assert "result.json: is damaged" in run.err
-    assert words in run.err
-    assert run.err.endswith("; run the fit again\n")

@@ -338,7 +338,7 @@ def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
     run = run_calib("predict", arm, folder / "far.csv", "--result", folder / "out", "--out", folder / "predicted.csv")
     assert run.code == 0, run.err
     assert "5 poses lie where no error curve of joint_2 was learned" in " ".join(run.err.split())
-    loaded = calib.core.results.result_reading.load_calibrated(folder / "out", robot)
+    loaded = calib.core.results.result_reading.load_result(folder / "out", robot).robot
     assert len(loaded.terms) == 1
     assert np.any(loaded.values[loaded.coefficients] != 0)
     assert np.array_equal(calib.load(folder / "out").values, loaded.values)

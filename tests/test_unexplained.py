@@ -15,7 +15,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.unexplained import unexplained_joint_error
 from calib.core.instruments.position import POSITION
 from calib.core.numerics.prior import Prior
-from calib.core.results.result_reading import load_uncertainty
+from calib.core.results.result_reading import load_result
 from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.rows import Group, Layout, Rows
 
@@ -197,7 +197,7 @@ def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib):
     robot = example("arm")
     fit, _ = fitted(robot, "rough", 5)
     fit.save(tmp_path / "out")
-    assert load_uncertainty(tmp_path / "out", fit.robot).joint_error == fit.joint_error
+    assert load_result(tmp_path / "out").uncertainty.joint_error == fit.joint_error
     said = f"counting {1e3 * fit.joint_error:.2g} mrad a joint for what the model leaves out"
     assert said in " ".join(fit.report(verbose=True).split())
     assert said in (tmp_path / "out" / "report.html").read_text()

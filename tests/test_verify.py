@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -21,7 +22,7 @@ from calib.core.judging.acceptance import poses_needed, verify, visible_changes
 from calib.core.judging.promise import Change, Promise, System, without_outliers
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import plan_report, text_report
-from calib.core.results.result_reading import load_promise
+from calib.core.results.result_reading import load_result
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 3e-5
@@ -59,7 +60,7 @@ def folder(arm, tmp_path_factory):
 def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     _, truth, fit = arm
     rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
-    results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
+    results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(12)]
     assert Counter(item.verdict for item in results)["agrees"] >= 38  # false alarms: 1 in 100
     inside = np.mean([item.low95 < item.ratio < item.high95 for item in results])
     assert inside > 0.85  # one calibration: its errors are the same for all
@@ -223,7 +224,7 @@ def test_fewer_poses_are_needed_for_larger_changes(arm):
 
 def test_a_result_folder_promises_what_its_fit_did(arm, folder):
     robot, _, fit = arm
-    read, own = load_promise(folder, robot), Promise.of(fit)
+    read, own = load_result(folder, robot).promise, Promise.of(fit)
     assert np.allclose(read.covariance, own.covariance, rtol=1e-12)
     assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
     assert read.freedom == pytest.approx(own.freedom)
@@ -389,11 +390,6 @@ def test_readings_that_the_calibration_used_are_told(arm, folder, tmp_path):
     assert "note: 7 of 25 visits have joint values that the calibration used" in mixed.stderr
     fresh = run(tmp_path, format_measurements(truth, measured(truth, q[7:], rng)), folder)
     assert "that the calibration used" not in fresh.stderr
-    for name in ("result.json", "parameters.csv", "covariance.csv"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    moved = run(tmp_path, format_measurements(truth, measured(truth, q, rng)), tmp_path)
-    assert moved.exit_code == 0, moved.output
-    assert "that the calibration used" not in moved.stderr
 
 
 def test_command_plans_before_anything_is_measured(folder, tmp_path):
@@ -435,31 +431,14 @@ def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, mes
     assert not (tmp_path / "out.json").exists()
 
 
-def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_path):
-    other = tmp_path / "old"
-    other.mkdir()
-    for file in folder.iterdir():
-        (other / file.name).write_bytes(file.read_bytes())
-    content = json.loads((other / "result.json").read_text())
-    del content["instruments"][0]["parts"][0]["sigma"]
-    (other / "result.json").write_text(json.dumps(content))
-    outcome = run(tmp_path, ONE, other, "--plan")
-    assert outcome.exit_code == 2
-    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in outcome.output
-
-
-@pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])
-@pytest.mark.parametrize("options", [(), ("--plan",)])
-def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, folder, tmp_path, freedom, code, options):
-    other = tmp_path / "small"
-    other.mkdir()
-    for file in folder.iterdir():
-        (other / file.name).write_bytes(file.read_bytes())
-    content = json.loads((other / "result.json").read_text())
-    (other / "result.json").write_text(json.dumps(content | {"degrees_of_freedom": freedom}))
-    _, truth, _ = arm
-    rng = np.random.default_rng(15)
-    data = format_measurements(truth, measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng))
-    outcome = run(tmp_path, data, other, *options)
-    assert outcome.exit_code == code, outcome.output
-    assert ("left 0.2 degrees of freedom, too few" in outcome.output) == (code == 2)
+@pytest.mark.parametrize("freedom", [0.2, 1.0])
+def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, freedom):
+    _, truth, fit = arm
+    promise, rng = replace(Promise.of(fit), freedom=freedom), np.random.default_rng(15)
+    data = measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng)
+    for ask in (verify, visible_changes):
+        if freedom < 1.0:
+            with pytest.raises(calib.CalibrationError, match=r"left 0\.2 degrees of freedom, too few"):
+                ask(promise, data)
+        else:
+            ask(promise, data)

@@ -1,7 +1,7 @@
 """From a robot, a fit or its folder, and measurements to a scene."""
 
 import dataclasses
-import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
         assert "noise" in scene.verdict.reasons[0][1]
 
 
-def test_a_folder_shows_the_outliers_that_were_left_out_or_says_that_it_lacks_them(tmp_path):
+def test_a_folder_shows_the_outliers_that_were_left_out(tmp_path):
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     fit.save(str(tmp_path / "out"), pages=False)
     own, saved = (gather(medrue_robot(), result).scene for result in (fit, tmp_path / "out"))
@@ -88,12 +88,6 @@ def test_a_folder_shows_the_outliers_that_were_left_out_or_says_that_it_lacks_th
     np.testing.assert_allclose(saved.poses.after[83] - saved.poses.measured[83],
                                own.poses.after[83] - own.poses.measured[83], rtol=0, atol=1e-12)  # fmt: skip
     assert saved.poses.outlier[83]
-    path = tmp_path / "out" / "residuals.csv"
-    path.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith("left out")))
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    del result["sha256"]["residuals.csv"]  # as an earlier version wrote it
-    (tmp_path / "out" / "result.json").write_text(json.dumps(result))
-    assert "not shown: left out of the fit, 1 outlier" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]
 
 
 def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
@@ -102,10 +96,10 @@ def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
         assert scene.remarks.lines == ("Simulated measurements",)
         assert scene.remarks.simulated
     assert gather(medrue_robot(), fit).scene.remarks.lines == ()
-    fit.save(str(tmp_path / "out"), pages=False)
-    path = tmp_path / "out" / "result.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"comments": ["Simulated, and saved"]}))
-    assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated, and saved",)
+    said = dataclasses.replace(fit.identification.data, comments=("Simulated measurements",))
+    identification = dataclasses.replace(fit.identification, data=said)
+    dataclasses.replace(fit, identification=identification).save(str(tmp_path / "out"), pages=False)
+    assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated measurements",)
 
 
 def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
@@ -119,3 +113,10 @@ def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):
     fit.save(str(tmp_path / "out"), pages=False)
     verdicts = [gather(medrue_robot(), result).scene.verdict for result in (fit, tmp_path / "out")]
     assert verdicts[0].following == verdicts[1].following != ""
+
+
+def test_a_folder_of_an_earlier_version_says_that_it_has_no_readings():
+    folder = Path(__file__).parent / "version_1"
+    scene = gather(calib.load(folder / "nominal.yaml"), folder).scene
+    assert "not shown: readings" in scene.notes[0]
+    assert scene.verdict.grade == "PASS"

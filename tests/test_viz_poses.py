@@ -6,9 +6,8 @@ from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 from calib.core.base.errors import DataError
-from viz.pose_sources import from_fit, from_measurements, from_saved
-from viz.poses import Calibrated, PoseTable, empty
-from viz.saved_readings import read_saved
+from viz.pose_sources import from_fit, from_measurements
+from viz.poses import PoseTable, empty
 
 
 @pytest.fixture(scope="module")
@@ -92,30 +91,17 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
     np.testing.assert_allclose(small().over_sigma(), 1.0)
 
 
-def from_folder(folder, fit):
-    return from_saved(read_saved(folder, fit.robot), fit.placed, Calibrated(fit.robot, fit.predict))
-
-
 def test_a_result_folder_gives_the_same_table(tmp_path):
     wrong = spoiled(measurements(np.arange(0, 420, 5)))
     fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
     fit.save(str(tmp_path / "out"), pages=False)
-    saved, table = from_folder(tmp_path / "out", fit), from_fit(fit)
+    saved, table = from_fit(calib.load_result(tmp_path / "out").fit), from_fit(fit)
     assert saved.group == table.group
     assert saved.labels == table.labels
     assert saved.outlier.tolist() == table.outlier.tolist()
     assert saved.outlier.sum() >= 1
     for name in ("joints", "measured", "before", "after", "sigma", "spread"):
         np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
-
-
-def test_a_folder_without_residuals_is_an_error(tmp_path, fit):
-    with pytest.raises(DataError, match=r"residuals\.csv"):
-        from_folder(tmp_path, fit)
-    fit.save(str(tmp_path / "out"), pages=False)
-    (tmp_path / "out" / "residuals.csv").write_text("set,pose\nidentification,1\n")
-    with pytest.raises(DataError, match="no column 'target'"):
-        from_folder(tmp_path / "out", fit)
 
 
 def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):

@@ -7,19 +7,17 @@ from pathlib import Path
 
 from calib import Fit, Measurements, Robot
 from calib.core.base.errors import InputError
-from calib.core.base.words import counted
-from calib.core.results.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
+from calib.core.results.result_reading import load_result
+from calib.core.results.version_1 import EarlierResult
 from calib.core.rows.registration import register
-from calib.core.rows.told_positions import ToldPositions
 from calib.core.rows.whitening import Whitening
 from viz import reading_errors
+from viz.judgement import Judgement, of_result
 from viz.judgement import of_fit as judgement_of_fit
-from viz.judgement import of_result
-from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
-from viz.poses import EXCLUDED, IDENTIFICATION, Calibrated
+from viz.pose_sources import Sigmas, from_measurements, noise
+from viz.poses import Calibrated
 from viz.remarks import remarks
-from viz.saved_readings import read_saved
-from viz.scene import Scene, build_scene, other_errors, scene_of_fit
+from viz.scene import Scene, build_scene, scene_of_fit
 from viz.workspace_map import workspace_map
 
 Result = Fit | str | Path
@@ -68,16 +66,18 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     return Shown(build_scene(robot), robot, None)
 
 
-def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) -> Shown:
+def _from_fit(
+    robot: Robot, fit: Fit, data: Measurements | None, mapped: int, judgement: Judgement | None = None
+) -> Shown:
     if fit.nominal.urdf.source != robot.urdf.source:
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
     calibrated = Calibrated(fit.robot, fit.told_positions.at)
     if data is None:
-        return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
+        return Shown(_mapped(scene_of_fit(fit, judgement), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     said, told = remarks(data.comments), fit.told_positions.notes
     readings = reading_errors.of_measurements(data, fit.placed, fit.robot)
-    judgement = judgement_of_fit(fit)
+    judgement = judgement or judgement_of_fit(fit)
     scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judgement, told=told, comments=said)
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
@@ -88,27 +88,21 @@ def _mapped(scene: Scene, calibrated: Calibrated, nominal: Robot, count: int) ->
 
 def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> Shown:
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
-    model = load_calibrated(folder, robot, failed_too=True)
-    told = ToldPositions.of(model, load_uncertainty(folder, model), joints_used(folder, robot))
-    calibrated = Calibrated(model, told.at)
-    content, saved = read_result(folder), read_saved(folder, robot)
-    if data is None:
-        placed = _placed(robot, saved.sets[IDENTIFICATION].data)
-        table = from_saved(saved, placed, calibrated)
-        readings = reading_errors.of_saved(saved, placed, model)
-    else:
-        placed = _placed(robot, data)
-        table = from_measurements(data, placed, calibrated, saved.sigmas)
-        readings = reading_errors.of_measurements(data, placed, model)
-    left_out = content["excluded"] if data is None and EXCLUDED not in saved.sets else []
-    notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
-    said = remarks(content.get("comments", ()) if data is None else data.comments)
-    judgement = of_result(content["verdict"], content.get("next", ""))
-    others = other_errors(model, content.get("instruments", ()), content["errors"]) if data is None else ()
-    scene = build_scene(
-        placed, model, table, readings, verdict=judgement, notes=notes, told=told.notes, comments=said, others=others
+    result = load_result(folder, robot, failed_too=True)
+    judgement = of_result(result.content["verdict"], result.content.get("next", ""))
+    if not isinstance(result, EarlierResult):
+        return _from_fit(result.nominal, result.fit, data, mapped, judgement)
+    told = result.told_positions
+    calibrated, placed = Calibrated(result.robot, told.at), robot if data is None else _placed(robot, data)
+    table = None if data is None else from_measurements(data, placed, calibrated, _stated(robot, data))
+    readings = () if data is None else reading_errors.of_measurements(data, placed, result.robot)
+    notes = (
+        ()
+        if data is not None
+        else ("not shown: readings, which results of this earlier version do not hold; fit again",)
     )
-    return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
+    scene = build_scene(placed, result.robot, table, readings, verdict=judgement, notes=notes, told=told.notes)
+    return Shown(_mapped(scene, calibrated, placed, mapped), result.robot, placed)
 
 
 def _placed(robot: Robot, data: Measurements) -> Robot:

@@ -21,7 +21,6 @@ from calib.core.judging import findings
 from calib.core.rows.observed import predicted_readings
 from calib.core.rows.prediction import PositionUncertainty
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
-from viz.saved_readings import Saved
 
 Sigmas = Mapping[str, float]
 """Noise of one reading of instruments that measure points, per axis, by their names [m]; unknown where left out."""
@@ -129,34 +128,6 @@ def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated
         UnreachablePoseError: A pose cannot be assembled.
     """
     return averaged(_judged(MEASURED, data, nominal, calibrated, sigmas))
-
-
-def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable:
-    """Return the poses that a result folder holds.
-
-    Args:
-        saved: What the folder holds.
-        placed: The robot before calibration.
-        calibrated: The robot after it and how sure it is.
-    """
-    sets = [
-        _rows(
-            _Set(
-                group,
-                errors.data,
-                placed,
-                _position_errors(errors, "before"),
-                _position_errors(errors, "after"),
-                calibrated.predict(errors.data.joints, errors.data.conditions),
-                saved.sigmas,
-                saved.outliers[group],
-            )
-        )
-        for group, errors in saved.sets.items()
-        if group != EXCLUDED
-    ]
-    left_out, used = saved.sets.get(EXCLUDED), saved.sets[IDENTIFICATION]
-    return averaged(concatenate([*sets, *_left_out(left_out, used, placed, calibrated, saved.sigmas)]))
 
 
 def noise(fit: Fit) -> Sigmas:

@@ -32,7 +32,6 @@ from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.rows.observed import seen_by
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, spread_rows
-from viz.saved_readings import Saved
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,20 +128,6 @@ def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     if left_out is not None:
         marked = {name: np.arange(len(readings)) for name, readings in left_out.data.readings.items()}
         tables += _of_set(EXCLUDED, left_out, fit.placed, fit.robot, marked)
-    return _together(tables)
-
-
-def of_saved(saved: Saved, placed: Robot, calibrated: Robot) -> tuple[ReadingErrors, ...]:
-    """Return the errors of all readings of a result folder that are no positions, part by part.
-
-    Args:
-        saved: What the folder holds.
-        placed: The robot before calibration.
-        calibrated: The robot after it.
-    """
-    tables = []
-    for group, errors in saved.sets.items():
-        tables += _of_set(group, errors, placed, calibrated, saved.outliers[group])
     return _together(tables)
 
 

@@ -159,9 +159,9 @@ class Scene:
         return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
 
 
-def scene_of_fit(fit: Fit) -> Scene:
-    """Return the scene of a fit."""
-    verdict, told = judgement_of_fit(fit), fit.told_positions.notes
+def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> Scene:
+    """Return the scene of a fit, with a verdict that is known, or its own."""
+    verdict, told = judgement or judgement_of_fit(fit), fit.told_positions.notes
     said, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
     table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)

@@ -17,7 +17,7 @@ from calib.core.commands.common import (
     values_options,
     with_values,
 )
-from calib.core.results.result_reading import read_result
+from calib.core.results.result_reading import read_content
 from calib.core.robots.file_formats import formats
 from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.text import UrdfText
@@ -134,7 +134,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
         return [f"values: {parameters}"]
     if not result:
         return []
-    content = read_result(result)
+    content = read_content(result)
     sigma = content.get("sigma")
     noise = "unknown" if sigma is None else f"{millimetres(cast(float, sigma)):.4g} mm"
     return [

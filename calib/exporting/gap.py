@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import Dimension, error_scale, quantity_text
 from calib.core.numerics.halton import halton
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
@@ -65,13 +65,13 @@ class Gap:
 
     def text(self) -> str:
         """Return one sentence, in mm or mrad."""
-        unit, factor = ERROR_UNIT[self.dimension], error_scale(self.dimension)
+        apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
             return f"{which}: closed as well in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
-            f"{which}: {factor * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
-            f" {factor * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
+            f"{which}: {apart} apart at home; a 3D constraint would have to absorb up to {change} over"
+            f" {self.n_poses} poses{self.where}"
         )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import InputError
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import Dimension, quantity_text
 from calib.core.base.words import listed
 from calib.core.data.table_writing import format_table
 from calib.core.results.urdf import urdf_bytes
@@ -173,9 +173,9 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
 def _left_out(robot: Robot, indices: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
     dimension = robot.mechanism.dimensions[term.joint]
-    size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[indices]))), ERROR_UNIT[dimension]
+    size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
     depends_on = listed([condition.words for condition in term.depends_on])
-    remainder = f"{size:.3g} {unit} {term.per}".rstrip()
+    remainder = f"{size} {term.per}".rstrip()
     return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
 
 

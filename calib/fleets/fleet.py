@@ -15,9 +15,9 @@ from calib.core.base.files import write_files
 from calib.core.base.parameter import Parameter
 from calib.core.base.words import as_data, counted, distinct_names, listed, plain_text, text_table
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.results.comparing_results import geometry, readings_of
-from calib.core.results.result_format import unchanged
-from calib.core.results.result_reading import load, load_uncertainty, read_result
+from calib.core.results.comparing_results import geometry
+from calib.core.results.loaded_result import LoadedResult
+from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
@@ -222,24 +222,24 @@ def fleet(*results: Path | str) -> Fleet:
     if len({Path(result).resolve() for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
     folders = [Path(result) for result in results]
-    contents = [read_result(folder) for folder in folders]
-    robots = [load(folder) for folder in folders]
+    loaded = [load_result(folder) for folder in folders]
+    robots = [result.robot for result in loaded]
     shared = _shared(robots, folders)
-    _require_different(folders)
+    _require_different(loaded)
     told = []
-    for folder, robot, content in zip(folders, robots, contents, strict=True):
-        known, freedom = load_uncertainty(folder, robot), float(content["degrees_of_freedom"])
-        told.append(told_of(robot, known.free, known.covariance, freedom, shared))
+    for result in loaded:
+        known, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
+        told.append(told_of(result.robot, known.free, known.covariance, freedom, shared))
     learned, odd, compared = learn_without_odd(told, _kinds(robots[0], shared))
-    like = [folder for k, folder in enumerate(folders) if k not in odd]
+    like = [result for k, result in enumerate(loaded) if k not in odd]
     section = section_of(learned, len(like), shared, _confirmed(like))
     scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
-    values, stds = _of_each(folders, robots, learned, odd, shared)
+    values, stds = _of_each(loaded, learned, odd, shared)
     return Fleet(
         _with_fleet(robots[0], section),
         tuple(
-            _member(name, folder, k in odd, compared[k], shared)
-            for k, (name, folder) in enumerate(zip(distinct_names(folders), folders, strict=True))
+            _member(name, result, k in odd, compared[k], shared)
+            for k, (name, result) in enumerate(zip(distinct_names(folders), loaded, strict=True))
         ),
         shared,
         nominal,
@@ -249,7 +249,7 @@ def fleet(*results: Path | str) -> Fleet:
         learned.shown,
         values,
         stds,
-        tuple(_notes(folders, odd)),
+        tuple(_notes(folders, loaded, odd)),
     )
 
 
@@ -276,18 +276,15 @@ def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter
     return first
 
 
-def _require_different(folders: Sequence[Path]) -> None:
+def _require_different(results: Sequence[LoadedResult]) -> None:
     """Raise `DataError` if two results used the same readings: then they are of one robot."""
-    used = [
-        set(readings_of(unchanged(folder, "residuals.csv", read_result(folder))).get("identification", {}))
-        for folder in folders
-    ]
+    used = [set(result.readings().get("identification", {})) for result in results]
     for k, readings in enumerate(used):
         for other in range(k):
             if readings & used[other]:
                 raise DataError(
-                    f"{folders[k]}: used {counted(len(readings & used[other]), 'reading')} of {folders[other]}: both"
-                    " are of one robot; give each robot once"
+                    f"{results[k].path}: used {counted(len(readings & used[other]), 'reading')} of"
+                    f" {results[other].path}: both are of one robot; give each robot once"
                 )
 
 
@@ -313,8 +310,7 @@ def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
 
 
 def _of_each(
-    folders: Sequence[Path],
-    robots: Sequence[Robot],
+    results: Sequence[LoadedResult],
     learned: Hierarchy,
     odd: Sequence[int],
     shared: Sequence[Parameter],
@@ -324,9 +320,9 @@ def _of_each(
     nominal = np.array([p.nominal_si for p in shared])
     estimates = iter(zip(learned.estimates, learned.deviations, strict=True))
     values, stds = [], []
-    for k, (folder, robot) in enumerate(zip(folders, robots, strict=True)):
+    for k, result in enumerate(results):
         if k in odd:
-            known = load_uncertainty(folder, robot)
+            known, robot = result.uncertainty, result.robot
             free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
             place = [free.index(name) for name in names]
             by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
@@ -339,21 +335,23 @@ def _of_each(
     return np.array(values), np.array(stds)
 
 
-def _member(name: str, folder: Path, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]) -> Member:
-    content = read_result(folder)
+def _member(
+    name: str, result: LoadedResult, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]
+) -> Member:
+    content, folder = result.content, result.path
     grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
     if compared is None:
-        return Member(name, str(folder), grade, n_poses, odd, np.nan, np.nan, ())
+        return Member(name, folder, grade, n_poses, odd, np.nan, np.nan, ())
     n = int(np.sum(np.isfinite(compared.p_values)))
     order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
     unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
     named = tuple(unlike) if odd else ()
-    return Member(name, str(folder), grade, n_poses, odd, compared.together, compared.p_value(), named)
+    return Member(name, folder, grade, n_poses, odd, compared.together, compared.p_value(), named)
 
 
-def _confirmed(folders: Sequence[Path]) -> float:
+def _confirmed(results: Sequence[LoadedResult]) -> float:
     """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
-    contents = [read_result(folder) for folder in folders]
+    contents = [result.content for result in results]
     stated = [content for content in contents if content.get("sigma_stated") and content["sigma"] is not None]
     freedom = np.array([float(content["degrees_of_freedom"]) for content in stated])
     squares = np.array([(content["sigma"] / content["sigma_stated"]) ** 2 for content in stated])
@@ -362,10 +360,10 @@ def _confirmed(folders: Sequence[Path]) -> float:
     return round(min(float(np.sum(freedom)), _MOST_CONFIRMED), 1)
 
 
-def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
+def _notes(folders: Sequence[Path], results: Sequence[LoadedResult], odd: Sequence[int]) -> list[str]:
     notes = []
-    named = zip(distinct_names(folders), folders, strict=True)
-    grades = [(name, str(read_result(folder)["verdict"]["grade"])) for name, folder in named]
+    named = zip(distinct_names(folders), results, strict=True)
+    grades = [(name, str(result.content["verdict"]["grade"])) for name, result in named]
     for grade, why in _UNPROVEN.items():
         names = [name for name, verdict in grades if verdict == grade]
         if names:

@@ -173,8 +173,9 @@ def _started(scene: Scene, intrinsics: FloatArray, views: FloatArray, usable: In
     if whole.typical < _GOOD or len(usable) <= _AT_ONCE:
         return whole
     generator = np.random.default_rng(_SEED)
-    subsets = [generator.choice(usable, _AT_ONCE, replace=False) for _ in range(_TRIALS)]
-    tried = [Placed(*fixed_poses(links[some], views[some], now, none), intrinsics) for some in subsets]
+    subsets = np.array([generator.choice(usable, _AT_ONCE, replace=False) for _ in range(_TRIALS)])
+    poses = zip(*fixed_poses(links[subsets], views[subsets], now, none), strict=True)
+    tried = [Placed(camera, board, intrinsics) for camera, board in poses]
     tried.sort(key=lambda placed: _median_error(scene, placed))
     return min([whole, *(_robust(scene, placed) for placed in tried[:3])], key=lambda candidate: candidate.typical)
 

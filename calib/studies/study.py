@@ -8,8 +8,8 @@ assumed, and the model can be the truth. Where one of these fails is what a stud
 Or nothing is simulated, and the poses of real measurements are drawn again (`calib.studies.study_data`).
 
 Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers depend neither
-on how many workers share the draws nor on how they are dealt out. Draws are sent to the workers in chunks; what a chunk
-shares is computed once (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again
+on how many workers share the draws nor on how they are dealt out. Draws are sent to the workers in chunks, each a fit
+that starts from the first one (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again
 (`calib.core.base.workers`).
 
 When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
@@ -48,9 +48,8 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import carried
-from calib.studies.draw_statistics import Estimate
-from calib.studies.many_calibrations import Repeated
-from calib.studies.study_data import Drawn, Noise, Resampled, Simulated, simulated
+from calib.studies.many_calibrations import Estimate, Repeated
+from calib.studies.study_data import Noise, Resampled, Simulated, simulated
 from calib.studies.study_result import Draws, DrawSums, Study
 
 _CHUNK = 50
@@ -197,9 +196,7 @@ def _prepared(
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
     known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    with compiled() if use_compiled else nullcontext():
-        repeated = Repeated.of(first, settings, alike=not known.changes_visits)
-    return _Setting(known, settings, repeated, q, near, use_compiled, seed, keep_draws)
+    return _Setting(known, settings, Repeated(first, settings), q, near, use_compiled, seed, keep_draws)
 
 
 def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
@@ -210,22 +207,18 @@ def _of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequenc
 @one_blas_thread
 def _chunk(setting: _Setting, numbers: range) -> _Chunk:
     """Do the draws of these numbers."""
-    drawn, failures = list[Drawn | CalibrationError](), list[str]()
+    draws, failures = list[Draws](), list[str]()
     with compiled() if setting.compiled else nullcontext():
         for number in numbers:
             try:
-                drawn.append(setting.source.measured(_of_draw(setting.seed, number)))
+                drawn = setting.source.measured(_of_draw(setting.seed, number))
+                estimate = setting.repeated.estimate(drawn)
+                failure = estimate.open
             except CalibrationError as error:
-                drawn.append(error)
-        given = setting.repeated.estimates([each for each in drawn if isinstance(each, Drawn)])
-        estimates, draws = iter(given), list[Draws]()
-        for each in drawn:
-            estimate = next(estimates) if isinstance(each, Drawn) else each
-            if isinstance(estimate, Estimate) and isinstance(each, Drawn) and not estimate.open:
-                draws.append(_draw(setting, each.truth, estimate))
-            else:
-                failures.append(estimate.open if isinstance(estimate, Estimate) else str(estimate))
-                draws.append(_unanswered(setting))
+                failure = str(error)
+            if failure:
+                failures.append(failure)
+            draws.append(_unanswered(setting) if failure else _draw(setting, drawn.truth, estimate))
     all_draws = Draws.joined(draws)
     return _Chunk(DrawSums.of(all_draws), all_draws if setting.keep_draws else None, tuple(failures))
 

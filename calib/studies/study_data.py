@@ -108,7 +108,6 @@ class Resampled:
     truth: Robot
     data: Measurements
     passive: FloatArray
-    changes_visits = True
 
     def measured(self, seed: np.random.SeedSequence) -> Drawn:
         """Return what a draw calibrates from."""

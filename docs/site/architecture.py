@@ -74,6 +74,7 @@ CAPABILITIES = (
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),
     Room("Printers", None, ("printers",)),
+    Room("Quality", None, ("quality",)),
 )
 ROOMS = (*CORE, *CAPABILITIES)
 

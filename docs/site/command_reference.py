@@ -28,6 +28,7 @@ EXAMPLES = {
     "calib solve": "calib solve out/arm goals.csv --out commands.csv",
     "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
     "calib export": "calib export out/arm --format mjcf --out arm.xml",
+    "calib qualify": "calib qualify --out out/qualification",
     "medrue demo": "medrue demo --out out/demo",
     "medrue examples": "medrue examples",
     "medrue poses": "medrue poses --out poses.csv",

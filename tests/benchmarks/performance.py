@@ -173,10 +173,10 @@ The table has the work for MedRUE at 420 poses after a small step of the paramet
 Pinocchio's own loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and
 without reading the result.
 
-With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 10 s once
+With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once
 for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
 once use it, and so does code under `with calib.core.robots.acceleration.compiled():`. Where nothing is compiled yet,
-only work that takes longer than compiling does: a study of 3600 draws of 84 poses, a fit of 75 000.
+only work that takes longer than compiling does: a study of 1700 draws of 84 poses, a fit of 35 000.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
@@ -210,7 +210,8 @@ statistics. It shares no code with `calib` and reaches the same minimum: the sum
     yield f"""
 ## Many calibrations
 
-A draw of [`calib.study`](howto/many_calibrations.md) gives the numbers of a single fit in less time.
+A draw of [`calib.study`](howto/many_calibrations.md) is a fit that starts from the first one and ends at the numbers of
+a single fit, in less time.
 MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
 
 | | a fit by itself takes as long as | processor time of a draw | of 10 000 draws, shared by two free cores |

@@ -23,10 +23,9 @@ from calib.core.calibrating import file_robots
 from calib.core.fitting import curvature, fit, regions, solving
 from calib.core.fitting.terms import term_sizes
 from calib.core.judging import claim, error_budget, residual_patterns, verdict
-from calib.core.numerics import nearby
 from calib.core.robots import continuation, kinematics
-from calib.core.rows import jacobian, many_robots
-from calib.studies import draw_statistics, many_calibrations, study_data
+from calib.core.rows import jacobian
+from calib.studies import study_data
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from viz import pictures, report_page, scene, svg, viewer_page
@@ -80,11 +79,9 @@ def works(folder):
         yield f"closing and derivatives, {shown}, with `fast`", fast(step(name)), quick
     medrue, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
     draws = {
-        "minima": nearby.Nearby.minima,
-        "rows of many robots": many_robots.ManyRobots.rows,
-        "uncertainty": draw_statistics.estimates_at,
+        "minima": solving.solve_from,
+        "uncertainty": solving.uncertainty_at,
         "readings simulated": study_data.Simulated.measured,
-        "what draws share": many_calibrations.Repeated.of,
     }
     yield "a draw of a study, MedRUE, with `fast`", fast(lambda: calib.study(medrue, q, draws=100, sigma=SIGMA)), draws
     fits = {

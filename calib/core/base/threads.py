@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextvars import ContextVar
-from functools import wraps
+from functools import cache, wraps
 from importlib import import_module
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -24,21 +24,25 @@ _limited: ContextVar[bool] = ContextVar("one BLAS thread", default=False)
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function to run with one BLAS thread; the setting is restored afterwards.
 
-    A limit holds for the libraries that are loaded when the function is called. SciPy brings a BLAS of its own, with
-    its first use, which may be inside the function: so it is loaded before. A limit takes a quarter of a millisecond:
-    functions that such a function calls have it already.
+    Functions that such a function calls have the limit already.
     """
 
     @wraps(function)
-    def with_all_loaded(*args: P.args, **options: P.kwargs) -> R:
+    def limited(*args: P.args, **options: P.kwargs) -> R:
         if _limited.get():
             return function(*args, **options)
-        import_module("scipy.linalg")
         before = _limited.set(True)
         try:
-            with threadpool_limits(limits=1, user_api="blas"):
+            with _libraries().limit(limits=1):
                 return function(*args, **options)
         finally:
             _limited.reset(before)
 
-    return with_all_loaded
+    return limited
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The BLAS of NumPy, and that of SciPy, which its first use would load; looking them up takes a millisecond."""
+    import_module("scipy.linalg")
+    return ThreadpoolController().select(user_api="blas")

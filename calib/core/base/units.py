@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Literal, TypeVar
 
 from calib.core.base.arrays import FloatArray
@@ -135,6 +136,24 @@ def error_scale(dimension: Dimension) -> float:
 def display_scale(dimension: Dimension) -> float:
     """Return by what an SI value is multiplied for files and tables: mm and degrees."""
     return PER_SI[dimension][DISPLAY_UNIT[dimension]]
+
+
+def quantity_text(
+    value: float, dimension: Dimension, form: str = ".3g", units: Mapping[Dimension, str] = ERROR_UNIT
+) -> str:
+    """Return an SI value with its unit.
+
+    >>> quantity_text(0.000123456, "length"), quantity_text(0.5, "angle", ".1f", DISPLAY_UNIT)
+    ('0.123 mm', '28.6 deg')
+
+    Args:
+        value: The value [SI].
+        dimension: What it measures.
+        form: How the number is written.
+        units: The unit of each dimension: `ERROR_UNIT` or `DISPLAY_UNIT`.
+    """
+    unit = units[dimension]
+    return f"{value * PER_SI[dimension][unit]:{form}} {unit}"
 
 
 def millimetres(length: Lengths) -> Lengths:

@@ -29,7 +29,7 @@ from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.parameter_files import read_parameters
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.losses import LOSSES
-from calib.core.results.result_reading import forced_lines, load, load_calibrated
+from calib.core.results.result_reading import forced_lines, load, load_result
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.rows.registration import register
@@ -304,7 +304,7 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
         raise InputError("give --parameters or --result, not both")
     if parameters:
         return robot.with_parameters(read_parameters(parameters, robot))
-    return load_calibrated(result, robot) if result else robot
+    return load_result(result, robot).robot if result else robot
 
 
 def different_poses(poses: Poses) -> Poses:

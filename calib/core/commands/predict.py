@@ -19,7 +19,7 @@ from calib.core.commands.common import (
 from calib.core.data.measurement_files import format_positions, read_poses
 from calib.core.data.measurements import Poses
 from calib.core.judging.claim import ErrorElsewhere
-from calib.core.results.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
+from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.rows.told_positions import ToldPositions
 
@@ -39,7 +39,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     With --result, the output also has the standard deviation of each predicted coordinate, and says how far off the
     real tool is expected to be there.
     """
-    model = with_values(loaded(robot, output), parameters, result)
+    nominal = loaded(robot, output)
+    model = with_values(nominal, parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
     output.check(out)
@@ -50,12 +51,13 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
     content["near_singular"] = remarks
     if result:
-        known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
+        calibrated = load_result(result, nominal)
+        known = calibrated.told_positions
         text, summary, remark = _with_uncertainty(known, poses, comment)
         content["position_uncertainty"] = summary
-        content["claim"] = claim = read_result(result)["verdict"].get("claim")
+        content["claim"] = claim = calibrated.content["verdict"].get("claim")
         content["expected"], expected = _expected(claim, summary)
-        content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
+        content["beyond_curves"] = beyond = calibrated.beyond_curves(poses)
         remarks = remarks + beyond
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)

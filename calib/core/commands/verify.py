@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import click
 import numpy as np
 
@@ -14,7 +16,7 @@ from calib.core.judging.acceptance import poses_needed, verify, visible_changes
 from calib.core.judging.promise import POWER, Promise, candidates
 from calib.core.judging.repeatability import iso_figures
 from calib.core.results.acceptance_text import changes_as_data, plan_report, text_report, to_dict
-from calib.core.results.result_reading import joints_used, load_promise
+from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
 
 _NOT_AS_PROMISED = 3
@@ -57,12 +59,13 @@ def command(
         raise InputError("--change: needs --plan; without it, changes are found from the measurements")
     result = result_folder(robot, result)
     model = loaded(robot, output)
-    promise = load_promise(result, model)
+    calibrated = load_result(result, model)
+    promise = replace(calibrated.promise, robot=calibrated.robot)
     if plan:
         _plan(promise, data, change, same_setup, output)
         return
     measured = read_measurements(data, model)
-    used = {tuple(q) for q in np.round(joints_used(result, model), _DIGITS)}
+    used = {tuple(q) for q in np.round(promise.joints, _DIGITS)}
     again = sum(tuple(q) in used for q in np.round(measured.joints, _DIGITS))
     if again:
         output.note(

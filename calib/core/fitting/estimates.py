@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.words import data_frame, pandas, table_html
@@ -111,10 +112,15 @@ class Estimate:
 
 
 class Estimates(Mapping[str, Estimate]):
-    """All parameters of a fit, by name and in their order."""
+    """All parameters of a fit, by name and in their order.
 
-    def __init__(self, by_name: Mapping[str, Estimate]) -> None:
-        self._by_name = dict(by_name)
+    Args:
+        by_name: The parameters.
+        contains: What their intervals contain; nothing where that is not known.
+    """
+
+    def __init__(self, by_name: Mapping[str, Estimate], contains: Contributions = frozenset()) -> None:
+        self._by_name, self.contains = dict(by_name), contains
 
     def _own_parameters(self) -> list[str]:
         return list(self)
@@ -155,10 +161,12 @@ class Covariance(ReadOnlyArrays):
     Attributes:
         names: Of the free parameters, (n_free,).
         values: (n_free, n_free) [products of m and rad].
+        contains: What it contains; nothing where that is not known.
     """
 
     names: tuple[str, ...]
     values: FloatArray
+    contains: Contributions = frozenset()
 
     def __getitem__(self, pair: tuple[str, str]) -> float:
         if not isinstance(pair, tuple) or len(pair) != 2:
@@ -178,7 +186,7 @@ class Covariance(ReadOnlyArrays):
     def correlation(self) -> Correlation:
         """The same, divided by the standard deviations."""
         std = np.sqrt(np.diagonal(self.values))
-        return Correlation(self.names, self.values / np.outer(std, std))
+        return Correlation(self.names, self.values / np.outer(std, std), self.contains)
 
     def to_dataframe(self) -> Any:
         """Return a pandas table; pandas missing is an `InputError`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NoReturn
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays
+from calib.core.base.contributions import Contribution, Contributions, Sureness, contributions_to
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.other_words import Hinting
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -215,7 +216,7 @@ class Fit(ReadOnlyArrays, Hinting):
             known = known.with_more(np.sum(self.undecided.of_parameters(self.free_names) ** 2, axis=1))
         by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
-        return Estimates({**by_name, **later}) if later else by_name
+        return Estimates({**by_name, **later}, self.contains(Sureness.INTERVAL))
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -223,7 +224,8 @@ class Fit(ReadOnlyArrays, Hinting):
 
         Intervals of parameters also include terms that `--terms auto` left undecided.
         """
-        return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
+        values = self.widened**2 * self.statistics.covariance
+        return Covariance(self.free_names, values, self.contains(Sureness.COVARIANCE))
 
     @cached_property
     def regions(self) -> Regions | None:
@@ -232,6 +234,22 @@ class Fit(ReadOnlyArrays, Hinting):
             return None
         depths = self.robot.mechanism.depths
         return disagreeing(self.identification.data, depths, self.weighted_rows, self.statistics)
+
+    def contains(self, number: Sureness) -> Contributions:
+        """Return what a number of this fit that says how sure something is contains.
+
+        Whether positions are told in another frame, these say themselves.
+        """
+        has: dict[Contribution, Callable[[], object]] = {
+            Contribution.OFFSETS: lambda: np.any(self.scales.ratios),
+            Contribution.SCATTER: lambda: self.statistics.shared is not None,
+            Contribution.SIZES: lambda: np.any(self.unknowns.family >= 0),
+            Contribution.REGIONS: lambda: self.widened > 1.0,
+            Contribution.UNDECIDED: lambda: self.undecided is not None,
+            Contribution.JOINT_ERRORS: lambda: self.joint_error > 0.0,
+            Contribution.FRAME: lambda: False,
+        }
+        return frozenset(own for own in contributions_to(number) if own not in has or has[own]())
 
     @property
     def widened(self) -> float:
@@ -365,8 +383,9 @@ class Fit(ReadOnlyArrays, Hinting):
     @property
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
-        factor = self.statistics.coverage_factor
-        return ParameterUncertainty(self.free, self.covariance.values, factor, self.undecided, self.joint_error)
+        factor, contains = self.statistics.coverage_factor, self.contains(Sureness.POSITION)
+        known = self.covariance.values
+        return ParameterUncertainty(self.free, known, factor, self.undecided, self.joint_error, contains)
 
     @cached_property
     def joint_error(self) -> float:

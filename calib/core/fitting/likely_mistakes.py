@@ -127,6 +127,8 @@ def _nominal_fits(
     first, words = likely[0].at, [trial.words for trial in likely]
     if first is not None and first.scaled:
         scales = joint_scales(robot, sound, first)
+        if scales is not None and not scales.map.words(robot):  # nothing is scaled: only some poses did not close
+            return "", None
         words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
     closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
     return f"it looks as if {', or '.join(words[:3])}: {closer}", None

@@ -105,11 +105,10 @@ def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> 
     if len(solved) < needed:
         return []
     generator = np.random.default_rng(_SEED)
-    result = [fixed_poses(links[solved], poses[solved], now, known)]
-    for _ in range(_TRIALS):
-        some = generator.choice(solved, min(needed + 1, len(solved)), replace=False)
-        result.append(fixed_poses(links[some], poses[some], now, known))
-    return result
+    n = min(needed + 1, len(solved))
+    subsets = np.array([generator.choice(solved, n, replace=False) for _ in range(_TRIALS)])
+    guesses = fixed_poses(links[subsets], poses[subsets], now, known)
+    return [fixed_poses(links[solved], poses[solved], now, known), *zip(*guesses, strict=True)]
 
 
 def _from_points(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:

@@ -29,63 +29,73 @@ _SETTLED = 1e-9
 def fixed_rotations(
     links: FloatArray, seen: FloatArray, first: FloatArray | None = None, second: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rotations (C, M) for which C A_i = L_i M fits best, (3, 3) each.
+    """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each.
 
     Args:
-        links: L_i, (n, 3, 3).
-        seen: A_i, (n, 3, 3).
-        first: C, where it is known.
-        second: M, where it is known.
+        links: L_i, (..., n, 3, 3).
+        seen: A_i, (..., n, 3, 3).
+        first: C, where it is known, (..., 3, 3).
+        second: M, where it is known, (..., 3, 3).
     """
+    form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
     if first is not None:
-        return first, nearest_rotation(np.einsum("kba,bc,kcd->ad", links, first, seen)) if second is None else second
+        return first, _best(np.swapaxes(form, -1, -2), first) if second is None else second
     if second is not None:
-        return _first_of(links, seen, second), second
-    form = np.einsum("kad,kbc->abdc", links, seen).reshape(9, 9)
-    u, _, vt = linalg.svd(form)
-    candidates = [(sign * u[:, 0].reshape(3, 3), sign * vt[0].reshape(3, 3)) for sign in (1.0, -1.0)]
-    best: tuple[float, FloatArray, FloatArray] | None = None
-    for _, start in candidates:
-        fitted_second = nearest_rotation(start)
-        for _ in range(_ROUNDS):
-            fitted_first, last = _first_of(links, seen, fitted_second), fitted_second
-            fitted_second = nearest_rotation(np.einsum("kba,bc,kcd->ad", links, fitted_first, seen))
-            if np.max(np.abs(fitted_second - last)) < _SETTLED:
-                break
-        agrees = float(np.einsum("ab,kbc,dc,kad->", fitted_first, seen, fitted_second, links))
-        if best is None or agrees > best[0]:
-            best = agrees, fitted_first, fitted_second
-    assert best is not None
-    return best[1], best[2]
+        return _best(form, second), second
+    form = form[..., None, :, :]  # of either sign
+    lines = linalg.svd(form)[2][..., 0, :].reshape(*form.shape[:-2], 3, 3)
+    second = nearest_rotation(lines * np.array([1.0, -1.0])[:, None, None])
+    first, moving = second, np.ones(second.shape[:-2], dtype=bool)
+    for _ in range(_ROUNDS):
+        next_first = _best(form, second)
+        next_second = _best(np.swapaxes(form, -1, -2), next_first)
+        settled = np.max(np.abs(next_second - second), axis=(-2, -1)) < _SETTLED
+        chosen = moving[..., None, None]
+        first, second = np.where(chosen, next_first, first), np.where(chosen, next_second, second)
+        moving = moving & ~settled
+        if not np.any(moving):
+            break
+    agrees = np.sum(_times(form, second) * first, axis=(-2, -1))
+    better = (agrees[..., 1] > agrees[..., 0])[..., None, None]
+    return np.where(better, first[..., 1, :, :], first[..., 0, :, :]), np.where(
+        better, second[..., 1, :, :], second[..., 0, :, :]
+    )
 
 
-def _first_of(links: FloatArray, seen: FloatArray, second: FloatArray) -> FloatArray:
-    return nearest_rotation(np.einsum("kab,bc,kdc->ad", links, second, seen))
+def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:
+    """The bilinear form, (..., 9, 9), with one of its two rotations, (..., 3, 3): a matrix, (..., 3, 3)."""
+    return (form @ rotation.reshape(*rotation.shape[:-2], 9, 1)).reshape(*rotation.shape[:-2], 3, 3)
+
+
+def _best(form: FloatArray, rotation: FloatArray) -> FloatArray:
+    """The other rotation for which the form is largest, (..., 3, 3)."""
+    return nearest_rotation(_times(form, rotation))
 
 
 def fixed_poses(
     links: FloatArray, seen: FloatArray, now: tuple[FloatArray, FloatArray], known: tuple[bool, bool]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the poses (C, M) for which C A_i = L_i M fits best, (4, 4) each [m].
+    """Return the poses (C, M) for which C A_i = L_i M fits best, (..., 4, 4) each [m].
 
     Args:
-        links: L_i, (n, 4, 4) [m].
-        seen: A_i, (n, 4, 4) [m].
-        now: C and M as they are; what the data leave open stays near.
+        links: L_i, (..., n, 4, 4) [m].
+        seen: A_i, (..., n, 4, 4) [m].
+        now: C and M as they are, (4, 4) each; what the data leave open stays near.
         known: Which of them are known.
     """
-    first, second = now[0].copy(), now[1].copy()
-    first[:3, :3], second[:3, :3] = fixed_rotations(
-        links[:, :3, :3],
-        seen[:, :3, :3],
-        first[:3, :3] if known[0] else None,
-        second[:3, :3] if known[1] else None,
+    first, second = (np.tile(pose, (*links.shape[:-3], 1, 1)) for pose in now)
+    first[..., :3, :3], second[..., :3, :3] = fixed_rotations(
+        links[..., :3, :3],
+        seen[..., :3, :3],
+        first[..., :3, :3] if known[0] else None,
+        second[..., :3, :3] if known[1] else None,
     )
-    n = len(links)
-    columns = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -links[:, :3, :3]], axis=2).reshape(3 * n, 6)
-    moved = np.concatenate([first[:3, 3], second[:3, 3]])
-    right_side = (links[:, :3, 3] - seen[:, :3, 3] @ first[:3, :3].T).reshape(-1) - columns @ moved
+    n = links.shape[-3]
     free = np.repeat(np.logical_not(known), 3)
-    moved[free] += linalg.lstsq(columns[:, free], right_side, rcond=1e-9)
-    first[:3, 3], second[:3, 3] = moved[:3], moved[3:]
+    for k in np.ndindex(links.shape[:-3]):
+        columns = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -links[k][:, :3, :3]], axis=2).reshape(3 * n, 6)
+        moved = np.concatenate([first[k][:3, 3], second[k][:3, 3]])
+        right_side = (links[k][:, :3, 3] - seen[k][:, :3, 3] @ first[k][:3, :3].T).reshape(-1) - columns @ moved
+        moved[free] += linalg.lstsq(columns[:, free], right_side, rcond=1e-9)
+        first[k][:3, 3], second[k][:3, 3] = moved[:3], moved[3:]
     return first, second

@@ -39,7 +39,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import Dimension, quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
@@ -71,8 +71,8 @@ class UnusedErrors:
     @property
     def words(self) -> str:
         """Both root mean squares in words."""
-        scale, unit = error_scale(self.dimension), ERROR_UNIT[self.dimension]
-        return f"RMS {scale * self.after:.4f} {unit} after, {scale * self.before:.4f} {unit} before"
+        after, before = (quantity_text(rms, self.dimension, ".4f") for rms in (self.after, self.before))
+        return f"RMS {after} after, {before} before"
 
 
 def comparisons(fit: Fit) -> Iterator[UnusedErrors]:

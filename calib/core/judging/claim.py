@@ -49,6 +49,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.contributions import Contributions, Sureness, contributions_to
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.base.words import listed
 from calib.core.data.pose_groups import APART, apart
@@ -137,6 +138,11 @@ class Claim:
     def at(self, known: float) -> ErrorElsewhere:
         """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
         return ErrorElsewhere.of(self.told.rms, self.told.limit95, self.known, known)
+
+    @property
+    def contains(self) -> Contributions:
+        """What its numbers contain."""
+        return contributions_to(Sureness.CLAIM)
 
     @property
     def holds(self) -> bool:

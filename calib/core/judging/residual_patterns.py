@@ -43,7 +43,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, Dimension, millimetres, quantity_text
 from calib.core.base.words import joints_named
 from calib.core.judging.effect_kinds import Family, Kind, Trait
 from calib.core.judging.effects import ORDERS, Effect, EffectSetting, JointWaves, effects
@@ -274,9 +274,11 @@ def _cycles(best: _Tested, tests: Iterable[_Tested], margin: float) -> str:
         margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
     """
     effect = best.effect
+    if effect.kind is not Kind.WAVE:
+        return effect.detail
     others = (test for test in tests if (test.effect.kind, test.effect.name) == (effect.kind, effect.name))
     orders = sorted(test.effect.order for test in others if test.gain > best.gain - margin)
-    if effect.kind is not Kind.WAVE or len(orders) < 2:
+    if len(orders) < 2:
         return effect.detail
     unit = effect.detail.partition(" ")[2]
     if orders[-1] - orders[0] == len(orders) - 1:
@@ -498,8 +500,7 @@ class PatternWords:
     @property
     def size(self) -> str:
         """Root mean square of what it explains."""
-        dimension = self.pattern.dimension
-        return f"{error_scale(dimension) * self.pattern.size:.3g} {ERROR_UNIT[dimension]} RMS"
+        return f"{quantity_text(self.pattern.size, self.pattern.dimension)} RMS"
 
     @property
     def joint(self) -> str:
@@ -533,13 +534,12 @@ class PatternWords:
 
     def _of_joint(self, times: float) -> str:
         dimension = self.dimensions[self.pattern.name]
-        return f"{times * abs(self.pattern.amount) * display_scale(dimension):.2g} {DISPLAY_UNIT[dimension]}"
+        return quantity_text(times * abs(self.pattern.amount), dimension, ".2g", DISPLAY_UNIT)
 
     @property
     def slope(self) -> str:
         """Error of the joint for a unit of its neighbour."""
-        dimension = self.dimensions[self.pattern.name]
-        return f"{error_scale(dimension) * self.pattern.amount:+.2g} {ERROR_UNIT[dimension]}"
+        return quantity_text(self.pattern.amount, self.dimensions[self.pattern.name], "+.2g")
 
     @property
     def each(self) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, display_scale
+from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, quantity_text
 from calib.core.base.words import listed
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
@@ -66,7 +66,7 @@ def rounding(fit: Fit) -> Rounding | None:
     for name, step in zip(robot.joint_names, steps, strict=True):
         dimension = robot.mechanism.dimensions[name]
         if step > 0:
-            words[f"{step * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]}"] = None
+            words[quantity_text(float(step), dimension, units=DISPLAY_UNIT)] = None
     scatter = steps / np.sqrt(12.0)
     return Rounding(listed(list(words), " and "), *_score(fit, scatter))
 

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import counted, joints_named, listed
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
@@ -248,10 +248,11 @@ def rounded(fit: Fit) -> Iterator[Reason]:
     steps = None if fit.computed else rounding(fit)
     if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
         estimate, part = fit.first_noise, fit.first_noise.group.part
-        size = error_scale(part.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
+        size = estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
         yield Code.ROUNDED.says(
-            f"joint values were rounded to steps of {steps.steps}, which makes about {size:.2g}"
-            f" {ERROR_UNIT[part.dimension]} of noise. Export joint values with all digits of the controller"
+            f"joint values were rounded to steps of {steps.steps}, which makes about"
+            f" {quantity_text(size, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
+            " controller"
         )
 
 

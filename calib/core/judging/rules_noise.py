@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.errors import CalibrationError
 from calib.core.base.remembered import remembered
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit, NoiseEstimate
 from calib.core.judging import findings
@@ -124,7 +124,7 @@ def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
 
 def in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
     """A noise [SI] in the unit of its group."""
-    return f"{error_scale(estimate.group.part.dimension) * size:.{digits}g} {ERROR_UNIT[estimate.group.part.dimension]}"
+    return quantity_text(size, estimate.group.part.dimension, f".{digits}g")
 
 
 def _of(fit: Fit, estimate: NoiseEstimate) -> str:

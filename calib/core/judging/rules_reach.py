@@ -1,4 +1,6 @@
-"""Rules of the verdict about where a calibration holds: how far joints moved, and where it was validated."""
+"""Rules of the verdict about what a calibration reaches: where it holds, by how far joints moved and where it was
+validated, and a stated tolerance.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +10,15 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.remembered import remembered
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.base.words import counted, joints_named, listed
+from calib.core.data.tolerances import stated_tolerance
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.fitting.terms.joint_curves import beyond_learned
-from calib.core.judging.reasons import Code, Reason
+from calib.core.judging.claim import Claim
+from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
 from calib.core.robots.configurations import Configurations, configured
 from calib.core.robots.robot import Robot
@@ -62,9 +66,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
+            reach = quantity_text(float(np.ptp(data.joints[:, j])), dimension, ".2g", DISPLAY_UNIT)
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"{joints_named(name)} moved through only {reach:.2g} {unit}. Positions are known to"
+                f"{joints_named(name)} moved through only {reach}. Positions are known to"
                 f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
                 " moves further. Measure poses that move it through its range"
             )
@@ -250,3 +254,26 @@ def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     result = np.zeros_like(covariance)
     result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(known_block, across.T)
     return np.asarray(result * np.outer(size, size))
+
+
+def above_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
+    """Compare the claim with the tolerance that the description or the measurements state, the smallest of them."""
+    every = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
+    stated = {data.path: stated_tolerance(data.comments, data.path) for data in every}
+    stated[str(fit.nominal.path)] = fit.nominal.description.tolerance
+    known = {path: size for path, size in stated.items() if size is not None}
+    if not known:
+        return
+    path = min(known, key=lambda name: known[name])
+    told, allowed = claim.told, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
+    if not told.is_position or told.dimension != "length":
+        yield Code.TOLERANCE.says(
+            f"whether the tool is within {allowed} is not known: positions were not measured", answer=Answer.LOOK
+        )
+    elif not np.isfinite(told.limit95):
+        yield Code.TOLERANCE.says(
+            f"{counted(told.n_poses, 'pose')} are too few to tell whether the tool is within {allowed}",
+            answer=Answer.OTHER_POSES,
+        )
+    elif told.limit95 > known[path]:
+        yield Code.TOLERANCE.says(f"the claim is {told.shown(told.limit95)} (95 % of the time), above {allowed}")

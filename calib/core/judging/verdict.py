@@ -36,7 +36,6 @@ from calib.core.judging import (
     rules_noise,
     rules_parameters,
     rules_reach,
-    rules_tolerance,
 )
 from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.claim import Benefit, ErrorElsewhere, claim_of
@@ -107,7 +106,7 @@ def judge(fit: Fit) -> Verdict:
     if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(fit, claim, needless=needless), *reasons]
     if claim is not None:
-        reasons += rules_tolerance.above_tolerance(fit, claim)
+        reasons += rules_reach.above_tolerance(fit, claim)
     reasons = [reason for reason in reasons if reason.code not in _contradicted(reasons)]
     nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding  # of these the poses are the cause
     gross = nothing_fits or rules_noise.left_too_much(fit)

@@ -32,7 +32,7 @@ Reference: bell2002; cook1982, chapter 3; roberts2017.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,58 +87,39 @@ def scatter(
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom that f was found with.
     """
-    parts = (
-        (*directions(span[rows][None], residuals[rows][None]), noise[rows][None]) for rows in of_equal_length(block)
-    )
-    core, *numbers = scatters(parts, (1, span.shape[1]), np.array([freedom]))
-    return Scatter(core[0], *(float(number[0]) for number in numbers))
-
-
-def scatters(
-    parts: Iterable[tuple[FloatArray, FloatArray, FloatArray, FloatArray]],
-    shape: tuple[int, int],
-    freedom: FloatArray,
-) -> tuple[FloatArray, ...]:
-    """Return the attributes of `Scatter` for many sets of rows, in its order, each with one more axis.
-
-    Args:
-        parts: Blocks of equally many rows: what `directions` says of them, and their noise, (n_sets, n_blocks, m).
-        shape: Numbers of sets, and of columns k.
-        freedom: Degrees of freedom that the noise was found with, (n_sets,).
-    """
-    n, k = shape
-    core, leverage = np.zeros((n, k, k)), np.zeros((n, k, k))
-    moved, mean, squares, decided_parts, fourth = np.zeros((5, n))
-    noisy = np.zeros(n, dtype=bool)
-    for values, errors, turned, noise in parts:
-        along = turned.reshape(n, -1, k)  # of all blocks, one after another
-        level = np.sqrt(np.mean(noise**2, axis=2, keepdims=True))
+    k, noisy = span.shape[1], False
+    core, leverage = np.zeros((k, k)), np.zeros((k, k))
+    moved = mean = squares = decided_parts = fourth = 0.0
+    for rows in of_equal_length(block):
+        values, errors, turned = directions(span[rows], residuals[rows])
+        along = turned.reshape(-1, k)  # of all blocks, one after another
+        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
         left = np.where(alone, 1.0, 1.0 - values)
         drawn = np.where(alone, 0.0, errors / np.sqrt(left))
-        core += _products(np.matmul(drawn[:, :, None], turned)[:, :, 0])
+        core += _products(np.matmul(drawn[:, None], turned)[:, 0])
         if np.any(alone):
-            core += _products(along * np.where(alone, level, 0.0).reshape(n, -1, 1))
+            core += _products(along * np.where(alone, level, 0.0).reshape(-1, 1))
         w = np.where(alone, 0.0, values)
-        moved += np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2, axis=(1, 2))
-        mean += np.sum(w, axis=(1, 2))
-        squares += np.sum(w**2, axis=(1, 2)) - np.sum((w**2 / left) ** 2, axis=(1, 2))
-        leverage += _products(np.sqrt(w / left).reshape(n, -1, 1) * along)
-        decided_parts += np.sum(values, axis=(1, 2))
-        fourth += 2.0 * np.sum(values**2, axis=(1, 2)) + np.sum(np.sum(values, axis=2) ** 2, axis=1)
-        noisy |= np.any(noise > _NONE, axis=(1, 2))
-    half_variance = squares + np.sum(leverage**2, axis=(1, 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        behind = np.where(fourth > 0, decided_parts**2 * (k + 2) / (k * fourth), 0.0)
-        tells = (mean > 0.0) & (half_variance > 0.0) & noisy
-        total_freedom, square = np.where(tells, mean**2 / half_variance, 0.0), np.where(tells, moved / mean, np.nan)
-        chance = np.where(tells, scipy.special.fdtrc(total_freedom, freedom, square), 1.0)
-    return core, np.sqrt(square), chance, behind, total_freedom
+        moved += float(np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2))
+        mean += float(np.sum(w))
+        squares += float(np.sum(w**2) - np.sum((w**2 / left) ** 2))
+        leverage += _products(np.sqrt(w / left).reshape(-1, 1) * along)
+        decided_parts += float(np.sum(values))
+        fourth += float(2.0 * np.sum(values**2) + np.sum(np.sum(values, axis=1) ** 2))
+        noisy = noisy or bool(np.any(noise[rows] > _NONE))
+    half_variance = squares + float(np.sum(leverage**2))
+    behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0.0 else 0.0
+    if not (noisy and mean > 0.0 and half_variance > 0.0):
+        return Scatter(core, float("nan"), 1.0, behind, 0.0)
+    total_freedom, square = mean**2 / half_variance, moved / mean
+    chance = float(scipy.special.fdtrc(total_freedom, freedom, square))
+    return Scatter(core, float(np.sqrt(square)), chance, behind, total_freedom)
 
 
 def _products(rows: FloatArray) -> FloatArray:
-    """Return the products of the columns of each matrix (n, m, k) with each other, (n, k, k)."""
-    return np.matmul(rows.transpose(0, 2, 1), rows)
+    """Return the products of the columns of a matrix (m, k) with each other, (k, k)."""
+    return rows.T @ rows
 
 
 def of_equal_length(block: IntArray) -> Iterator[IntArray]:

@@ -61,7 +61,7 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
@@ -304,34 +304,6 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     ratio = size / scale
     chance = _chance(ratio, widths, freedom)
     return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)
-
-
-def any_outlier(squares: FloatArray, widths: IntArray, freedom: FloatArray) -> BoolArray:
-    """Return which of many sets of readings, all used in their fit, name an outlier, (n_sets,).
-
-    Args:
-        squares: T^2, (n_sets, n_readings), from `studentised_squares`.
-        widths: Rows that were read of each, (n_readings,).
-        freedom: Degrees of freedom of each fit, (n_sets,).
-    """
-    sizes = np.sqrt(squares)
-    scale = np.maximum(np.median(sizes / median_length(widths), axis=1), _NO_NOISE)
-    chance = _chance(sizes / scale[:, None], widths, freedom[:, None])
-    return np.asarray(np.any(len(widths) * chance < FALSE_ALARM, axis=1))
-
-
-def studentised_squares(residuals: FloatArray, values: FloatArray, errors: FloatArray) -> FloatArray:
-    """Return T^2 of readings that were used, (...,).
-
-    Args:
-        residuals: Whitened, (..., k).
-        values: Eigenvalues of h that are not 0, (..., d).
-        errors: Residuals along their eigenvectors, (..., d).
-    """
-    left = 1.0 - values
-    gain = np.where(left > _SMALLEST, values / np.maximum(left, _SMALLEST), -1.0)
-    squares = np.sum(residuals**2, axis=-1) + np.sum(gain * errors**2, axis=-1)
-    return np.asarray(np.maximum(squares, 0.0))
 
 
 def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:

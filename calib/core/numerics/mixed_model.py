@@ -57,6 +57,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
+from calib.core.numerics.clusters import of_equal_length
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, Part
 
 _DECIDES = 1e-6  # part of a direction that other poses decide, from which they foretell it
@@ -101,13 +102,13 @@ class MixedModel(ReadOnlyArrays):
         )
         x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
         y, spread = rows.values.copy(), np.zeros(len(x))
-        poses, turns = tuple(_poses(rows.pose)), []
-        for places in poses:
-            turn, spread[places] = _turn(rows.levers[places], rows.group[places])
-            x[places], y[places] = turn.T @ x[places], turn.T @ y[places]
-            turns.append(turn)
+        poses, turns = list[IntArray](), list[FloatArray]()
+        for places, turn, spread_there in _turned(rows):
+            back, spread[places] = turn.transpose(0, 2, 1), spread_there
+            x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
+            poses, turns = [*poses, *places], [*turns, *turn]
         family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
-        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2, poses, tuple(turns))
+        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2, tuple(poses), tuple(turns))
 
     @property
     def scatters(self) -> bool:
@@ -175,21 +176,19 @@ class MixedModel(ReadOnlyArrays):
         return SolvedModel(self, logs, scale, variance, z, inverse, v, left, 0.5 * (determinant + cost))
 
 
-def _poses(pose: IntArray) -> list[IntArray]:
-    """Rows of each pose."""
-    order = np.argsort(pose, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(pose[order])) + 1)
-
-
-def _turn(levers: FloatArray, group: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Q (k, k) and l (k,) of the rows of a pose, group by group."""
-    turn, spread = np.eye(len(levers)), np.zeros(len(levers))
-    for g in np.unique(group) if levers.shape[1] else ():
-        of_group = np.flatnonzero(group == g)
-        felt = levers[of_group] @ levers[of_group].T
-        values, turn[np.ix_(of_group, of_group)] = linalg.eigh(felt)
-        spread[of_group] = np.maximum(values, 0.0)
-    return turn, spread
+def _turned(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+    """Yield rows of poses that have equally many of the same groups, (m, k), and their Q (m, k, k) and l (m, k)."""
+    for every in of_equal_length(rows.pose):
+        groups = rows.group[every]
+        for pattern in np.unique(groups, axis=0):
+            places = every[np.all(groups == pattern, axis=1)]
+            turn, spread = np.tile(np.eye(len(pattern)), (len(places), 1, 1)), np.zeros(places.shape)
+            for g in np.unique(pattern) if rows.levers.shape[1] else ():
+                own = np.flatnonzero(pattern == g)
+                felt = rows.levers[places[:, own]]
+                values, turn[:, own[:, None], own] = linalg.eigh(np.matmul(felt, felt.transpose(0, 2, 1)))
+                spread[:, own] = np.maximum(values, 0.0)
+            yield places, turn, spread
 
 
 @dataclass(frozen=True, eq=False)

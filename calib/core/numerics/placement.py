@@ -35,9 +35,10 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import reduced, reduced_with
-from calib.core.numerics.rigid import cross_matrices
+from calib.core.numerics.rigid import cross_matrices, rotations_by
 from calib.core.numerics.tall import in_parts
 
+_TURNS = cross_matrices(np.eye(3))  # [e_k]x
 _RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
@@ -290,27 +291,27 @@ def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArr
     two terms are left out.
     """
     F, f = rows[:, :9], rows[:, 9]
-    rotations = starts
-    errors = rotations.reshape(-1, 9) @ F.T - f
-    damping = np.full(len(starts), 1e-2)
+    ends, last = starts.copy(), starts.reshape(-1, 9) @ F.T - f
+    damping, moving = np.full(len(starts), 1e-2), np.arange(len(starts))
     for _ in range(_ITERATIONS):
+        rotations, errors = ends[moving], last[moving]
         slope = _slope(F, rotations).transpose(0, 2, 1)
         square = slope @ slope.transpose(0, 2, 1)
         size = np.trace(square, axis1=1, axis2=2)
         twice = rotations.transpose(0, 2, 1) @ (errors @ F).reshape(-1, 3, 3)
         bend = (twice + twice.transpose(0, 2, 1)) / 2 - np.trace(twice, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         square += np.where(_positive(square + bend)[:, None, None], bend, 0.0)
-        square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
+        square += ((damping[moving] + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
         steps = -np.linalg.solve(square, slope @ errors[..., None])[..., 0]
-        tried = rotations @ scipy.spatial.transform.Rotation.from_rotvec(steps).as_matrix()
+        tried = rotations @ rotations_by(steps)
         trial_errors = tried.reshape(-1, 9) @ F.T - f
         better = np.sum(trial_errors**2, axis=1) < np.sum(errors**2, axis=1)
-        rotations = np.where(better[:, None, None], tried, rotations)
-        errors = np.where(better[:, None], trial_errors, errors)
-        damping = np.where(better, 0.1 * damping, 10 * damping)
-        if np.all(np.linalg.norm(steps, axis=1) < _STILL):
+        ends[moving[better]], last[moving[better]] = tried[better], trial_errors[better]
+        damping[moving] *= np.where(better, 0.1, 10.0)
+        moving = moving[np.linalg.norm(steps, axis=1) >= _STILL]
+        if len(moving) == 0:
             break
-    return rotations, np.sum(errors**2, axis=1)
+    return ends, np.sum(last**2, axis=1)
 
 
 def _positive(square: FloatArray) -> BoolArray:
@@ -322,5 +323,5 @@ def _positive(square: FloatArray) -> BoolArray:
 
 def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:
     """Return d(F vec(R exp(w)))/dw at w = 0 for R (..., 3, 3), (..., n_rows, 3)."""
-    turned = rotation[..., None, :, :] @ cross_matrices(np.eye(3))  # R [e_k]x
+    turned = rotation[..., None, :, :] @ _TURNS
     return np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)

@@ -37,9 +37,10 @@ _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror i
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
+    """Return the rotations R that make tr(R^T matrix) largest, (..., 3, 3)."""
     u, _, vt = linalg.svd(matrix)
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
+    u[..., 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[..., None]
+    return u @ vt
 
 
 def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -54,6 +55,13 @@ def cross_matrices(points: FloatArray) -> FloatArray:
     half = np.zeros((len(points), 3, 3))
     half[:, 2, 1], half[:, 0, 2], half[:, 1, 0] = points.T
     return half - half.transpose(0, 2, 1)
+
+
+def rotations_by(vectors: FloatArray) -> FloatArray:
+    """Return the rotations exp([v]x) by vectors v (n, 3) [rad], (n, 3, 3)."""
+    cross, angle = cross_matrices(vectors), np.linalg.norm(vectors, axis=1)[:, None, None]
+    across = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + across * (cross @ cross))
 
 
 def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatArray:

@@ -287,20 +287,6 @@ def found_factors(
     return Factors(factor, freedom, factor)
 
 
-def noise_factors(
-    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return f and degrees of freedom of the groups of rows of many draws, (n_draws, n_groups) each.
-
-    Args:
-        squares: Of whitened residuals, (n_draws, n_rows).
-        leverage: Sums of the squares of each row of J T, (n_draws, n_rows).
-        groups, n_groups: As of `found_factors`.
-    """
-    found, freedom = _by_group(squares, leverage, groups, n_groups)
-    return _factor(found, freedom), freedom
-
-
 def _by_group(
     squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
 ) -> tuple[FloatArray, FloatArray]:

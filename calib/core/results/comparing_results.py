@@ -28,9 +28,9 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
@@ -39,15 +39,13 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.words import counted, distinct_names
-from calib.core.data.tables import read_table
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.comparison_report import Difference, Pair, ResultComparison
-from calib.core.results.result_format import unchanged
-from calib.core.results.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.core.results.loaded_result import LoadedResult
+from calib.core.results.result_reading import load_result
 from calib.core.results.results import save
-from calib.core.robots import loading
 from calib.core.robots.robot import Robot
 
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
@@ -60,29 +58,31 @@ _ERRORS = {
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """What is read of a result folder: its content, its robot, and the readings that it used and did not."""
+    """What is compared of a result: its name, and what its folder gives."""
 
     name: str
-    content: dict[str, Any]
-    robot: Robot
-    free: tuple[str, ...]
-    covariance: FloatArray
-    freedom: float
-    readings: dict[str, dict[tuple[str, ...], float]]
+    loaded: LoadedResult
 
-    @classmethod
-    def of(cls, folder: Path, name: str) -> _Result:
-        content = read_result(folder)
-        robot = load_calibrated(folder, loading.load(folder / "nominal.yaml"), failed_too=True)
-        known = load_uncertainty(folder, robot)
-        free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
-        freedom = float(content["degrees_of_freedom"])
-        readings = readings_of(unchanged(folder, "residuals.csv", content))
-        return cls(name, content, robot, free, known.covariance, freedom, readings)
+    @property
+    def grade(self) -> str:
+        return str(self.loaded.content["verdict"]["grade"])
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        return self.loaded.free_names
+
+    @property
+    def freedom(self) -> float:
+        return float(self.loaded.content["degrees_of_freedom"])
+
+    @cached_property
+    def readings(self) -> dict[str, dict[bytes, float]]:
+        return self.loaded.readings()
 
     def parameters(self, names: Sequence[str]) -> list[Parameter]:
         """Return the parameters of these names."""
-        return [self.robot.parameters[index_of(self.robot.parameters, name)] for name in names]
+        every = self.loaded.robot.parameters
+        return [every[index_of(every, name)] for name in names]
 
 
 def compare(*results: Fit | Path | str) -> ResultComparison:
@@ -108,7 +108,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         raise InputError("a result folder is given twice; give each once")
     loaded = [_read(result, f"fit {k + 1}") for k, result in enumerate(results)]
     for result in loaded[1:]:
-        if geometry(result.robot) != geometry(loaded[0].robot):
+        if geometry(result.loaded.robot) != geometry(loaded[0].loaded.robot):
             raise DataError(f"{result.name}: is the result of another robot than {loaded[0].name}; their URDFs differ")
     names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))
     loaded = [
@@ -118,19 +118,19 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     pairs = list(combinations(loaded, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
     tested = [_tested(first, other) for first, other in pairs]
-    names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.robot.parameters)))
+    names = list(dict.fromkeys(name for result in loaded for name in (p.name for p in result.loaded.robot.parameters)))
     raw = np.array([[p_values.get(name, np.nan) for name in names] for p_values, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
     together = holm(np.array([of_all for _, of_all in tested]))
-    places = {p.name for result in loaded for p in result.robot.parameters if p.placement}
+    places = {p.name for result in loaded for p in result.loaded.robot.parameters if p.placement}
     real = [{name for name, p in zip(names, p_values, strict=True) if p < HARDLY} for p_values in corrected]
-    rows = [{row["name"]: row for row in result.content["parameters"]} for result in loaded]
+    rows = [{row["name"]: row for row in result.loaded.content["parameters"]} for result in loaded]
     errors, unit, where, sizes = _errors(loaded)
     return ResultComparison(
         tuple(result.name for result in loaded),
         tuple(None if isinstance(result, Fit) else str(result) for result in results),
-        tuple(result.content.get("verdict", {}).get("grade", "unknown") for result in loaded),
-        tuple(result.content["n_poses"] for result in loaded),
+        tuple(result.grade for result in loaded),
+        tuple(result.loaded.content["n_poses"] for result in loaded),
         errors,
         unit,
         where,
@@ -182,34 +182,10 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
 
 def _read(result: Fit | Path | str, name: str) -> _Result:
     if not isinstance(result, Fit):
-        return _Result.of(Path(result), str(result))
+        return _Result(str(result), load_result(result, failed_too=True))
     with tempfile.TemporaryDirectory() as folder:
         save(result, folder)
-        return _Result.of(Path(folder), name)
-
-
-def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
-    """Return the readings of each set, by all that was told and read, with squared errors; NaN in another unit.
-
-    Raises:
-        DataError: There are no errors in the file, or text in their place.
-    """
-    table = read_table(path)
-    names = list(table.names)
-    errors = [k for k, name in enumerate(names) if name.startswith("error_after_")]
-    if not errors:
-        raise DataError(f"{path}: has no columns error_after_...; run the fit again")
-    errors = [k for k in errors if table.units[k] == table.units[errors[0]]]
-    computed = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
-    key_columns = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(computed)]
-    readings: dict[str, dict[tuple[str, ...], float]] = {}
-    for row, used in zip(table.rows, table.texts("set"), strict=True):
-        try:
-            square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
-        except ValueError:
-            raise DataError(f"{path}: holds text where an error is expected; run the fit again") from None
-        readings.setdefault(used, {})[tuple(row[k] for k in key_columns)] = square
-    return readings
+        return _Result(name, load_result(folder, failed_too=True))
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:
@@ -219,7 +195,7 @@ def geometry(robot: Robot) -> list[tuple[object, ...]]:
 
 def _why_not(first: _Result, other: _Result) -> str:
     """Why the two cannot be tested against each other; empty if they can."""
-    failed = [result.name for result in (first, other) if result.content.get("verdict", {}).get("grade") == "FAIL"]
+    failed = [result.name for result in (first, other) if result.grade == "FAIL"]
     if failed:
         return f"the fit of {' and '.join(failed)} failed"
     used = [result.readings.get("identification", {}).keys() for result in (first, other)]
@@ -238,7 +214,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
         notes.append(
             f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
         )
-    if "CHECK" in {result.content.get("verdict", {}).get("grade") for result in (first, other)}:
+    if "CHECK" in {result.grade for result in (first, other)}:
         notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes
 
@@ -270,11 +246,11 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
 def _of_common(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [result.free.index(name) for name in common]
-    values = result.robot.values[[index_of(result.robot.parameters, name) for name in common]]
+    values = result.loaded.robot.values[[index_of(result.loaded.robot.parameters, name) for name in common]]
     sigma = np.array(
         [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in result.parameters(common)]
     )
-    return values, result.covariance[np.ix_(place, place)], sigma
+    return values, result.loaded.uncertainty.covariance[np.ix_(place, place)], sigma
 
 
 def _errors(
@@ -284,7 +260,7 @@ def _errors(
 
     With their unit, on which readings, and the sizes on those readings.
     """
-    unit = results[0].content["instruments"][0]["parts"][0]["unit"]
+    unit = results[0].loaded.content["instruments"][0]["parts"][0]["unit"]
     unseen = [result.readings.get("validation", {}) for result in results]
     shared = set(unseen[0]).intersection(*unseen[1:])
     same = [key for key in unseen[0] if key in shared and np.isfinite(unseen[0][key])]
@@ -294,10 +270,10 @@ def _errors(
         return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
     values, where = [], []
     for result in results:
-        best = next((name for name in _ERRORS if name in result.content["errors"]), None)
+        best = next((name for name in _ERRORS if name in result.loaded.content["errors"]), None)
         if best is None:
             raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
-        value = result.content["errors"][best]["after"]["rms"]
+        value = result.loaded.content["errors"][best]["after"]["rms"]
         values.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])
     return tuple(values), unit, tuple(where), ()

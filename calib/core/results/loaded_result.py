@@ -1,32 +1,41 @@
-"""A result folder as an object, with the names that a fit has: `calib.load_result`; and predictions of either."""
+"""A result folder as an object, with the names that a fit has; and predictions of either."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.other_words import Hinting
 from calib.core.base.registry import brought
 from calib.core.base.units import error_scale
-from calib.core.base.words import titled_html
+from calib.core.base.words import counted, listed, titled_html
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.fitting.estimates import Correlation, Covariance, Estimate, Estimates
+from calib.core.data.measurements import Poses
+from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.estimates import Correlation, Covariance, Estimates
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.terms.joint_curves import beyond_learned
 from calib.core.judging.promise import Promise
 from calib.core.judging.reasons import Code, Verdict
+from calib.core.judging.verdict import JudgedFit
 from calib.core.results.report_text import verdict_lines
-from calib.core.results.result_reading import joints_used, load, load_promise, load_uncertainty, read_result
+from calib.core.results.saved_fit import evaluated_fit
 from calib.core.robots.held import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
+from calib.core.rows.told_positions import ToldPositions
+
+_DIGITS = 9  # of joint values and readings that are the same in two files [SI]
 
 
 class CalibratedRobot:
@@ -46,26 +55,24 @@ class CalibratedRobot:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
+class LoadedResult(Hinting, CalibratedRobot):
     """A fit that was saved.
 
     Attributes:
         path: Its folder.
+        nominal: The robot as it was described to the fit.
         robot: The calibrated robot.
-        parameters: What was found of each parameter, by name.
-        content: What `result.json` says, in mm and degrees.
-        uncertainty: Uncertainty of the free parameters.
-        joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
+        content: What its `result.json` says, in mm and degrees, as the fit wrote it.
+        saved: What the folder keeps of the fit (`calib.core.results.saved_fit`).
     """
 
     _other_words = "a fit"
 
     path: str
+    nominal: Robot
     robot: Robot
-    parameters: Estimates
     content: dict[str, Any]
-    uncertainty: ParameterUncertainty
-    joints: FloatArray
+    saved: Mapping[str, Any]
 
     def __repr__(self) -> str:
         grade, n_poses = self.content["verdict"]["grade"], self.content["n_poses"]
@@ -77,17 +84,42 @@ class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
     def _repr_html_(self) -> str:
         return titled_html(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
 
-    @property
-    def verdict(self) -> Verdict:
-        """PASS, CHECK or FAIL, with reasons.
+    @cached_property
+    def fit(self) -> JudgedFit:
+        """The fit: its model evaluated where it ended, with its measurements.
 
         Raises:
-            DataError: `result.json` does not hold it.
+            ComputationError: It does not come back from the folder.
+            DataError: An earlier version wrote the folder, without measurements.
+        """
+        return evaluated_fit(self.nominal, self.saved["fit"], self.path)
+
+    @property
+    def parameters(self) -> Estimates:
+        """What was found of each parameter, by name."""
+        return self.fit.parameters
+
+    @property
+    def uncertainty(self) -> ParameterUncertainty:
+        """Uncertainty of the free parameters."""
+        return self.fit.uncertainty
+
+    @property
+    def joints(self) -> FloatArray:
+        """Joint values of the visits that the fit used, (n, n_actuated) [m or rad]."""
+        return self.fit.identification.data.joints
+
+    @property
+    def verdict(self) -> Verdict:
+        """PASS, CHECK or FAIL, with reasons, as the fit said.
+
+        Raises:
+            DataError: The folder does not hold it.
         """
         try:
             return Verdict.from_dict(self.content["verdict"])
         except (KeyError, TypeError, ValueError):
-            raise DataError(f"{self.path}: the verdict in its result.json cannot be read; run the fit again") from None
+            raise DataError(f"{self.path}: its verdict cannot be read; run the fit again") from None
 
     @property
     def rms(self) -> float:
@@ -95,16 +127,7 @@ class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
 
         At poses that were not used, if there are any; see `calib.core.fitting.fitted.Fit.rms`.
         """
-        read = [
-            part
-            for block in self.content["instruments"]
-            for part in self.robot.instrument(block["name"]).parts
-            if part.name in {own["name"] for own in block["parts"]}
-        ]
-        part = next((part for part in read if part.is_position), read[0])
-        name = next(name for name in ("validation", "cross_validation", "identification") if name in self.errors)
-        shown = self.errors[name]["after"]["rms"]
-        return np.nan if shown is None else float(shown) / error_scale(part.dimension)
+        return self.fit.rms
 
     @property
     def sigma(self) -> float:
@@ -124,13 +147,18 @@ class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
     @property
     def known(self) -> KnownRobot:
         """The robot, with its uncertainty."""
-        codes = self.content.get("verdict", {}).get("codes", ())
+        codes = self.content["verdict"].get("codes", ())
         return KnownRobot(self.robot, self.uncertainty, self.joints, Code.NOTHING_TO_CORRECT in codes)
 
     @property
     def promise(self) -> Promise:
         """What its calibration predicts of new readings, for `calib.verify`."""
-        return load_promise(self.path, self.robot)
+        return Promise.of(self.fit)
+
+    @property
+    def told_positions(self) -> ToldPositions:
+        """Uncertainty of positions, in the frame in which it is reported."""
+        return ToldPositions.of(self.robot, self.uncertainty, self.joints)
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -140,7 +168,7 @@ class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
     @property
     def covariance(self) -> Covariance:
         """Covariance of the free parameters, by name."""
-        return Covariance(self.free_names, self.uncertainty.covariance)
+        return self.fit.covariance
 
     @property
     def correlation(self) -> Correlation:
@@ -168,38 +196,69 @@ class LoadedResult(ReadOnlyArrays, Hinting, CalibratedRobot):
             DataError: The folder has no covariance of this robot.
         """
         robot = self.robot.held_by(holds)
-        return robot, load_uncertainty(self.path, robot, holds)
+        return robot, self._uncertainty_of(robot)
+
+    def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
+        """That of a fit which ended at these values."""
+        if np.array_equal(robot.values, self.robot.values):
+            return self.uncertainty
+        for entry in self.saved["fit"]["reduced"].values():
+            if np.array_equal(robot.values, entry["values"]):
+                return evaluated_fit(self.nominal, entry, self.path).uncertainty
+        raise DataError(f"{self.path}: has no covariance of the robot that such a file gets; take another format")
+
+    def readings(self) -> dict[str, dict[bytes, float]]:
+        """Return the readings of each set, by joint values and what was read there, with their squared errors.
+
+        Errors are those of the first part of the first instrument, in its unit of errors; NaN of other parts.
+        """
+        sets = {"identification": self.fit.identification, "validation": self.fit.validation}
+        return {name: _squared_errors(errors) for name, errors in sets.items() if errors is not None}
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.core.fitting.fitted.Fit.predict`."""
         pose_set = as_poses(self.robot, poses)
         return self.uncertainty.at(self.robot, pose_set.joints, pose_set.conditions if context is None else context)
 
+    def beyond_curves(self, poses: Poses) -> list[str]:
+        """Return a remark on poses that lie where no error curve of a joint was learned."""
+        if not len(self.joints):
+            return []
+        outside = beyond_learned(self.robot, self.joints, poses.joints)
+        beyond = np.flatnonzero(np.any(outside, axis=1))
+        if not len(beyond):
+            return []
+        joints = [self.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+        return [
+            f"{counted(len(beyond), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
+            f" ({listed([poses.labels[k] for k in beyond])}): there it is as uncertain as before measuring"
+        ]
 
-def load_result(folder: Path | str) -> LoadedResult:
-    """Load what `calib fit --out`, or `save`, wrote.
+
+def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> list[bytes]:
+    """Return a key of each reading of an instrument, the same where a reading is the same.
 
     Args:
-        folder: The folder.
-
-    Raises:
-        DataError: The folder holds no result, or a damaged one.
-        ComputationError: The verdict of the result is FAIL, and it was not forced.
+        instrument: Its name.
+        joints: Joint values of each reading, (n, n_actuated) [m or rad].
+        values: What was read, (n, n_values).
     """
-    content, robot = read_result(folder), load(folder)
-    rows = zip(content["parameters"], robot.parameters, robot.values, strict=True)
-    estimates = {}
-    for row, parameter, value in rows:
-        per_si = parameter.per_si
-        std, low, high = (
-            np.nan if row[key] is None else float(row[key]) / per_si for key in ("std", "low95", "high95")
-        )
-        numbers = parameter.nominal_si, float(value), std, (high - low) / 2
-        estimates[parameter.name] = Estimate(
-            parameter.name, parameter.unit, *numbers, row["status"], parameter.family, per_si
-        )
-    known, joints = load_uncertainty(folder, robot), joints_used(folder, robot)
-    return LoadedResult(str(folder), robot, Estimates(estimates), content, known, joints)
+    numbers = np.round(np.hstack([joints, values]), _DIGITS) + 0.0  # no -0.0
+    return [instrument.encode() + row.tobytes() for row in np.where(np.isnan(numbers), np.nan, numbers)]
+
+
+def _squared_errors(errors: ErrorSet) -> dict[bytes, float]:
+    first, data, result = errors.parts()[0][1], errors.data, dict[bytes, float]()
+    scale = error_scale(first.dimension)
+    same = [part for part in errors.parts() if (part[1].name, part[1].dimension) == (first.name, first.dimension)]
+    rows_of = {instrument.name: rows for instrument, _, rows in same}
+    for name, readings in data.readings.items():
+        squares = np.full(len(readings), np.nan)
+        if name in rows_of and len(readings):
+            squares = np.nansum((scale * errors.after[name][:, rows_of[name]]) ** 2, axis=1)
+        keys = reading_keys(name, data.joints[readings.visits], readings.values)
+        result |= dict(zip(keys, squares.tolist(), strict=True))
+    return result
 
 
 def predict(calibrated: RobotLike | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:

@@ -12,8 +12,10 @@ from calib.core.judging import findings
 from calib.core.judging.next_step import next_step
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.verdict import judge
+from calib.core.results.saved_fit import VERSION
 from calib.core.results.sections.attempts import folds_table, starts_table
 from calib.core.results.sections.budget import budget_table
+from calib.core.results.sections.contents import contents_table
 from calib.core.results.sections.determination import correlated, position_uncertainty_table, rank_content
 from calib.core.results.sections.files_held import file_entries
 from calib.core.results.sections.noise import instrument_blocks, repeat_table
@@ -21,11 +23,8 @@ from calib.core.results.sections.outliers import excluded_rows, outlier_rows, wi
 from calib.core.results.sections.parameters import parameter_rows
 from calib.core.results.sections.terms import terms_table
 
-FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 """Files of a result folder that hold the robot as it was before."""
-UNDECIDED = "undecided_terms.csv"
-"""File of a result folder: what joint terms leave uncertain that `--terms auto` did not decide on."""
 
 
 @one_blas_thread
@@ -39,7 +38,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
     data = fit.identification.data
     return as_data(
         {
-            "version": FORMAT_VERSION,
+            "version": VERSION,
             "program": PROGRAM,
             "robot": fit.nominal.path,
             "data": data.path,
@@ -73,6 +72,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "instruments": instrument_blocks(fit),
             "error_budget": budget_table(fit),
             "position_uncertainty": position_uncertainty_table(fit),
+            "contains": contents_table(fit),
             "loss": fit.loss,
             "outliers": outlier_rows(fit),
             "excluded": excluded_rows(fit),

@@ -1,22 +1,18 @@
 """The result folder: what a fit found, in files that people and programs read.
 
-`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
-calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
-`nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
-to the last digits. Its uncertainty comes from `covariance.csv`, and of terms that `--terms auto`
-left undecided from `undecided_terms.csv`. What files get that hold less is there, too
-(`calib.core.results.sections.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not
-read back as a calibrated robot (`calib.core.results.result_reading`), unless that is forced; then the files say so. Nor
-is
-`calibrated.urdf` written where it is worse than the nominal robot, unless that is forced.
+`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. It, the tables, the pages and
+`calibrated.urdf` are written for others, and are not read back. What is read back is `fit.npz`
+(`calib.core.results.saved_fit`) and the nominal robot (`nominal.yaml`, `nominal.urdf`): so the folder can be moved, and
+loads like any robot, the same to the last digits, with joint terms and places. A fit with the verdict FAIL is written
+without `calibrated.urdf`, and is not read back as a calibrated robot (`calib.core.results.result_reading`), unless that
+is forced; then the files say so. Nor is `calibrated.urdf` written where it is worse than the nominal robot, unless that
+is forced.
 """
 
 from __future__ import annotations
 
-import hashlib
 import html
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,7 +27,6 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.data.measurement_columns import header, joint_columns, shown
 from calib.core.data.on_demand import picked
-from calib.core.data.parameter_files import format_parameters
 from calib.core.data.table_writing import format_table, table_bytes
 from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.fitted import Fit
@@ -39,32 +34,27 @@ from calib.core.judging import findings
 from calib.core.judging.reasons import Verdict
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
-from calib.core.results.result_content import (
-    NOMINAL_URDF,
-    NOMINAL_YAML,
-    UNDECIDED,
-    to_dict,
-)
-from calib.core.results.sections.files_held import VALUES, files_of, name_of_values
+from calib.core.results.result_content import NOMINAL_URDF, NOMINAL_YAML, to_dict
+from calib.core.results.saved_fit import SAVED, saved_bytes
+from calib.core.results.sections.files_held import files_of
 from calib.core.results.sections.outliers import residual_places, residual_sets
 from calib.core.results.urdf import urdf_bytes
 from calib.core.robots.description import description_yaml
 from calib.core.robots.file_formats import loses, robot_for, said_of
 from calib.core.robots.held import Holds
-from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.links import find_mesh
 from calib.core.robots.urdf.text import UrdfText, apply_edits
-from calib.core.rows.prediction import UndecidedTerms
 from calib.core.rows.rows import Rows
 
 _URDF = "calibrated.urdf"
 _PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _PAGES = ("report.html", "viewer.html")
-_OF_FILES = tuple(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance"))
-_NOT_ALWAYS = (_URDF, *_PAGES, UNDECIDED, *_OF_FILES)
+_VERSION_1 = ("undecided_terms.csv", *(f"{name}{end}.csv" for name in ("without_terms", "with_tables", "to_last_axis")
+              for end in ("", "_covariance")))  # fmt: skip
+_NOT_ALWAYS = (_URDF, *_PAGES, *_VERSION_1)
 """Files that must not stay beside a new result that has none."""
-_ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
+_ALWAYS = ("result.json", SAVED, "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
 RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
 """What a result folder may hold of a fit."""
 
@@ -93,20 +83,14 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
     }
     remark = _said_inside(verdict, "not to be used") if failed else []
-    read_again = {
+    content = to_dict(fit, forced=failed and force)
+    files = {
+        "result.json": (json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
         "parameters.csv": _parameter_table(fit, remark).encode(),
         "covariance.csv": _covariance_table(fit).encode(),
         "residuals.csv": _residual_table(fit),
         **nominal,
-        **_values_of_files(fit, remark),
-    }
-    if fit.undecided is not None:
-        read_again[UNDECIDED] = _undecided_table(fit.robot, fit.undecided).encode()
-    checksums = {name: hashlib.sha256(content).hexdigest() for name, content in read_again.items()}
-    result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
-    files = {
-        "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
-        **read_again,
+        SAVED: saved_bytes(fit, content, nominal, files_of(fit)),
     }
     if force or not (failed or why_no_origins(fit)):
         files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
@@ -119,21 +103,6 @@ def _calibrated_urdf(fit: Fit, remarks: list[str]) -> bytes:
     """The URDF, with a comment only if it holds less than the robot, or is forced."""
     lines = said_of(fit.robot, Holds.ORIGINS) if loses(fit.robot, Holds.ORIGINS) else []
     return urdf_bytes(robot_for(fit.robot, "urdf", force=True), [*remarks, *lines] or None)
-
-
-def _values_of_files(fit: Fit, remark: list[str]) -> dict[str, bytes]:
-    """Parameter files of the robots that files get, where these are others, with covariances where fits have them."""
-    robots, reduced, files = files_of(fit), fit.reduced or {}, dict[str, bytes]()
-    for holds, name in VALUES.items():
-        if holds not in robots or name_of_values(robots, holds) != name:
-            continue
-        lines = [*remark, f"values that are best where a file holds {holds.value}"]
-        if holds in reduced:
-            files[f"{name}.csv"] = _parameter_table(reduced[holds], lines).encode()
-            files[f"{name}_covariance.csv"] = _covariance_table(reduced[holds]).encode()
-        else:
-            files[f"{name}.csv"] = format_parameters(fit.robot.held_by(holds), lines).encode()
-    return files
 
 
 def _with_meshes(urdf: UrdfText) -> bytes:
@@ -235,36 +204,17 @@ def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
 
 
 def _covariance_table(fit: Fit) -> str:
-    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
-    free = [fit.parameters[name] for name in fit.free_names]
-    scale = np.array([estimate.per_si for estimate in free])
-    shown = np.asarray(fit.covariance) * np.multiply.outer(scale, scale)
-    comment = "covariance of the free parameters: unit of the row times unit of the column"
-    header = format_table([("parameter", []), ("unit", []), *((estimate.name, []) for estimate in free)], (comment,))
-    rows = format_table([("", [estimate.name for estimate in free]), ("", [estimate.unit for estimate in free])])
-    return header + _symmetric(rows.splitlines()[1:], shown)
+    """Return CSV: the covariance of the free parameters that people read, in their display units.
 
-
-def _symmetric(rows: list[str], matrix: FloatArray) -> str:
-    """Return the lines of a symmetric matrix (n, n) behind their first cells.
-
-    With hundreds of parameters, their covariance is most of what is written: each number becomes text once.
+    One row and one column for each; the hundreds of coefficients of curves are left out, as in the report.
     """
-    below = [[repr(x) if math.isfinite(x) else "" for x in row[: k + 1]] for k, row in enumerate(matrix.tolist())]
-    return "".join(
-        ",".join([first, *own, *(other[k] for other in below[k + 1 :])]) + "\n"
-        for k, (first, own) in enumerate(zip(rows, below, strict=True))
-    )
-
-
-def _undecided_table(robot: Robot, undecided: UndecidedTerms) -> str:
-    """Return CSV: how parameters change together by joint terms that are undecided, in their display units."""
-    whole = {p.name: p for p in undecided.added_to(robot).parameters}
-    names = [name for name in undecided.names if name in whole]
-    changes = undecided.of_parameters(names) * np.array([whole[name].per_si for name in names])[:, None]
+    places = [k for k, name in enumerate(fit.free_names) if not fit.parameters[name].family]
+    free = [fit.parameters[fit.free_names[k]] for k in places]
+    scale = np.array([estimate.per_si for estimate in free])
+    shown = np.asarray(fit.covariance)[np.ix_(places, places)] * np.multiply.outer(scale, scale)
     columns: list[tuple[str, list[str] | FloatArray]] = [
-        ("parameter", names),
-        ("unit", [whole[name].unit for name in names]),
-        *((f"direction_{k + 1}", column) for k, column in enumerate(changes.T)),
+        ("parameter", [estimate.name for estimate in free]),
+        ("unit", [estimate.unit for estimate in free]),
+        *((estimate.name, column) for estimate, column in zip(free, shown.T, strict=True)),
     ]
-    return format_table(columns, ("one standard deviation in each of independent directions; terms: see result.json",))
+    return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))

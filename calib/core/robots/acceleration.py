@@ -1,6 +1,6 @@
 """When kinematics are computed by compiled code (`calib.core.robots.kernels`), and what it is given.
 
-That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about ten to
+That needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about five to
 compile, once for each version. So compiled code is used only if asked for by `compiled()`, or if the number of poses
 pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything works without
 it, with the same numbers to 1e-12.
@@ -19,7 +19,7 @@ from calib.core.robots.mechanism import Mechanism
 
 _MANY = 5000  # poses of robots with loops that are worth loading numba: one of a fit saves 0.1 ms
 _MANY_OPEN = 20_000  # the same of robots without loops, and of draws, which save 0.03 ms
-_TO_COMPILE = 15  # times as many are worth compiling it first
+_TO_COMPILE = 7  # times as many are worth compiling it first
 _AVAILABLE = find_spec("numba") is not None
 _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 

@@ -25,8 +25,6 @@ cannot be closed.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy
 
@@ -87,31 +85,12 @@ def newton(
     if fast is None:
         _correct(mechanism, mode, actuated, passive, (enough, sure), *found)
     else:
-        tree = fast.tree(mechanism, mechanism.around(mechanism.loops)[0])
-        loops, rest, scale, limits = compiled_loops(fast, mechanism, mode, actuated, checked=slopes)
-        fast.close(tree, *loops, rest, passive, scale, *limits, *found)
+        reduced = mechanism.around(mechanism.loops)
+        rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
+        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+        model = fast.tree(mechanism, reduced), fast.loops(mechanism, reduced), mode.places, mode.signs
+        fast.close(*model, rest, passive, scale, enough, sure, LARGEST_STEP, _MAX_NEWTON, *found)
     return passive, *found
-
-
-def compiled_loops(
-    fast: Any, mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, checked: bool
-) -> tuple[Any, FloatArray, FloatArray, tuple[float, float, float, int]]:
-    """Return what compiled code needs to close loops beside origins and a start: the same for other origins.
-
-    Args:
-        fast: The compiled functions.
-        mechanism, mode, actuated: As of `newton`.
-        checked: Whether the last correction is checked, too.
-
-    Returns:
-        Loops with their blocks and signs; joints that are given, 0 for the passive ones, (n, n_reduced); length of a
-        step of 1 of each passive joint, (n_passive,); and limits.
-    """
-    reduced, enough = mechanism.around(mechanism.loops)[0], closing_tolerance(mechanism) / 10
-    rest = actuated @ mechanism.select_actuated[reduced.joints].T + mechanism.constant[reduced.joints]
-    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    loops, limits = fast.loops(mechanism, reduced), (enough, 0.0 if checked else _SURE * enough)
-    return (loops, fast.blocks(mode, reduced, loops), mode.signs), rest, scale, (*limits, LARGEST_STEP, _MAX_NEWTON)
 
 
 def _correct(

@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import Dimension, quantity_text
 from calib.core.base.words import counted
 from calib.core.robots.terms.term import JointTerm
 
@@ -80,7 +80,7 @@ class Accuracy:
 
     def shown(self, error: float) -> str:
         """Return an error [SI] with its unit."""
-        return f"{error_scale(self.dimension) * error:.4f} {ERROR_UNIT[self.dimension]}"
+        return quantity_text(error, self.dimension, ".4f")
 
     @property
     def words(self) -> str:

@@ -14,8 +14,8 @@ alike drop out of V_b - V_a.
 * A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
   perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
 
-Pinocchio has no batch interface, so the poses are looped over in Python, through views of its data that are fetched
-once; all further algebra runs on arrays of poses. Joints that do not matter have left the model (`Reduced`).
+Pinocchio has no batch interface, so the poses are looped over in Python; all further algebra runs on arrays of poses.
+Joints that do not matter have left the model (`Reduced`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from calib.core.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_
 CHUNK = 64
 """Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
-_JOINTS_IN_MODEL = 36  # Pinocchio's data grow with the third power
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
 
 
@@ -123,13 +122,6 @@ class Along:
         return joints[order], columns[order], twists[order]
 
     @cached_property
-    def alike(self) -> IntArray:
-        """The first joint that moves the same rows as each, by the same signs, (n_reduced,)."""
-        first = dict[bytes, int]()
-        signs = [column.tobytes() for column in self.signs.T]
-        return np.array([first.setdefault(column, joint) for joint, column in enumerate(signs)], dtype=np.intp)
-
-    @cached_property
     def world(self) -> WorldTwists:
         """The entries' twists."""
         return WorldTwists(self.reduced, self.entries[0], self.entries[2])
@@ -187,9 +179,16 @@ class Shared:
     """
 
     def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:
-        self.mechanism, self.functions = mechanism, functions
-        self.reduced, self.spare = mechanism.around(pairs)
+        self.mechanism, self.functions, self._pairs = mechanism, functions, pairs
+        self.reduced = mechanism.around(pairs)
         self._along: Along | None = None
+
+    @cached_property
+    def pinocchio(self) -> tuple[pin.Model, pin.Data, FloatArray, FloatArray]:
+        """Pinocchio's model and data, and what it computes there: `flat_poses` of all joints, and the Jacobian."""
+        model = self.mechanism.model_around(self._pairs)
+        data = pin.Data(model)
+        return model, data, flat_poses(data.oMi)[1:], data.J.T
 
     @cached_property
     def tree(self) -> Any:
@@ -229,15 +228,13 @@ class Sweep:
     Attributes:
         shared: What it shares with the sweeps of other poses.
         poses: `flat_poses` of the world, then of each frame of a joint that counts, (n, n_reduced + 1, 12).
-        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where compiled code has
-            computed the poses, which needs none.
-        compiled: The poses as compiled code has made them.
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced); None where it is not needed, as by
+            compiled code.
     """
 
     shared: Shared
     poses: FloatArray
     jacobian: FloatArray | None
-    compiled: FloatArray | None = None
 
     @property
     def reduced(self) -> Reduced:
@@ -267,16 +264,14 @@ class Sweep:
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
 
-def compiled_sweep(shared: Shared, joints: FloatArray, tree: Any = None) -> Sweep:
+def compiled_sweep(shared: Shared, joints: FloatArray) -> Sweep:
     """Return the sweep of `sweep` without the Jacobian, by compiled code.
 
     Args:
         shared: The robot, the frames that are needed, and the compiled functions.
         joints: Configurations, (n, n_joints) [m or rad].
-        tree: What counts of a model with other origins, as compiled code has it; that of the robot if not given.
     """
-    poses = shared.functions.poses(shared.tree if tree is None else tree, joints[:, shared.reduced.joints])
-    return Sweep(shared, poses.reshape(-1, 12, poses.shape[1])[:, :, : len(joints)].transpose(2, 0, 1), None, poses)
+    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
 
 
 def sweep(
@@ -299,65 +294,20 @@ def sweep(
         poses_only: Whether the Jacobian is not needed.
     """
     shared = Shared(mechanism, pairs) if shared is None else shared
-    reduced, spare = shared.reduced, shared.spare
-    try:
-        space = spare.pop()  # a list, so that two threads never get the same one
-    except IndexError:
-        space = _Workspace.of(mechanism, reduced)
-    model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
-    space.origins[:] = mechanism.placements[reduced.joints]
-    n, (copies, count) = len(joints), poses.shape[:2]
-    calls = -(-n // copies)
-    q = np.zeros((calls * copies, count))
-    q[:n] = joints[:, reduced.joints]
-    every_pose = np.empty((calls, copies, count + 1, 12))
-    every_pose[:, :, 0] = _AT_HOME
-    to_poses = every_pose[:, :, 1:]
+    model, data, seen, moved = shared.pinocchio
+    n, q = len(joints), np.ascontiguousarray(joints[:, shared.reduced.joints])
+    poses = np.empty((n, len(seen) + 1, 12))
+    poses[:, 0] = _AT_HOME
     if poses_only:
-        for at, to in zip(q.reshape(calls, copies * count), to_poses, strict=True):
+        for at, to in zip(q, poses[:, 1:], strict=True):
             pin.forwardKinematics(model, data, at)
-            to[:] = poses
-        spare.append(space)
-        return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], None)
-    every_jacobian, compute = np.empty((calls, copies, count, 6)), pin.computeJointJacobians
-    for at, to, to_jacobian in zip(q.reshape(calls, copies * count), to_poses, every_jacobian, strict=True):
-        compute(model, data, at)
-        to[:] = poses
-        to_jacobian[:] = jacobian
-    spare.append(space)
-    by_joints = every_jacobian.reshape(len(q), count, 6)[:n].transpose(0, 2, 1)
-    return Sweep(shared, every_pose.reshape(len(q), count + 1, 12)[:n], by_joints)
-
-
-@dataclass(frozen=True, eq=False)
-class _Workspace:
-    """A model, Pinocchio's data and views of both, which follow every change; dearer to make than one pose to compute.
-
-    Attributes:
-        model: Joints that count; those of a small robot several times, so that one call computes several poses.
-        data: Of the model.
-        origins, poses: `flat_poses` of origins and of all joints, (n_copies, n_reduced, 12).
-        jacobian: World Jacobian, transposed, (n_copies, n_reduced, 6).
-    """
-
-    model: pin.Model
-    data: pin.Data
-    origins: FloatArray
-    poses: FloatArray
-    jacobian: FloatArray
-
-    @classmethod
-    def of(cls, mechanism: Mechanism, reduced: Reduced) -> _Workspace:
-        model, count = pin.Model(), len(reduced.joints)
-        copies = max(1, _JOINTS_IN_MODEL // max(count, 1))
-        for first in range(0, copies * count, max(count, 1)):
-            for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
-                name, before = f"{mechanism.origin_names[joint]} {first}", parent + first if parent else 0
-                model.addJoint(before, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
-        data = model.createData()
-        pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
-        views = flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi)[1:], data.J.T
-        return cls(model, data, *(view.reshape(copies, count, view.shape[1]) for view in views))
+            to[:] = seen
+        return Sweep(shared, poses, None)
+    jacobian = np.empty((n, len(seen), 6))
+    for at, to, to_jacobian in zip(q, poses[:, 1:], jacobian, strict=True):
+        pin.computeJointJacobians(model, data, at)
+        to[:], to_jacobian[:] = seen, moved
+    return Sweep(shared, poses, jacobian.transpose(0, 2, 1))
 
 
 def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:

@@ -20,7 +20,7 @@ them in q_actuated; they are not commanded, and what they are follows from the c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -61,36 +61,37 @@ class Reduced:
         joints: Which origins stay, parents first, (n_reduced,).
         places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
         parents: `places` of the frame before each origin that stays, (n_reduced,).
-        compiled: What compiled code has made of that (`calib.core.robots.kernels`).
+        model: Them alone, all origins at nought.
     """
 
     joints: IntArray
     places: IntArray
     parents: IntArray
-    compiled: dict[Any, Any] = field(default_factory=dict)
-
-
-class Workspaces(dict[tuple[RelativeFrame, ...], tuple[Reduced, list[Any]]]):
-    """By pairs of frames: what is left of the model, and what sweeps work in, kept for the next ones.
-
-    Shared by all placements of a mechanism. Views of Pinocchio's memory, so a pickle or copy starts empty.
-    """
-
-    def __reduce__(self) -> tuple[type[Workspaces], tuple[()]]:
-        return Workspaces, ()
+    model: pin.Model
 
 
 def flat_poses(poses: Any) -> FloatArray:
     """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
 
-    C++ keeps the elements of a vector one behind the other, the two parts of each alike.
+    The one place that looks at memory of C++, which keeps the elements of a vector one behind the other, the two parts
+    of each alike: asking Pinocchio for each pose of each joint takes several times as long as computing them.
     """
-    rotation, translation = poses[0].rotation, poses[0].translation
-    start = rotation.__array_interface__["data"][0]
-    assert translation.__array_interface__["data"][0] - start == 72
-    assert rotation.strides == (8, 24)
-    step = poses[1].rotation.__array_interface__["data"][0] - start if len(poses) > 1 else 96
-    return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
+    return np.lib.stride_tricks.as_strided(poses[0].rotation.T, (len(poses), 12), (_POSE_BYTES, 8))
+
+
+def _bytes_of_pose() -> int:
+    """How far apart poses in a vector of Pinocchio are [byte], checked."""
+    poses = pin.StdVec_SE3()
+    poses.extend([pin.SE3.Identity()] * 2)
+    first, position, second = (
+        array.__array_interface__["data"][0] for array in (poses[0].rotation, poses[0].translation, poses[1].rotation)
+    )
+    assert position - first == 72
+    assert poses[0].rotation.strides == (8, 24)
+    return int(second - first)
+
+
+_POSE_BYTES = _bytes_of_pose()
 
 
 def before_origins(placements: FloatArray, twists: FloatArray) -> FloatArray:
@@ -139,7 +140,6 @@ class Mechanism(ReadOnlyArrays):
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
         axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
         length: Characteristic length that makes metres and radians comparable [m].
-        workspaces: See `around`.
     """
 
     model: pin.Model
@@ -161,7 +161,6 @@ class Mechanism(ReadOnlyArrays):
     support: FloatArray
     axes: FloatArray
     length: float
-    workspaces: Workspaces = field(default_factory=Workspaces, compare=False)
 
     @property
     def n_joints(self) -> int:
@@ -207,19 +206,41 @@ class Mechanism(ReadOnlyArrays):
         model = self.model.copy()
         for name, placement in placements.items():
             model.jointPlacements[self.origin_names.index(name) + 1] = placement
-        return self._with(forgotten=("placements",), model=model)
+        return self._with(forgotten=("placements", "_models"), model=model)
 
-    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[Reduced, list[Any]]:
-        """Return what is left of the model where only these pairs count, and workspaces that no sweep uses now."""
-        if pairs not in self.workspaces:
+    def around(self, pairs: tuple[RelativeFrame, ...]) -> Reduced:
+        """Return what is left of the model where only these pairs count."""
+        if pairs not in self._reduced:
             signs = np.array([self.between(pair) for pair in pairs]).reshape(-1, self.n_joints)
-            moving, parents = signs.any(axis=0), self.model.parents.tolist()
+            moving, frames = signs.any(axis=0), self.model.parents.tolist()
             places = np.concatenate([[0], np.cumsum(moving)])
             for joint in np.flatnonzero(~moving):
-                places[joint + 1] = places[parents[joint + 1]]
-            joints = np.flatnonzero(moving)
-            self.workspaces[pairs] = Reduced(joints, places, places[[parents[joint + 1] for joint in joints]]), []
-        return self.workspaces[pairs]
+                places[joint + 1] = places[frames[joint + 1]]
+            joints, model = np.flatnonzero(moving), pin.Model()
+            parents = places[[frames[joint + 1] for joint in joints]]
+            for index, parent in zip(joints.tolist(), parents.tolist(), strict=True):
+                model.addJoint(parent, self.model.joints[index + 1], pin.SE3.Identity(), self.origin_names[index])
+            self._reduced[pairs] = Reduced(joints, places, parents, model)
+        return self._reduced[pairs]
+
+    def model_around(self, pairs: tuple[RelativeFrame, ...]) -> pin.Model:
+        """Return Pinocchio's model of what is left, with the origins of this mechanism; nobody may change it."""
+        if pairs not in self._models:
+            reduced = self.around(pairs)
+            model = reduced.model.copy()
+            flat_poses(model.jointPlacements)[1:] = self.placements[reduced.joints]
+            self._models[pairs] = model
+        return self._models[pairs]
+
+    @cached_property
+    def _reduced(self) -> dict[tuple[RelativeFrame, ...], Reduced]:
+        """What `around` has returned, for all placements of a mechanism."""
+        return {}
+
+    @cached_property
+    def _models(self) -> dict[tuple[RelativeFrame, ...], pin.Model]:
+        """What `model_around` has returned."""
+        return {}
 
     @cached_property
     def placements(self) -> FloatArray:

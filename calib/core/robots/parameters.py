@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -77,18 +77,6 @@ class ResultUse:
     aim: str
     command: str
     held_by_controller: str = ""
-
-
-@runtime_checkable
-class OfManyValues(Protocol):
-    """A parametrisation that computes many sets of values at once; others are asked for one after the other."""
-
-    def of_many(self, values: FloatArray) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-        """Return origins and twists of values (n_sets, n_parameters), by name.
-
-        Origins are numbers as in `calib.core.robots.mechanism.flat_poses`, (n_sets, 12); twists (n_sets, 6,
-        n_parameters).
-        """
 
 
 def twist_of_edit(rpy: FloatArray, d_xyz: FloatArray, d_rpy: FloatArray) -> FloatArray:

@@ -171,7 +171,7 @@ def relative_motion(
     signs = np.repeat([mechanism.between(pair) for pair in pairs], each, axis=0)
     direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.along(twists, signs)
     result = np.empty((n, len(pairs), each, along.before.shape[2])) if out is None else out
-    if swept.compiled is not None:
+    if swept.shared.functions is not None:
         index = swept.index
         rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
         _compiled_motion(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
@@ -197,7 +197,7 @@ def passive_motion(
         return np.zeros((n, 1, twists.shape[1]))
     along = swept.shared.along(twists, np.zeros((1, mechanism.n_joints)))
     result = np.empty((n, 1, along.before.shape[2]))
-    if swept.compiled is not None:
+    if swept.shared.functions is not None:
         _compiled_motion(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
     else:
         _fill_motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], result)
@@ -220,8 +220,8 @@ def _compiled_motion(
         result: Where to put it, (n, n_rows, k).
     """
     shared = swept.shared
-    model, signs = (shared.tree, shared.loops, swept.compiled), np.ascontiguousarray(along.signs)
-    shared.functions.motion(*model, rows, signs, direct, along.alike, along.entries, result)
+    signs = np.ascontiguousarray(along.signs)
+    shared.functions.motion(shared.tree, shared.loops, swept.poses, rows, signs, direct, along.entries, result)
 
 
 def _fill_motion(

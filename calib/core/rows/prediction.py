@@ -29,6 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
+from calib.core.base.contributions import Contributions
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.numerics import linalg
@@ -58,6 +59,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         left_out: Targets that summaries leave out (`RobotData.left_out`), and their places among the targets.
         frame: In which frame the covariances are, in words; empty for the measurement frame.
         measured: The same positions with their covariance in the measurement frame, where that is another one.
+        contains: What the covariances contain; nothing where that is not known.
     """
 
     positions: FloatArray
@@ -67,6 +69,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
     left_out: Mapping[str, int] = field(default_factory=dict)
     frame: str = ""
     measured: PositionUncertainty | None = None
+    contains: Contributions = frozenset()
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.positions, dtype=dtype)
@@ -303,6 +306,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         undecided: Joint terms that it may have, too; None if a choice left none undecided.
         joint_error: Standard deviation of an error of each joint, another one at each pose [rad; of a joint that slides
             in characteristic lengths].
+        contains: What positions that are predicted by it contain.
     """
 
     free: BoolArray
@@ -310,6 +314,7 @@ class ParameterUncertainty(ReadOnlyArrays):
     coverage_factor: float
     undecided: UndecidedTerms | None = None
     joint_error: float = 0.0
+    contains: Contributions = frozenset()
 
     @property
     def counted(self) -> str:
@@ -436,4 +441,6 @@ class ParameterUncertainty(ReadOnlyArrays):
                 covariance[some] = carried(linear.jacobian[:, :, rows], known)
         hold(points, *covariances)
         turned = covariances[1] if turns else None
-        return PositionUncertainty(points, covariances[0], self.coverage_factor, turned, robot.left_out)
+        return PositionUncertainty(
+            points, covariances[0], self.coverage_factor, turned, robot.left_out, contains=self.contains
+        )

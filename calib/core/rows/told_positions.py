@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays, hold
+from calib.core.base.contributions import Contribution
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
@@ -98,9 +99,16 @@ class ToldPositions(ReadOnlyArrays):
         hold(points, *measured, *told)
         factor, left_out = self.uncertainty.coverage_factor, self.robot.left_out
         turned, told_turned = (covariances[1] if turns else None for covariances in (measured, told))
-        in_measured = PositionUncertainty(points, measured[0], factor, turned, left_out)
+        contains = self.uncertainty.contains
+        in_measured = PositionUncertainty(points, measured[0], factor, turned, left_out, contains=contains)
+        contains |= {Contribution.FRAME}
         return replace(
-            in_measured, covariance=told[0], turn_covariance=told_turned, frame=OWN_FRAME, measured=in_measured
+            in_measured,
+            covariance=told[0],
+            turn_covariance=told_turned,
+            frame=OWN_FRAME,
+            measured=in_measured,
+            contains=contains,
         )
 
     @cached_property

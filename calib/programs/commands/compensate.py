@@ -24,7 +24,7 @@ from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Poses
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import read_table
-from calib.core.results.result_reading import load_known, read_result
+from calib.core.results.result_reading import load_result, read_content
 from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
@@ -154,12 +154,7 @@ def command(
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
-    known = load_known(result, nominal)
-    if not len(known.joints):
-        output.note(
-            f"note: {result}: has no residuals.csv, so the measured poses are not known; base and tool are placed where"
-            " the robots agree best around home; fit again"
-        )
+    known = load_result(result, nominal).known
     suffix = Path(program).suffix.lower()
     links = (base_link, flange_link, third_joint)
     of_gcode = (zero, start, tolerance_mm, dialect)
@@ -312,7 +307,7 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
 
 def _held_out(folder: str) -> float | None:
     """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
-    errors = read_result(folder).get("errors", {}).get("validation")
+    errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")
 
 

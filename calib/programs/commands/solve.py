@@ -18,7 +18,7 @@ from calib.core.commands.common import (
 )
 from calib.core.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.core.data.table_writing import format_table
-from calib.core.results.result_reading import load_known
+from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.expected_errors import COUNTED, expected_now, left_as_it_is, of_frame, summary
@@ -65,7 +65,7 @@ def command(
     goals = read_goals(goals_file, model)
     output.check(out)
     with output.working(f"solving {len(goals)} goals"):
-        solution = solve(load_known(folder, nominal) if folder else model, goals)
+        solution = solve(load_result(folder, nominal).known if folder else model, goals)
     misses = solution.misses()
     reached = np.flatnonzero(solution.ok)
     if not skip_unreachable or not np.any(solution.ok):

@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
 from calib.core.robots.acceleration import compiled_for
@@ -291,7 +291,6 @@ def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
         return ""
     name = reach.mechanism.actuated[j]
     dimension = reach.mechanism.dimensions[name]
-    unit, scale = DISPLAY_UNIT[dimension], display_scale(dimension)
     limit = reach.upper[j] if q[j] > reach.upper[j] else reach.lower[j]
-    value, bound = (x * scale for x in (q[j], limit))
-    return f"is past the limit of joint '{name}': {value:.3f} {unit} {what}, {bound:.3f} {unit} allowed"
+    value, bound = (quantity_text(float(x), dimension, ".3f", DISPLAY_UNIT) for x in (q[j], limit))
+    return f"is past the limit of joint '{name}': {value} {what}, {bound} allowed"

@@ -8,6 +8,7 @@ from calib.core.base.words import counted, listed
 from calib.core.fitting.fitted import Fit
 from calib.core.results.sections.attempts import fold_lines, start_lines
 from calib.core.results.sections.budget import budget_lines
+from calib.core.results.sections.contents import contents_lines
 from calib.core.results.sections.determination import determined_lines, held_lines, observability_lines, position_lines
 from calib.core.results.sections.noise import noise_lines, repeat_lines, scatter_lines
 from calib.core.results.sections.outliers import outliers_left_out
@@ -25,7 +26,7 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (
         *(_size, noise_lines, scatter_lines, terms_lines, terms_not_shown, budget_lines, curve_lines),
-        *(determined_lines, observability_lines, held_lines, position_lines, repeat_lines),
+        *(determined_lines, observability_lines, held_lines, position_lines, contents_lines, repeat_lines),
         *(_loss, outliers_left_out, start_lines, fold_lines, _places, _columns),
     )
     return [line for lines_of in order if not (brief and lines_of in elsewhere) for line in lines_of(fit)]

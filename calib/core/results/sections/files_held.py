@@ -1,33 +1,18 @@
-"""What a result stores of the robots that files get: their values, how sure these are, how good they are.
-
-`result.json` has an entry for each under `files`. Values that are not those of the whole model stand in parameter files
-of their own, with their covariance where a fit has one (`without_terms.csv`, `with_tables.csv`, `to_last_axis.csv`), so
-that `calib export` needs no measurements. A result of an earlier version has none of it, and loads all the same.
-"""
+"""What is said of the robots that files of a fit get: what each kind of file holds, and how good it is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
-from calib.core.base.errors import DataError
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale
-from calib.core.data.parameter_files import read_parameters
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
-from calib.core.results.result_format import unchanged
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.robots.file_formats import formats_that_hold
-from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.core.robots.held import Accuracy, FileRobot, Holds
 from calib.core.robots.robot import Robot
-from calib.core.robots.robot_files import lost_by, without_terms
+from calib.core.robots.robot_files import lost_by
 
-VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
-"""Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
 _WITHHELD = "withheld: "
 
 
@@ -97,26 +82,15 @@ def files_lines(fit: Fit) -> list[str]:
     return [f"What files are worth, {unit} RMS ({whole.part} error, {whole.where}): {'; '.join(texts)}"]
 
 
-def name_of_values(files: Mapping[Holds, FileRobot], holds: Holds) -> str:
-    """Return which of `VALUES` has the values of a file's robot; empty where they are those of the whole model."""
-    values, whole = files[holds].values, files[Holds.EVERYTHING].values
-    if holds not in VALUES or values == whole:
-        return ""
-    return VALUES[next(equal for equal in VALUES if equal in files and files[equal].values == values)]
-
-
 def file_entries(fit: Fit) -> list[dict[str, object]]:
     """Return the entries of `result.json`: what each kind of file holds, which formats do, and how good they are."""
-    files, reduced, entries = files_of(fit), fit.reduced or {}, list[dict[str, object]]()
-    for holds, file_robot in files.items():
+    entries = list[dict[str, object]]()
+    for holds, file_robot in files_of(fit).items():
         accuracy, scale = file_robot.accuracy, error_scale(file_robot.accuracy.dimension)
         entries.append(
             {
                 "holds": holds.name.lower(),
                 "formats": formats_that_hold(holds, fit.nominal),
-                "values": name_of_values(files, holds) or None,
-                "interval_degrees_of_freedom": reduced[holds].statistics.interval_freedom if holds in reduced else None,
-                "joint_error": reduced[holds].joint_error if holds in reduced else None,
                 "poses": accuracy.poses.name.lower(),
                 "n_poses": accuracy.n_poses,
                 "part": accuracy.part,
@@ -141,66 +115,3 @@ def _zeros(robot: Robot, file_robot: FileRobot) -> list[dict[str, object]] | Non
         {"joint": name, "sign": int(sign), "offset": float(offset) * display_scale(d), "unit": DISPLAY_UNIT[d]}
         for name, sign, offset, d in rows
     ]
-
-
-def file_entry(content: Mapping[str, Any], holds: Holds) -> Mapping[str, Any]:
-    """Return the entry of a `result.json` for files that hold so much; an empty one where it has none."""
-    entries = content.get("files") or ()
-    return next((entry for entry in entries if entry.get("holds") == holds.name.lower()), {})
-
-
-def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -> dict[Holds, FileRobot]:
-    """Return the robots that files of a result get; none of a result that an earlier version wrote.
-
-    Args:
-        folder: Of the result.
-        content: Its `result.json`.
-        robot: Its robot, calibrated.
-
-    Raises:
-        DataError, ParameterError: They cannot be read.
-    """
-    try:
-        entries = {Holds[entry["holds"].upper()]: entry for entry in content.get("files") or ()}
-        files = {holds: _stored(Path(folder), entry, holds, robot, content) for holds, entry in entries.items()}
-        if content["verdict"]["grade"] == "FAIL":  # who has its files has forced them already
-            return {holds: replace(file_robot, withheld="") for holds, file_robot in files.items()}
-        return files
-    except (AttributeError, KeyError, TypeError, ValueError):
-        raise DataError(f"{folder}: the entry `files` of its result.json cannot be read; run the fit again") from None
-
-
-def _stored(
-    folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot, content: Mapping[str, Any]
-) -> FileRobot:
-    dimension: Dimension = entry["dimension"]
-    scale = error_scale(dimension)
-
-    def error(key: str) -> float:
-        return np.nan if entry[key] is None else float(entry[key]) / scale
-
-    accuracy = Accuracy(
-        SeenAt[entry["poses"].upper()],
-        int(entry["n_poses"]),
-        str(entry["part"]),
-        dimension,
-        error("rms_nominal"),
-        error("rms"),
-        error("limit95"),
-    )
-    rows, zeros = entry["joint_zeros"] or (), np.zeros((2, 0))
-    if rows:
-        named = {row["joint"]: row for row in rows}
-        scales = [display_scale(robot.mechanism.dimensions[name]) for name in robot.joint_names]
-        numbers = [(named[name]["sign"], named[name]["offset"]) for name in robot.joint_names]
-        zeros = np.array(numbers, dtype=float).T / np.array([np.ones(len(scales)), scales])
-    values = {} if rows else _stored_values(folder, entry["values"], holds, robot, content)
-    return FileRobot(values, accuracy, entry["withheld"] or "", zeros[0], zeros[1])
-
-
-def _stored_values(
-    folder: Path, name: str | None, holds: Holds, robot: Robot, content: Mapping[str, Any]
-) -> dict[str, float]:
-    if name is None:
-        return dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
-    return read_parameters(unchanged(folder, f"{name}.csv", content), without_terms(robot, holds), complete=True)

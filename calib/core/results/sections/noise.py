@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
 from calib.core.base.words import counted
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
@@ -103,8 +103,7 @@ def scatter_lines(fit: Fit) -> list[str]:
         instrument = fit.nominal.instrument(name)
         axes = [(axis, part) for part in instrument.parts for axis in part.axes]
         sizes = [
-            f"{axis} {error_scale(part.dimension) * size:.3g} {ERROR_UNIT[part.dimension]}"
-            for (axis, part), size in zip(axes, offsets, strict=True)
+            f"{axis} {quantity_text(size, part.dimension)}" for (axis, part), size in zip(axes, offsets, strict=True)
         ]
         lines.append(
             f"All readings of {name} at a pose share an error (what the model leaves out): {', '.join(sizes)}."

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import IntArray
 from calib.core.base.remembered import remembered
-from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
 from calib.core.base.words import listed
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
@@ -143,11 +143,11 @@ def outliers_left_out(fit: Fit) -> list[str]:
         return []
     before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
     dimension = fit.identification.main_part.dimension
-    scale, unit = error_scale(dimension), ERROR_UNIT[dimension]
+    unit, noise = ERROR_UNIT[dimension], quantity_text(fit.with_all.sigma, dimension, ".4g")
     layout, left = fit.with_all.rows.layout, fit.rows.layout.n_readings
     several = layout.n_readings > len(np.unique(layout.visit))
     count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""
     return [
         f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ')}. With them: RMS"
-        f" {before:.4f} {unit}, noise {scale * fit.with_all.sigma:.4g} {unit}; without: RMS {after:.4f} {unit}"
+        f" {before:.4f} {unit}, noise {noise}; without: RMS {after:.4f} {unit}"
     ]

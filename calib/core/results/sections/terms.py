@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, quantity_text
 from calib.core.base.words import listed
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.terms.candidate_terms import TriedTerm, not_known
@@ -82,11 +82,10 @@ def curve_lines(fit: Fit) -> list[str]:
     """Return how large the error of each joint with a curve is, and where it was measured, one line each."""
     lines = []
     for curve in joint_curves(fit):
-        scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
-        shown = display_scale(curve.dimension)
+        rms, known = quantity_text(curve.rms, curve.dimension), quantity_text(curve.rms_std, curve.dimension, ".2g")
+        low, high = (quantity_text(float(curve.command[k]), curve.dimension, ".4g", DISPLAY_UNIT) for k in (0, -1))
         lines.append(
-            f"Error curve of {curve.joint}: {scale * curve.rms:.3g} {unit} RMS, known to {scale * curve.rms_std:.2g}"
-            f" {unit}; it holds from {shown * curve.command[0]:.4g} to {shown * curve.command[-1]:.4g}"
-            f" {DISPLAY_UNIT[curve.dimension]}, where it was measured"
+            f"Error curve of {curve.joint}: {rms} RMS, known to {known}; it holds from {low.partition(' ')[0]} to"
+            f" {high}, where it was measured"
         )
     return lines

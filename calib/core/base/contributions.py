@@ -1,0 +1,131 @@
+"""What a number that says how sure something is contains: a name for each mechanism, and which numbers it is part of.
+
+Each number carries the set that it contains. Of a given fit that may be fewer than the table has: there is nothing to
+widen by regions that agree (`calib.core.fitting.fitted.Fit.contains`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+from typing import Self
+
+
+class Sureness(Enum):
+    """Numbers that say how sure something is, in words."""
+
+    COVARIANCE = "covariance of parameters"
+    INTERVAL = "intervals of parameters"
+    POSITION = "uncertainty of positions"
+    CLAIM = "claim (`rms`, `limit95`)"
+    GAIN = "better or worse than before"
+
+
+class Contribution(Enum):
+    """A mechanism: its name, what it counts, the module that has it, and the numbers that it is part of."""
+
+    NOISE = (
+        "noise and priors",
+        "noise of the readings, carried to the parameters beside what is known of them beforehand",
+        "numerics.statistics",
+        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+    )
+    OFFSETS = (
+        "offsets as weights",
+        "readings of a pose that share an error weigh less, where that predicts other poses better",
+        "fitting.solving",
+        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+    )
+    SCATTER = (
+        "scatter of poses",
+        "readings of a pose scatter together by more than independent ones",
+        "numerics.clusters",
+        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+    )
+    SIZES = (
+        "sizes of families",
+        "the common size of the coefficients of a curve was found from the same readings",
+        "numerics.prior_sizes",
+        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
+    )
+    REGIONS = (
+        "regions left out",
+        "parameters move by more than noise explains where regions or setups are left out in turn",
+        "fitting.regions",
+        (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION),
+    )
+    SECOND_ORDER = (
+        "second order",
+        "the model bends over the uncertainty of the parameters",
+        "fitting.curvature",
+        (Sureness.INTERVAL,),
+    )
+    UNDECIDED = (
+        "undecided terms",
+        "the sizes of joint terms, of those too that the data neither show nor exclude",
+        "fitting.terms.term_sizes",
+        (Sureness.INTERVAL, Sureness.POSITION),
+    )
+    JOINT_ERRORS = (
+        "unexplained joint errors",
+        "what the model leaves out, as an error of each joint that is another one at each pose",
+        "fitting.unexplained",
+        (Sureness.POSITION,),
+    )
+    FRAME = (
+        "frame",
+        "positions are told in the robot's own base, laid where positions agree best; where that is does not count",
+        "rows.told_positions",
+        (Sureness.POSITION,),
+    )
+    LEFT_OUT = (
+        "poses left out",
+        "errors of each pose, predicted by the fit of all others",
+        "fitting.unseen_errors",
+        (Sureness.CLAIM,),
+    )
+    BEFORE_AND_AFTER = (
+        "before and after",
+        "errors at poses that were not used, after calibration over before, against chance",
+        "judging.better_or_worse",
+        (Sureness.GAIN,),
+    )
+
+    def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Sureness, ...]) -> Self:
+        """Return a row of the table."""
+        row = object.__new__(cls)
+        row._value_, row.counts, row.module, row.numbers = name, counts, module, numbers
+        return row
+
+    counts: str
+    module: str
+    numbers: tuple[Sureness, ...]
+
+
+Contributions = frozenset[Contribution]
+"""What a number contains."""
+
+
+def contributions_to(number: Sureness) -> Contributions:
+    """Return all that may be part of a number."""
+    return frozenset(own for own in Contribution if number in own.numbers)
+
+
+def names_of(contributions: Iterable[Contribution]) -> list[str]:
+    """Return their names, in the order of the table."""
+    chosen = set(contributions)
+    return [own.value for own in Contribution if own in chosen]
+
+
+def markdown_table() -> str:
+    """Return the table of docs/uncertainty.md: mechanisms, and the numbers that they are part of."""
+    numbers = list(Sureness)
+    lines = [
+        f"| mechanism | what it counts | {' | '.join(number.value for number in numbers)} |",
+        f"|---|---|{'|'.join(':-:' for _ in numbers)}|",
+    ]
+    for own in Contribution:
+        page = f"reference/api/calib.core.{own.module}.md"
+        marks = " | ".join("●" if number in own.numbers else "" for number in numbers)
+        lines.append(f"| [{own.value}]({page}) | {own.counts} | {marks} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,239 @@
+"""What a result folder keeps of a fit, and the fit that comes back from it: `fit.npz`.
+
+Kept is what cannot be computed: description, measurements, settings, where the fit ended and what it assumed there of
+the noise, what it was judged to be, and the robots that files get. Everything else (residuals, covariance, intervals)
+comes from evaluating the model once where the fit ended, as `calib.core.fitting.fit` does there. So both are the same
+to rounding, and what is kept takes no more room than the measurements.
+
+Other starts, and what each joint term brought that was tried, are told in `result.json` and do not come back.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.errors import CalibrationError, ComputationError, DataError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.version import PROGRAM
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.error_sets import ErrorSet, Folds
+from calib.core.fitting.fit import Minimum, fit_at
+from calib.core.fitting.fitted import Convergence, Fit
+from calib.core.fitting.outliers import Outlier
+from calib.core.fitting.pose_checks import require_identifiable
+from calib.core.fitting.problem import Problem
+from calib.core.fitting.robust import Solved
+from calib.core.fitting.settings import Asked, Settings
+from calib.core.fitting.solving import seen_from
+from calib.core.fitting.terms.candidate_terms import TermChoice
+from calib.core.instruments.kind import Readings
+from calib.core.judging.verdict import JudgedFit
+from calib.core.numerics.least_squares import Solution
+from calib.core.numerics.statistics import Factors
+from calib.core.results.array_files import array_file, read_array_file
+from calib.core.robots.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.terms import stored_terms
+from calib.core.rows.prediction import UndecidedTerms
+
+VERSION = 2
+"""Of the format of a result folder."""
+SAVED = "fit.npz"
+"""File of a result folder that is read back."""
+_MEASUREMENTS = ("joints", "labels", "names", "path", "ignored", "comments", "context", "approach", "setups", "order",
+                 "approach_assumed")  # fmt: skip
+_READINGS = ("visits", "pairs", "values", "covariance", "details", "labels")
+_ENDED = Solution(np.zeros(0), np.zeros(0), np.zeros((0, 0)), 0.0, converged=True, evaluations=0, message="")
+
+
+def saved_bytes(
+    fit: Fit, content: Mapping[str, Any], nominal: Mapping[str, bytes], files: Mapping[Holds, FileRobot]
+) -> bytes:
+    """Return the content of `fit.npz`.
+
+    Args:
+        fit: The fit.
+        content: What `result.json` says.
+        nominal: Files of the nominal robot, by name.
+        files: The robots that files of the fit get.
+    """
+    return array_file(
+        {
+            "version": VERSION,
+            "program": PROGRAM,
+            "content": content,
+            "sha256": {name: hashlib.sha256(file).hexdigest() for name, file in nominal.items()},
+            "fit": _fit_entry(fit),
+            "files": {
+                holds.name: {**vars(robot), "accuracy": asdict(robot.accuracy) | {"poses": robot.accuracy.poses.name}}
+                for holds, robot in files.items()
+            },
+        }
+    )
+
+
+def read_saved(folder: Path | str) -> dict[str, Any] | None:
+    """Return what `saved_bytes` was given of a result folder, as data; None where it has none of it.
+
+    Raises:
+        DataError: It is damaged, or of a later version; or a file of the nominal robot was changed.
+    """
+    path = Path(folder) / SAVED
+    if not path.is_file():
+        return None
+    try:
+        saved: dict[str, Any] = read_array_file(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); run the fit again") from None
+    if saved.get("version") != VERSION:
+        raise DataError(f"{path}: is not of format version {VERSION}; run the fit again")
+    require_unchanged(folder, saved["sha256"])
+    return saved
+
+
+def require_unchanged(folder: Path | str, sha256: Mapping[str, str]) -> None:
+    """Raise `DataError` if a file of a result folder is missing, or is not as the fit wrote it.
+
+    Args:
+        folder: The folder.
+        sha256: Digests of the files, by name.
+    """
+    for name, digest in sha256.items():
+        path = Path(folder) / name
+        if not path.is_file():
+            raise DataError(f"{path}: no such file; run the fit again")
+        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise DataError(f"{path}: was changed after the fit, so the result is no longer valid; run the fit again")
+
+
+def _fit_entry(fit: Fit) -> dict[str, Any]:
+    robust, undecided, folds, convergence = fit.loss != "none", fit.undecided, fit.folds, asdict(fit.convergence)
+    return {
+        "terms": _entries(fit.nominal.description.terms),
+        "held": fit.nominal.description.held,
+        "nominal": fit.nominal.values,
+        "placed": fit.placed.values,
+        "values": fit.robot.values,
+        "scales": fit.unknowns.scales,
+        "noise": vars(fit.scales),
+        "passive": fit.configurations.passive,
+        "robust": {"weights": fit.weights, "factors": vars(fit.statistics.factors)} if robust else None,
+        "settings": {"sigma": fit.sigma_given, "loss": fit.loss, "seed": fit.seed},
+        "asked": vars(fit.asked),
+        "placed_later": fit.placed_later,
+        "seconds": fit.seconds,
+        "joint_error": fit.joint_error,
+        "convergence": convergence,
+        "choice": None if fit.terms is None else fit.terms.requested,
+        "expected": None if fit.terms is None or np.isnan(fit.terms.expected_rms) else fit.terms.expected_rms,
+        "undecided": None if undecided is None else {**vars(undecided), "terms": _entries(undecided.terms)},
+        "identification": _measurements_entry(fit.identification.data),
+        "validation": None if fit.validation is None else _measurements_entry(fit.validation.data),
+        "folds": None if folds is None else {**vars(folds), "errors": _errors_entry(folds.errors)},
+        "excluded": [asdict(outlier) for outlier in fit.excluded],
+        "with_all": None if fit.with_all is None else _fit_entry(fit.with_all),
+        "reduced": {holds.name: _fit_entry(other) for holds, other in (fit.reduced or {}).items()},
+    }
+
+
+def _entries(terms: tuple[Any, ...]) -> list[dict[str, Any]]:
+    return [section.model_dump(mode="json") for section in terms]
+
+
+def _measurements_entry(data: Measurements) -> dict[str, Any]:
+    entry = {name: getattr(data, name) for name in _MEASUREMENTS}
+    own = {name: {key: getattr(one, key) for key in _READINGS} for name, one in data.readings.items()}
+    return entry | {"labels": tuple(data.labels), "names": tuple(data.names), "readings": own}
+
+
+def _errors_entry(errors: ErrorSet) -> dict[str, Any]:
+    return {"before": dict(errors.before), "after": dict(errors.after), "singular_value": errors.singular_value}
+
+
+def saved_files(saved: Mapping[str, Any]) -> dict[Holds, FileRobot]:
+    """Return the robots that files of a result get; of one that failed, who has them has forced them already."""
+    failed, files = saved["content"]["verdict"]["grade"] == "FAIL", {}
+    for name, entry in saved["files"].items():
+        accuracy = Accuracy(**entry["accuracy"] | {"poses": SeenAt[entry["accuracy"]["poses"]]})
+        robot = FileRobot(**entry | {"accuracy": accuracy})
+        files[Holds[name]] = replace(robot, withheld="") if failed else robot
+    return files
+
+
+def with_saved_terms(robot: Robot, entry: Mapping[str, Any]) -> Robot:
+    """Return a nominal robot with the joint terms and the held parameters that a fit had."""
+    robot = robot.with_terms(stored_terms(entry["terms"]))
+    return replace(robot, description=robot.description.model_copy(update={"held": tuple(entry["held"])}))
+
+
+@one_blas_thread
+def evaluated_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
+    """Return a fit that was saved: the model, evaluated where it ended.
+
+    Args:
+        robot: The nominal robot, with or without its joint terms.
+        entry: Of `fit` in what `read_saved` returns.
+        where: The result folder, for messages.
+
+    Raises:
+        ComputationError: The fit does not come back from the folder.
+    """
+    try:
+        fit = JudgedFit.of(_fit_of(robot, entry))
+    except (CalibrationError, ValueError, KeyError, TypeError) as error:
+        raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
+    vars(fit)["joint_error"] = entry["joint_error"]  # to find it takes as long as all the rest
+    return fit
+
+
+def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
+    nominal = with_saved_terms(robot, entry).with_parameters(entry["nominal"])
+    later, settings, robust = tuple(entry["placed_later"]), Settings(**entry["settings"]), entry["robust"]
+    seen, data = nominal.fix(*later) if later else nominal, _measurements_of(entry["identification"], nominal)
+    problem = Problem.of(seen, data, settings.sigma, entry["passive"])
+    groups, unknowns = entry["noise"]["groups"], replace(problem.unknowns, scales=entry["scales"])
+    problem = replace(problem, unknowns=unknowns, noise_found=problem.unstated | (groups != 1.0))
+    if np.any(entry["noise"]["ratios"]):
+        problem = problem.weighed(entry["noise"]["ratios"])
+    start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
+    begin = seen_from(problem, start)
+    weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}
+    minimum = Minimum(
+        nominal, (), start, require_identifiable(problem, begin), Solved(problem, end, groups, _ENDED, **weighing)
+    )
+    validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
+    fit = fit_at(minimum, settings, validation)
+    choice, undecided, folds = entry["choice"], entry["undecided"], entry["folds"]
+    expected = float("nan") if entry["expected"] is None else float(entry["expected"])
+    if undecided is not None:
+        undecided = UndecidedTerms(stored_terms(undecided["terms"]), tuple(undecided["names"]), undecided["spread"])
+    if folds is not None:
+        folds = Folds(**_tuples(folds) | {"errors": ErrorSet(data, nominal.instruments, **folds["errors"])})
+    return replace(
+        fit,
+        placed=fit.placed.free(*later) if later else fit.placed,
+        robot=fit.robot.free(*later) if later else fit.robot,
+        placed_later=later,
+        seconds=entry["seconds"],
+        convergence=Convergence(**_tuples(entry["convergence"])),
+        asked=Asked(**_tuples(entry["asked"])),
+        terms=None if choice is None else TermChoice(choice, nominal.description.terms, (), undecided, expected),
+        folds=folds,
+        excluded=tuple(Outlier(**outlier) for outlier in entry["excluded"]),
+        with_all=None if entry["with_all"] is None else _fit_of(robot, entry["with_all"]),
+    )
+
+
+def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+
+
+def _measurements_of(entry: Mapping[str, Any], robot: Robot) -> Measurements:
+    readings = {name: Readings(**_tuples(own)) for name, own in entry["readings"].items()}
+    return Measurements(**_tuples(entry) | {"readings": readings}, robot=robot)

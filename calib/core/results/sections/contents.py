@@ -1,0 +1,32 @@
+"""What the numbers of a fit that say how sure something is contain (`calib.core.base.contributions`)."""
+
+from __future__ import annotations
+
+from calib.core.base.contributions import Contributions, Sureness, names_of
+from calib.core.fitting.fitted import Fit
+from calib.core.judging.verdict import judge
+
+
+def _contents(fit: Fit) -> dict[Sureness, Contributions]:
+    contents = {
+        Sureness.COVARIANCE: fit.covariance.contains,
+        Sureness.INTERVAL: fit.parameters.contains,
+        Sureness.POSITION: fit.identification_uncertainty.contains,
+    }
+    claim = judge(fit).claim
+    if claim is not None:
+        contents |= {Sureness.CLAIM: claim.contains, Sureness.GAIN: fit.contains(Sureness.GAIN)}
+    return contents
+
+
+def contents_table(fit: Fit) -> dict[str, list[str]]:
+    """Return the names of what each number contains, for `result.json`."""
+    return {number.name.lower(): names_of(contains) for number, contains in _contents(fit).items()}
+
+
+def contents_lines(fit: Fit) -> list[str]:
+    """Return the same in words, one line for each number."""
+    return [
+        f"What is counted in the {number.value.replace('`', '')}: {', '.join(names_of(contains))}"
+        for number, contains in _contents(fit).items()
+    ]

@@ -1,0 +1,1 @@
+"""Proof for quality systems: that an installation computes rightly (`calib qualify`)."""

@@ -1,0 +1,130 @@
+"""A document of tables, with lines to sign, as a page (HTML) and as PDF (fpdf2, extra `certificate`)."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import import_module
+from pathlib import Path
+
+import matplotlib
+
+from calib.core.base.errors import InputError
+
+_STYLE = """\
+body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:62rem;padding:0 1rem;color:#1b1f24;background:#fff}
+h1{font-size:1.6rem}h2{font-size:1.15rem;margin-top:2rem}table{border-collapse:collapse;width:100%}
+th,td{border:1px solid #c8ced6;padding:.3rem .5rem;text-align:left;vertical-align:top;overflow-wrap:anywhere}
+th{background:#eef1f5}thead th{white-space:nowrap}
+.FAIL{color:#a40000;font-weight:700}.PASS{color:#0b6b2e}.NOTED{color:#6a5200}
+.wide{overflow-x:auto}.line{border-bottom:1px solid #1b1f24;height:2.4rem}
+@media(prefers-color-scheme:dark){body{color:#e4e7eb;background:#15181c}th{background:#22272e}th,td{border-color:#444c56}
+.FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
+@media print{body{margin:0;max-width:none;font-size:11px}}
+"""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table with its title: column names, and cells of text row by row."""
+
+    title: str
+    columns: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Document:
+    """A document.
+
+    Attributes:
+        title: Its title.
+        answer: What it says, in one line.
+        tables: What it says it by.
+        signatures: Who signs, one line each.
+    """
+
+    title: str
+    answer: str
+    tables: tuple[Rows, ...]
+    signatures: tuple[str, ...]
+
+    def html(self) -> str:
+        """Return it as one page that loads nothing."""
+        parts = [f"<h1>{escape(self.title)}</h1><p><strong>{escape(self.answer)}</strong></p>"]
+        for table in self.tables:
+            head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.columns)
+            body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in table.cells)
+            parts.append(
+                f'<h2>{escape(table.title)}</h2><div class="wide" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+                f"<tbody>{body}</tbody></table></div>"
+            )
+        if self.signatures:
+            lines = "".join(
+                f'<tr><th scope="row">{escape(who)}</th><td class="line"></td></tr>' for who in self.signatures
+            )
+            parts.append(f"<h2>Signatures: name, date, signature</h2><table><tbody>{lines}</tbody></table>")
+        return (
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(self.title)}</title>'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<style>{_STYLE}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+        )
+
+    def pdf(self) -> bytes:
+        """Return it as PDF, A4.
+
+        Raises:
+            InputError: fpdf2 is not installed.
+        """
+        try:
+            fpdf = import_module("fpdf")
+        except ImportError:
+            raise InputError("a PDF needs fpdf2: pip install 'medrue[certificate]', or print the HTML") from None
+        pdf = fpdf.FPDF(format="A4")
+        pdf.set_title(self.title)
+        fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")
+        pdf.add_font("sans", "", fonts / "DejaVuSans.ttf")
+        pdf.add_font("sans", "B", fonts / "DejaVuSans-Bold.ttf")
+        pdf.set_auto_page_break(True, margin=15)
+        pdf.add_page()
+        self._heading(pdf, self.title, 15)
+        self._heading(pdf, self.answer, 10)
+        for table in self.tables:
+            self._heading(pdf, table.title, 11)
+            self._table(pdf, [table.columns, *table.cells])
+        if self.signatures:
+            self._heading(pdf, "Signatures: name, date, signature", 11)
+            pdf.set_font("sans", "", 9)
+            for who in self.signatures:
+                pdf.cell(40, 12, who)
+                pdf.cell(0, 12, "", border="B", new_x="LMARGIN", new_y="NEXT")
+        out = io.BytesIO()
+        pdf.output(out)
+        return out.getvalue()
+
+    @staticmethod
+    def _heading(pdf: object, text: str, size: int) -> None:
+        pdf.ln(2)  # type: ignore[attr-defined]
+        pdf.set_font("sans", "B", size)  # type: ignore[attr-defined]
+        pdf.multi_cell(0, size * 0.55, text, new_x="LMARGIN", new_y="NEXT")  # type: ignore[attr-defined]
+
+    @staticmethod
+    def _table(pdf: object, rows: Sequence[Sequence[str]]) -> None:
+        pdf.set_font("sans", "", 7)  # type: ignore[attr-defined]
+        with pdf.table(text_align="LEFT", line_height=4, padding=0.8) as table:  # type: ignore[attr-defined]
+            for row in rows:
+                table.row([_breakable(cell) for cell in row])
+
+
+def _cell(text: str) -> str:
+    grade = f' class="{text}"' if text in ("PASS", "FAIL", "NOTED") else ""
+    return f"<td{grade}>{escape(text)}</td>"
+
+
+def _breakable(text: str, longest: int = 28) -> str:
+    """Part words that are too long for a cell, such as digests."""
+    return " ".join(
+        " ".join(word[k : k + longest] for k in range(0, len(word), longest)) or word for word in text.split(" ")
+    )

@@ -1,0 +1,107 @@
+"""Installation qualification: what is installed, compared with what its publishers sealed.
+
+Every wheel lists the SHA-256 of each of its files (RECORD, PEP 376 and 427). A file that differs from its entry was
+changed after it was installed. An editable installation of this program has no such list: this is noted, and operation
+qualification is what remains to find a changed number.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+import sys
+from collections.abc import Iterable, Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+
+import threadpoolctl
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+from calib.core.base.version import DISTRIBUTION, VERSION
+from calib.quality.protocol import Check, Outcome, Phase
+
+_PHASE = Phase.INSTALLATION
+_SEALED = "every file has the SHA-256 that its wheel lists (RECORD)"
+_OLDEST_BLAS = {"openblas": Version("0.3.21")}
+"""OpenBLAS before 0.3.21 has known errors in kernels of current processors (its changelog)."""
+
+
+def machine_facts() -> dict[str, str]:
+    """Return what identifies the program and the machine, by name."""
+    libraries = sorted({_library(entry) for entry in threadpoolctl.threadpool_info() if entry["user_api"] == "blas"})
+    return {
+        "program": f"{DISTRIBUTION} {VERSION}",
+        "Python": f"{platform.python_implementation()} {platform.python_version()}",
+        "system": platform.platform(),
+        "processor": f"{platform.machine()} {platform.processor()}".strip(),
+        "linear algebra": "; ".join(libraries),
+        "byte order": sys.byteorder,
+    }
+
+
+def installation_checks() -> Iterator[Check]:
+    """Yield the checks of versions, of files and of the linear algebra library."""
+    own = distribution(DISTRIBUTION)
+    for requirement in _required(own):
+        yield from _dependency(requirement)
+    yield from _sealed(own)
+    yield from _linear_algebra()
+
+
+def _required(own: Distribution) -> list[Requirement]:
+    """Requirements of the program without its extras."""
+    all_of_them = [Requirement(text) for text in own.requires or ()]
+    return [each for each in all_of_them if each.marker is None or each.marker.evaluate({"extra": ""})]
+
+
+def _dependency(requirement: Requirement) -> Iterator[Check]:
+    subject, expected = f"version of {requirement.name}", f"{requirement.specifier or 'any'} (pyproject.toml)"
+    try:
+        found = distribution(requirement.name)
+    except PackageNotFoundError:
+        yield Check.of(_PHASE, subject, expected, "not installed", False)
+        return
+    yield Check.of(_PHASE, subject, expected, found.version, requirement.specifier.contains(found.version, True))
+    yield from _sealed(found)
+
+
+def _sealed(of: Distribution) -> Iterator[Check]:
+    """Compare the files of a distribution with its list; note where it has none."""
+    subject = f"files of {of.name} {of.version}"
+    listed = {file: file.hash.value for file in of.files or () if file.hash is not None and file.hash.mode == "sha256"}
+    if not any(file.suffix in (".py", ".so", ".pyd", ".dylib") for file in listed):
+        yield Check(_PHASE, subject, _SEALED, "installed for development: no list of files to compare", Outcome.NOTED)
+        return
+    changed = [str(file) for file, digest in listed.items() if digest != _digest(Path(str(of.locate_file(file))))]
+    found = f"{len(listed)} files as listed" if not changed else f"{len(changed)} changed or missing: {_few(changed)}"
+    yield Check.of(_PHASE, subject, _SEALED, found, not changed)
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file as RECORD writes it; empty if the file is missing."""
+    try:
+        with path.open("rb", buffering=0) as stream:
+            digest = hashlib.file_digest(stream, "sha256").digest()
+    except OSError:
+        return ""
+    return base64.urlsafe_b64encode(digest).rstrip(b"=").decode()
+
+
+def _linear_algebra() -> Iterator[Check]:
+    for entry in threadpoolctl.threadpool_info():
+        oldest = _OLDEST_BLAS.get(str(entry["internal_api"]))
+        if oldest is not None:
+            version = str(entry["version"])
+            passed = version != "None" and Version(version) >= oldest
+            yield Check.of(_PHASE, "linear algebra library", f"OpenBLAS {oldest} or newer", _library(entry), passed)
+
+
+def _library(entry: dict[str, object]) -> str:
+    return f"{entry['internal_api']} {entry['version']} ({entry.get('architecture', 'unknown kernels')})"
+
+
+def _few(names: Iterable[str], most: int = 3) -> str:
+    names = list(names)
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,253 @@
+"""Operation qualification: the installation computes what references say.
+
+References are certified numbers (NIST), products of single transforms that are written here, differences of positions,
+the truth of simulated robots, and the 95 of 100 that an interval of 95 % means. Other packages add checks of their own
+robots under the group of entry points `calib.qualification`: functions without arguments that yield `Check`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.registry import installed
+from calib.core.base.units import millimetres
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.settings import Settings
+from calib.core.numerics.least_squares import minimise
+from calib.core.numerics.observability import information
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.statistics import found_factors, statistics
+from calib.core.robots.robot import Robot
+from calib.core.robots.templates import TEMPLATES, loop_files
+from calib.core.rows.simulate import simulate
+from calib.quality.protocol import Check, Phase, Work
+from calib.quality.reference_problems import PROBLEMS, ReferenceProblem
+from calib.quality.sample_robots import sample_robots
+
+_PHASE = Phase.OPERATION
+_DIGITS = 7.0
+"""Digits of NIST's eleven that an answer must have."""
+_FAR = 1e-9  # how far positions computed in two ways may be apart, by rounding [m]
+_SLOPES = 1e-6  # the same of derivatives and their differences, relative
+_QUIET = 1e-7  # noise that is stated where there is none [m]
+_FOUND = 1e-6  # how far a robot may be from its truth that was measured without noise [m]
+_POSES, _ELSEWHERE = 40, 25
+_SMALL = 0.3  # of the errors expected: loops close at nearly the same joint values
+_FITS, _LEAST, _MOST = 40, 0.93, 0.97
+_INPUTS = (
+    ("no such robot", ("fit", "missing.urdf", "missing.csv"), 2),
+    ("an unknown option", ("fit", "--no-such-option"), 2),
+    ("a description with an unknown key", ("check", "wrong.yaml", "plan.csv"), 2),
+    ("a table with a cell that is no number", ("fit", "right.yaml", "wrong.csv"), 2),
+    ("a robot and a table that are right", ("sample", "right.yaml", "--count", "3", "--out", "plan.csv", "--quiet"), 0),
+)
+
+
+def operation_work() -> Iterator[Work]:
+    """Yield the pieces of work of the phase."""
+    for problem in PROBLEMS:
+        yield _PHASE, f"regression {problem.name}", lambda problem=problem: _regression(problem)  # type: ignore[misc]
+    yield _PHASE, "eight robots", _robots
+    yield _PHASE, "coverage of intervals", _coverage
+    yield _PHASE, "same numbers twice", _repeated
+    yield _PHASE, "exit codes", _exit_codes
+    for entry in installed("calib.qualification"):
+        yield _PHASE, entry.name, lambda entry=entry: entry.load()()  # type: ignore[misc]
+
+
+def _regression(problem: ReferenceProblem) -> Iterator[Check]:
+    """Solve a problem from both starting points, with the solver and the statistics of every fit."""
+    for number, start in enumerate(problem.starts, 1):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # trial points far away
+            found = minimise(
+                lambda b: problem.model(b, problem.x)[0] - problem.y,
+                lambda b: problem.model(b, problem.x)[1],
+                start,
+                scaling="jacobian",
+                tolerance=1e-15,
+                max_evaluations=2000,
+            )
+        n = len(problem.certified)
+        jacobian, group = np.asarray(problem.model(found.x, problem.x)[1]), np.zeros(len(problem.y), dtype=np.intp)
+        known = information(jacobian)
+        span = jacobian @ known.root
+        factors = found_factors(found.residuals, span, group, 1)
+        std = statistics(span, group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool))).std
+        digits = min(_common_digits(found.x, problem.certified), _common_digits(std, problem.std))
+        subject = f"regression {problem.name}, start {number}"
+        expected = f"certified values and standard deviations to {_DIGITS:g} digits (NIST StRD)"
+        yield Check.of(_PHASE, subject, expected, f"{digits:.1f} digits", bool(digits >= _DIGITS))
+
+
+def _common_digits(found: FloatArray, certified: FloatArray) -> float:
+    """The least number of digits that two vectors have in common, at most 11."""
+    with np.errstate(divide="ignore"):
+        return float(np.min(np.minimum(-np.log10(np.abs(found / certified - 1.0)), 11.0)))
+
+
+def _robots() -> Iterator[Check]:
+    """Check positions, loops, derivatives and the recovery of a known truth on eight robots."""
+    with tempfile.TemporaryDirectory() as folder:
+        for number, (name, robot) in enumerate(sample_robots(Path(folder))):
+            yield from _robot(name, robot, number)
+
+
+def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
+    true = drawn_robot(robot, seed, part=_SMALL)
+    joints = _reached_by_both(robot, true, _POSES, seed)
+    apart, slopes, off = _apart(true, joints), _slopes(true, joints[:5]), _not_recovered(robot, true, joints, seed)
+    subject, expected = f"positions of the {name}", f"within {millimetres(_FAR):g} mm of a product of single transforms"
+    yield Check.of(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
+    subject, expected = f"Jacobian of the {name}", f"relative difference to central differences at most {_SLOPES:g}"
+    yield Check.of(_PHASE, subject, expected, f"{slopes:.1e}", slopes <= _SLOPES)
+    subject = f"recovery of the {name}"
+    expected = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
+    yield Check.of(_PHASE, subject, expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
+
+
+def drawn_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
+    """Return the robot with errors of its free parameters, drawn from this part of what is expected of them."""
+    expected = np.array([parameter.sigma_si for parameter in robot.parameters])
+    draws = np.random.default_rng(seed).standard_normal(len(expected))
+    return robot.with_parameters(robot.values + robot.is_free * part * expected * draws)
+
+
+def _reached_by_both(robot: Robot, other: Robot, count: int, seed: int) -> FloatArray:
+    """Return joint values at which the loops of two robots close, (count, n_actuated) [m or rad]."""
+    joints = robot.sample(2 * count, seed=seed)
+    return joints[other.close(joints).ok][:count]
+
+
+def _chain(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
+    """Return each link's pose in the root, (n, 4, 4): products of single transforms of the exported URDF's numbers."""
+    configurations = robot.assemble(joints)
+    names = (*robot.mechanism.driven, *robot.mechanism.passive)
+    values = dict(zip(names, np.hstack([configurations.actuated, configurations.passive]).T, strict=True))
+    tree = ElementTree.fromstring(robot.calibrated_urdf())
+    waiting, poses = list(tree.iter("joint")), dict[str, FloatArray]()
+    while waiting:
+        joint = waiting.pop(0)
+        parent, child = (_attribute(joint, tag, "link", "") for tag in ("parent", "child"))
+        if parent not in poses and any(_attribute(other, "child", "link", "") == parent for other in waiting):
+            waiting.append(joint)
+            continue
+        xyz, rpy, axis = (
+            np.array(_attribute(joint, tag, key, default).split(), dtype=float)
+            for tag, key, default in (("origin", "xyz", "0 0 0"), ("origin", "rpy", "0 0 0"), ("axis", "xyz", "1 0 0"))
+        )
+        value = values.get(joint.get("name", ""), np.zeros(len(joints)))[:, None]
+        moved, origin = np.tile(np.eye(4), (len(joints), 1, 1)), np.eye(4)
+        if joint.get("type") == "prismatic":
+            moved[:, :3, 3] = value * axis
+        else:
+            moved[:, :3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+        origin[:3, :3], origin[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+        poses[child] = poses.setdefault(parent, np.tile(np.eye(4), (len(joints), 1, 1))) @ origin @ moved
+    return poses
+
+
+def _attribute(joint: ElementTree.Element, tag: str, key: str, default: str) -> str:
+    element = joint.find(tag)
+    return default if element is None else element.get(key, default)
+
+
+def _apart(robot: Robot, joints: FloatArray) -> float:
+    """How far positions and loops are from products of single transforms [m]."""
+    poses, description = _chain(robot, joints), robot.description
+    base = description.base.frame
+    tools = {section.frame for section in description.targets.values()}
+    seen = np.linalg.inv(robot.forward(joints, base))
+    gaps = [(np.linalg.inv(poses[base]) @ poses[tool] - seen @ robot.forward(joints, tool))[:, :3, 3] for tool in tools]
+    for index, (first, second) in enumerate(description.closed_loop):
+        gap = (np.linalg.inv(poses[first]) @ poses[second])[:, :3, 3]
+        gaps.append(gap[:, ["xyz".index(axis) for axis in description.loop_axes(index) if axis in "xyz"]])
+    return float(max(np.max(np.abs(gap)) for gap in gaps))
+
+
+def _slopes(robot: Robot, joints: FloatArray) -> float:
+    """Largest difference of the Jacobian of the first target to central differences, over its largest element."""
+    target = next(iter(robot.description.targets.values())).frame
+    exact, step = robot.jacobian(joints, target)[:, :3], 1e-6
+    for column in range(joints.shape[1]):
+        ends = [robot.forward(joints + sign * step * np.eye(joints.shape[1])[column], target) for sign in (1, -1)]
+        exact[:, :, column] -= (ends[0] - ends[1])[:, :3, 3] / (2 * step)
+    return float(np.max(np.abs(exact)) / np.max(np.abs(robot.jacobian(joints, target)[:, :3])))
+
+
+def _not_recovered(robot: Robot, true: Robot, joints: FloatArray, seed: int) -> float:
+    """How far a robot that was calibrated by readings without noise is from the truth at other poses [m]."""
+    fit = calibrate(robot, simulate(true, joints, sigma=0.0), None, Settings(sigma=_QUIET))
+    elsewhere = _reached_by_both(fit.robot, true, _ELSEWHERE, seed=seed + 1000)
+    return float(np.max(np.linalg.norm(fit.robot.positions(elsewhere) - true.positions(elsewhere), axis=-1)))
+
+
+def _coverage() -> Iterator[Check]:
+    """Count how often intervals of 95 % hold the truth, over calibrations of the first arm from simulated readings."""
+    with tempfile.TemporaryDirectory() as folder:
+        _, robot = next(iter(sample_robots(Path(folder))))
+        held = list[bool]()
+        joints = robot.sample(_POSES, seed=5)
+        for seed in range(_FITS):
+            true = drawn_robot(robot, seed)
+            fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
+            truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
+            held += [
+                estimate.low95_si <= truth[name] <= estimate.high95_si
+                for name, estimate in fit.parameters.items()
+                if estimate.status != "held"
+            ]
+    share = float(np.mean(held))
+    expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
+    found = f"{share:.1%} of {len(held)} intervals"
+    yield Check.of(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
+
+
+def _repeated() -> Iterator[Check]:
+    """Calibrate twice from the same readings, and compare every bit of the answers."""
+    with tempfile.TemporaryDirectory() as folder:
+        _, robot = next(iter(sample_robots(Path(folder))))
+        data = simulate(drawn_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
+        digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
+    found = "the same bits" if digests[0] == digests[1] else "different bits"
+    yield Check.of(
+        _PHASE, "same numbers twice", "two fits of the same readings agree in every bit", found, len(set(digests)) == 1
+    )
+
+
+def _digest(fit: Fit) -> str:
+    parts = (fit.robot.values, fit.statistics.std, fit.rows.residuals)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+def _exit_codes() -> Iterator[Check]:
+    """Run the program on wrong and on right input, as a user does."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        urdf, description = loop_files("four_bar", TEMPLATES["four_bar"].lengths, "robot.urdf")
+        files = {
+            "robot.urdf": urdf,
+            "right.yaml": description,
+            "wrong.yaml": description + "\nno_such_key: 1\n",
+            "wrong.csv": "crank [deg],point_x [mm],point_y [mm],point_z [mm]\n10,1,2,many\n",
+        }
+        for name, text in files.items():
+            (place / name).write_text(text, encoding="utf-8")
+        for what, arguments, code in _INPUTS:
+            command = [sys.executable, "-m", "calib", *arguments]
+            done = subprocess.run(command, cwd=place, capture_output=True, text=True)
+            lines = done.stderr.strip().splitlines()
+            expected = f"exit code {code}" + (", one line on standard error" if code else "")
+            found = f"exit code {done.returncode}, {len(lines)} lines on standard error"
+            passed = done.returncode == code and len(lines) == bool(code)
+            yield Check.of(_PHASE, f"command line, {what}", expected, found, passed)

@@ -1,0 +1,112 @@
+"""A qualification protocol: checks in three phases, each with what was expected and what was found.
+
+The phases are those of laboratory and medical quality systems: installation (IQ: what is installed is what was
+released), operation (OQ: it computes what references say), performance (PQ: it calibrates a robot as it promises).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+from calib.core.base.errors import CalibrationError
+
+
+class Phase(Enum):
+    """A phase of a qualification, by its name."""
+
+    INSTALLATION = "Installation qualification"
+    OPERATION = "Operation qualification"
+    PERFORMANCE = "Performance qualification"
+
+
+class Outcome(Enum):
+    """How a check ended."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    NOTED = "NOTED"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the protocol.
+
+    Attributes:
+        phase: Where it belongs.
+        subject: What is checked.
+        expected: What the requirement is, and its source.
+        found: What came out.
+        outcome: PASS or FAIL; NOTED where there is nothing that it could be compared with.
+    """
+
+    phase: Phase
+    subject: str
+    expected: str
+    found: str
+    outcome: Outcome
+
+    @classmethod
+    def of(cls, phase: Phase, subject: str, expected: str, found: str, passed: bool) -> Check:
+        """Return a check that passed or failed."""
+        return cls(phase, subject, expected, found, Outcome.PASS if passed else Outcome.FAIL)
+
+    def to_dict(self) -> dict[str, str]:
+        """Return it as JSON has it."""
+        return {
+            "phase": self.phase.value,
+            "subject": self.subject,
+            "expected": self.expected,
+            "found": self.found,
+            "outcome": self.outcome.value,
+        }
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """All checks of a qualification.
+
+    Attributes:
+        checks: In the order in which they ran.
+        machine: Facts of the machine and of the program, by name.
+        started: Date and time, ISO 8601.
+        seconds: How long it took.
+    """
+
+    checks: tuple[Check, ...]
+    machine: dict[str, str]
+    started: str
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed."""
+        return all(check.outcome is not Outcome.FAIL for check in self.checks)
+
+    def of_phase(self, phase: Phase) -> tuple[Check, ...]:
+        """Return the checks of a phase."""
+        return tuple(check for check in self.checks if check.phase is phase)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as JSON has it."""
+        return {
+            "outcome": "PASS" if self.passed else "FAIL",
+            "started": self.started,
+            "seconds": round(self.seconds, 1),
+            "machine": self.machine,
+            "checks": [check.to_dict() for check in self.checks],
+        }
+
+
+Work = tuple[Phase, str, Callable[[], Iterable[Check]]]
+"""A piece of work: its phase, its subject, and the function that does it."""
+
+
+def done(work: Iterable[Work]) -> Iterator[Check]:
+    """Yield the checks of all pieces of work; one that ends in an error is a failed check."""
+    for phase, subject, checks in work:
+        try:
+            yield from checks()
+        except (CalibrationError, ArithmeticError, LookupError, OSError, TypeError, ValueError, RuntimeError) as error:
+            yield Check.of(phase, subject, "runs to its end", f"{type(error).__name__}: {error}", False)

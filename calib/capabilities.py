@@ -19,6 +19,7 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),
         ("calib.first_descriptions", "marlin", "calib.printers.first_files:MARLIN"),
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
+        ("calib.readers", "programs", "calib.files.formats:FORMATS"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
     )
 )

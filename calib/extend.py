@@ -7,6 +7,7 @@ What a package adds is named in its `pyproject.toml`, under these groups of entr
     calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
     calib.formats               formats of `calib export`: a tuple of `Format`
+    calib.readers               formats of measurement files: a tuple of `OtherFormat`
     calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
@@ -18,6 +19,7 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.sections import FrameSection, PositiveAngle, PositiveLength, Quantity, Section
 from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
+from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.checking import check_kind
 from calib.core.instruments.kind import (
@@ -75,6 +77,7 @@ __all__ = [
     "JointTerm",
     "Noise",
     "Origin",
+    "OtherFormat",
     "Output",
     "Parameter",
     "Parametrisation",
@@ -92,6 +95,7 @@ __all__ = [
     "Robot",
     "Scene",
     "Section",
+    "SomeFile",
     "Source",
     "TermSection",
     "View",

@@ -260,11 +260,12 @@ class RapidMaker(_Maker):
     def test(self, depth):
         if depth > 1:
             return self.move(depth)
+        before, within = self.one(("", ""), ("", ""), ("PDispSet [[100,0,200],[1,0,0,0]];", "PDispOff;"))
         return [
-            f"TEST n CASE 1,2: {self.simple()}",
-            f"CASE 3: {self.simple()}{self.move(2)}",
+            f"{before}TEST n CASE 1,2: {self.simple()}",
+            f"CASE 3: {within}{self.simple()}{self.move(2)}",
             f"DEFAULT: {self.move(2)}",
-            "ENDTEST",
+            f"ENDTEST {within}",
         ]
 
     def loop(self, depth):
@@ -284,7 +285,7 @@ class RapidMaker(_Maker):
     def displace(self, depth):
         if self.chance(0.6):
             return self.move(depth)
-        return self.one("PDispSet [[10,0,20],[1,0,0,0]];", "PDispOff;", "ConfL\\On;", "ConfJ \\Off;")
+        return self.one("PDispSet [[100,0,200],[1,0,0,0]];", "PDispOff;", "ConfL\\On;", "ConfJ \\Off;")
 
     def tool(self, depth):
         if self.chance(0.7):

@@ -3,6 +3,7 @@
 import pytest
 from urdf_trees import urdf_of
 
+from calib.core.base.errors import DescriptionError
 from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.text import parse_urdf
 
@@ -99,3 +100,27 @@ def test_stiff_fingers_are_not_the_end():
 def test_arms_that_others_measured(shared_data, name, base, target, fingers):
     chain = arm_chain(parse_urdf((shared_data / name).read_bytes()))
     assert (chain.base, chain.target, len(chain.joints), chain.fingers) == (base, target, 7, fingers)
+
+
+def without_limits(names, *joints):
+    """The chain of a robot, of which these joints have a limit without lower and upper."""
+    text = urdf_of(*joints)
+    for name in names:
+        before, joint, after = text.partition(f'<joint name="{name}"')
+        text = before + joint + after.replace('<limit lower="-9" upper="9" ', "<limit ", 1)
+    return arm_chain(parse_urdf(text.encode()))
+
+
+def test_joints_whose_limits_nobody_states_are_no_motors_and_are_named():
+    chain = without_limits("fg", *ARM, ("f", "revolute", "l3", "jaw"), ("g", "prismatic", "l3", "pad"))
+    assert (chain.target, chain.joints, chain.still) == ("pad", ("j1", "j2", "j3"), ("g",))
+    assert "left out: g (no motor: a <limit> without lower and upper is 0 to 0; write its limits" in chain.remark
+    with pytest.raises(DescriptionError, match=r"j1, j2, j3 have a <limit> without lower and upper"):
+        without_limits(("j1", "j2", "j3"), *ARM)
+
+
+def test_the_end_that_was_chosen_is_always_said():
+    assert chosen(*ARM).remark == "the arm is taken to end at l3; another end, such as l2, l1: calib init --target NAME"
+    flange = chosen(*ARM, ("f", "fixed", "l3", "flange"), ("t", "fixed", "flange", "tool0"))
+    assert flange.remark.startswith("the arm is taken to end at tool0; another end, such as flange, l3")
+    assert arm_chain(parse_urdf(urdf_of(*ARM).encode()), "l3").remark == ""

@@ -17,6 +17,7 @@ from test_denavit_hartenberg import flange_poses
 from urdf_trees import urdf_of
 
 import calib
+from calib.core.commands.init import command as init
 from calib.core.robots.file_formats import formats
 from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
@@ -298,6 +299,60 @@ def test_a_xacro_that_cannot_be_expanded_is_one_line(tmp_path: Path) -> None:
     )
     with pytest.raises(calib.UrdfError, match=r"xacro cannot expand it .*raech"):
         calib.load(tmp_path / "arm.urdf.xacro")
+
+
+MACRO = (
+    '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="arm" params="prefix">'
+    '<link name="${prefix}base"/><link name="${prefix}l1"/><joint name="${prefix}j1" type="continuous">'
+    '<parent link="${prefix}base"/><child link="${prefix}l1"/></joint></xacro:macro></robot>'
+)
+
+
+def package(folder: Path, name: str) -> Path:
+    """A folder that is a package of ROS."""
+    folder.mkdir(parents=True)
+    (folder / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    return folder
+
+
+@pytest.mark.parametrize("place", ["around", "beside", "AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"])
+def test_packages_are_found_without_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    pytest.importorskip("xacro", reason="needs the package xacro")
+    own = package(tmp_path / "src" / "robots" / "own_files", "own")
+    folders = {"around": own, "beside": tmp_path / "src" / "robots" / "macros"}
+    folder = folders.get(place, tmp_path / "elsewhere" / "share" / "macros")
+    if place != "around":
+        package(folder, "macros")
+        monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "elsewhere") if place == "AMENT_PREFIX_PATH" else "")
+        monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "elsewhere") if place == "ROS_PACKAGE_PATH" else "")
+    (folder / "macro.xacro").write_text(MACRO)
+    (own / "urdf").mkdir()
+    (own / "urdf" / "arm.urdf.xacro").write_text(
+        '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include'
+        f' filename="$(find {"own" if place == "around" else "macros"})/macro.xacro"/><xacro:arm prefix="p_"/></robot>'
+    )
+    assert calib.load(own / "urdf" / "arm.urdf.xacro").joint_names == ("p_j1",)
+
+
+def test_arguments_without_a_value_are_named_and_kept_in_the_description(tmp_path: Path) -> None:
+    pytest.importorskip("xacro", reason="needs the package xacro")
+    text = MACRO.replace("</robot>", '<xacro:arm prefix="$(arg prefix)$(arg side)"/></robot>').replace(
+        "<robot", '<robot name="arm"'
+    )
+    (tmp_path / "arm.urdf.xacro").write_text(text)
+    with pytest.raises(
+        calib.UrdfError, match=r"no value for prefix, side: .*--xacro prefix:=VALUE --xacro side:=VALUE"
+    ):
+        calib.load(tmp_path / "arm.urdf.xacro")
+    arguments = [str(tmp_path / "arm.urdf.xacro"), "--xacro", "prefix:=ur_", "--out", str(tmp_path / "arm.yaml")]
+    assert "no value for side" in CliRunner().invoke(init, arguments).output
+    assert CliRunner().invoke(init, [*arguments, "--xacro", "side:=left_"]).exit_code == 0
+    assert calib.load(tmp_path / "arm.yaml").joint_names == ("ur_left_j1",)
+    (tmp_path / "lost.urdf.xacro").write_text(
+        text.replace("<xacro:m", '<xacro:include filename="$(find no)/a"/><xacro:m', 1)
+    )
+    with pytest.raises(calib.UrdfError, match="no package 'no' around or beside the file"):
+        calib.load(tmp_path / "lost.urdf.xacro")
 
 
 def test_without_the_package_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

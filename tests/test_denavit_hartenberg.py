@@ -271,6 +271,25 @@ def test_wrong_use(arguments: tuple[str, ...], words: str, tmp_path: Path, monke
     assert Path("taken.urdf").read_text() == "mine"
 
 
+def test_joints_of_nearly_parallel_axes_stand_inside_the_robot(tmp_path: Path) -> None:
+    """As a controller of Universal Robots has its calibrated table: d of joints 2 to 4 cancel each other."""
+    rows = list(UR10)
+    rows[1:4] = [(-0.612, 278.3, 1.1e-4, 0.002), (-0.5723, -271.1, -9e-5, -0.001), (0.0, -7.04, HALF, 0.0)]
+    lines = [
+        f"{name},{float(t)!r},{d!r},{a!r},{float(alpha)!r},-3 rad,3 rad"
+        for name, (a, d, alpha, t) in zip("uvwxyz", rows, strict=True)
+    ]
+    table = tmp_path / "ur.csv"
+    table.write_text(
+        "# convention: standard\njoint,theta [rad],d [m],a [m],alpha [rad],lower,upper\n" + "\n".join(lines) + "\n"
+    )
+    robot = robot_of(table, tmp_path / "ur.yaml")
+    assert max(np.linalg.norm(joint.xyz) for joint in robot.urdf.joints) < 2.0
+    q = np.random.default_rng(3).uniform(-3, 3, (40, 6))
+    expected = np.array([textbook("standard", rows, "", row) for row in q])
+    assert np.allclose(flange_poses(robot, q), expected, rtol=0, atol=1e-11)  # 278 m have roundings of 6e-14 m
+
+
 def test_a_missing_table_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_dh(tmp_path / "nowhere.csv")

@@ -300,3 +300,15 @@ def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: 
     if variant == "CRLF and BOM":
         assert re.search(rb"[^\r]\n", for_drake.source) is None
     assert set(read_links(for_drake)) == set(for_drake.links)
+
+
+def test_shapes_of_size_zero_are_left_out_and_said(tmp_path):
+    joint = "<joint name='j' type='revolute'><parent link='a'/><child link='b'/><limit lower='-1' upper='1'/></joint>"
+    for shape in ('<box size="0 0 0"/>', '<sphere radius="0.0"/>', '<cylinder radius="0.1" length="0"/>'):
+        geometry = f"<visual><geometry>{shape}</geometry></visual><collision><geometry>{shape}</geometry></collision>"
+        (tmp_path / "r.urdf").write_text(
+            f"<robot name='r'><link name='a'>{geometry}</link><link name='b'/>{joint}</robot>"
+        )
+        export(calib.load(tmp_path / "r.urdf"), tmp_path / "r.xml", "mjcf", force=True)
+        assert "of size zero at a left out" in (tmp_path / "r.xml").read_text()
+        assert calib.load(tmp_path / "r.xml").joint_names == ("j",)  # MuJoCo reads it

@@ -289,8 +289,8 @@ FIRST = "G1 X0 Y0 Z0\n"
         (FIRST, ("--tolerance-mm", "nan"), "--tolerance-mm nan: must lie between"),
         (FIRST, ("--start", "1,2"), "--start '1,2': write three numbers"),
         (FIRST, ("--zero", "1,2,x"), "--zero: '"),
-        (FIRST, ("--keep", "pose"), "are for programs in CSV"),
-        (FIRST, ("--skip-unreachable",), "are for programs in CSV"),
+        (FIRST, ("--keep", "pose"), "--keep: not for G-code"),
+        (FIRST, ("--skip-unreachable",), "--skip-unreachable: not for G-code"),
     ],
 )
 def test_what_is_no_program_of_straight_moves_is_refused_in_one_line(tmp_path, calibrated, text, options, message):
@@ -313,7 +313,7 @@ def test_what_is_no_program_of_straight_moves_is_refused_in_one_line(tmp_path, c
 )
 def test_options_of_programs_do_not_belong_to_tables(tmp_path, calibrated, option):
     done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", *option, name="part.csv")
-    assert (done.exit_code, "are for G-code" in done.output) == (2, True)
+    assert (done.exit_code, f"{option[0]}: not for tables" in done.output) == (2, True)
 
 
 def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_path):

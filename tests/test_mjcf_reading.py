@@ -71,6 +71,72 @@ def test_frames_are_where_mujoco_has_them(tmp_path):
     assert np.allclose(robot.joint_limits[0], np.deg2rad((-90, 90)))
 
 
+def test_a_file_with_loops_is_closed_in_every_command(tmp_path, run_calib):
+    (tmp_path / "five_bar.xml").write_text(five_bar(CONNECT))
+    by_hand = (
+        "urdf: five_bar.xml\nname_mot: [left_motor, right_motor]\nbase: {frame: table, pose: unknown}\n"
+        "targets: {pen: {frame: pen, position: unknown}}\n"
+        "parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm}]\n"
+    )
+    (tmp_path / "by_hand.yaml").write_text(by_hand)
+    (tmp_path / "open.yaml").write_text(by_hand + "closed_loop: []\n")
+    plain, described = calib.load(tmp_path / "five_bar.xml"), calib.load(tmp_path / "by_hand.yaml")
+    for robot in (plain, described, calib.robot(tmp_path / "five_bar.xml", target="pen")):
+        assert (robot.joint_names, robot.passive_names) == (
+            ("left_motor", "right_motor"),
+            ("left_elbow", "right_elbow"),
+        )
+    q = np.array([[0.1, -0.2]])
+    assert np.allclose(plain.forward(q, "pen"), described.forward(q, "pen"), rtol=0, atol=1e-12)
+    assert calib.load(tmp_path / "open.yaml").passive_names == ()
+    done = run_calib("sample", "five_bar.xml", "-n", "2", "--out", "poses.csv", cwd=tmp_path)
+    assert (done.code, done.err) == (
+        0, "note: the arm is taken to end at pen; another end, such as end: calib init --target NAME\n"
+    )  # fmt: skip
+
+
+LEG = """<mujoco model="leg"><worldbody><body name="hip"><geom size=".02"/>
+ <body name="shin" pos="0 0 -.4"><joint name="knee" axis="0 1 0" range="-1 1"/><geom size=".02" pos=".1 0 -.2"/>
+  <body name="tarsus" pos=".1 0 -.4"><joint name="ankle" axis="0 1 0"/><geom size=".02" pos=".1 0 0"/>
+   <site name="foot" pos=".2 0 -.1"/>
+   <body name="heel" pos="-.05 0 0"><joint name="heel" axis="0 1 0" stiffness="1250"/><geom size=".01"/></body></body>
+ </body><body name="rod" pos="0 .03 -.1"><joint name="rod" type="ball"/><geom size=".01" pos=".02 0 -.3"/></body>
+</body></worldbody><equality><connect name="achilles" body1="rod" body2="heel" anchor=".05 -.03 -.7"/></equality>
+<actuator><motor joint="knee"/></actuator></mujoco>"""
+
+
+def test_a_leg_with_a_spring_and_a_rod_gets_a_description(tmp_path, run_calib):
+    (tmp_path / "leg.xml").write_text(LEG)
+    done = run_calib("init", "leg.xml", "--target", "foot", "--out", "leg.yaml", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "rod_x and rod_y: the spin of this rod about itself moves nothing" in done.out
+    assert "springs are taken for motors, with columns for how far they give: heel" in done.out
+    robot = calib.load(tmp_path / "leg.yaml")
+    assert (robot.joint_names, {*robot.passive_names}) == (("knee", "heel"), {"ankle", "rod_x", "rod_y"})
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "leg.xml"))
+    q = np.array([[0.02, 0.0], [-0.03, 0.05]])
+    rod = np.linalg.inv(robot.forward(q, "rod")) @ robot.forward(q, "achilles_b")  # the rod keeps its length
+    assert np.allclose(np.linalg.norm(rod[:, :3, 3], axis=1), np.linalg.norm((0.05, -0.03, -0.7)), rtol=0, atol=1e-9)
+    assert model.jnt_stiffness.max() == 1250
+
+
+def test_meshes_beside_a_relative_path_are_found(tmp_path, monkeypatch):
+    import trimesh
+
+    from calib.core.robots.urdf.links import find_mesh
+
+    (tmp_path / "arm" / "assets").mkdir(parents=True)
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "arm" / "assets" / "box.stl")
+    (tmp_path / "arm" / "arm.xml").write_text(
+        '<mujoco><compiler meshdir="assets"/><asset><mesh name="box" file="box.stl"/></asset><worldbody><body name="a">'
+        '<joint name="j"/><geom type="mesh" mesh="box"/></body></worldbody></mujoco>'
+    )
+    for folder, path in ((tmp_path, "arm/arm.xml"), (tmp_path / "arm", "arm.xml")):
+        monkeypatch.chdir(folder)
+        file = read_urdf(path).source.decode().split('filename="')[1].split('"')[0]
+        assert find_mesh(file, path) is not None
+
+
 def test_masses_are_those_of_mujoco(tmp_path):
     import pinocchio as pin
 
@@ -156,7 +222,7 @@ def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_
         ('<mujoco><include file="missing.xml"/></mujoco>', "MuJoCo cannot read it"),
         (ARM.replace(' range="0 .1"', ""), "joint 'jaw' slides without a range"),
         ("<mujoco/>", "there is nothing to calibrate"),
-        (five_bar(CONNECT), "has loops; say what is measured: --target"),
+        (five_bar(CONNECT).replace("actuator", "sensor").replace("motor joint", "jointpos joint"), "no joint has an"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path, run_calib, text, said):

@@ -408,3 +408,59 @@ def test_mistakes_of_options_are_one_line_and_nothing_is_written(tmp_path, run_c
         assert done.code == 2
         assert said in done.err.splitlines()[-1]
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_square_grid_of_dots_begins_at_its_larger_dot(turns):
+    board = given_board("dots:7x5:20mm")
+    image, homography = seen(board)
+    turned = np.ascontiguousarray(np.rot90(image, turns))
+    (result,) = last(board, turned).images
+    places = np.array([board.points()[name][:2] for name in result.points])
+    expected = cv2.perspectiveTransform(places[None], homography)[0]
+    for _ in range(turns):  # a quarter turn of the image to the left takes (x, y) to (y, width - 1 - x)
+        expected = np.column_stack([expected[:, 1], image.shape[1] - 1 - expected[:, 0]])
+        image = np.rot90(image)
+    assert len(result.points) == 35
+    assert np.max(np.linalg.norm(result.pixels - expected, axis=1)) < 1.0
+
+
+def test_one_marker_alone_is_a_board():
+    board = given_board("aruco:1x1:80mm:10mm:DICT_4X4_50")
+    assert board == checked_board(
+        {"kind": "aruco", "columns": 1, "rows": 1, "marker": "80 mm", "gap": "10 mm", "dictionary": "DICT_4X4_50"}, "b"
+    )
+    (result,) = last(board, seen(board)[0]).images
+    assert result.points == ("m0.0", "m0.1", "m0.2", "m0.3")
+    with pytest.raises(DescriptionError, match="needs two or more columns"):
+        given_board("chessboard:1x6:20mm")
+
+
+def test_a_target_of_kalibr_is_counted_from_the_bottom(tmp_path):
+    (tmp_path / "grid.yaml").write_text(
+        "target_type: 'aprilgrid'\ntagCols: 4\ntagRows: 3\ntagSize: 0.04\ntagSpacing: 0.25\n"
+    )
+    board = given_board(str(tmp_path / "grid.yaml"))
+    assert (board.kind, board.columns, board.rows, board.marker, board.gap) == ("apriltag", 4, 3, 0.04, 0.01)
+    assert np.allclose(board.points()["m0.0"], (0, 0.1, 0))  # the first tag lies in the last row
+    assert np.allclose(board.points()["m8.0"], (0, 0, 0))
+    image, _ = seen(board)
+    assert len(last(board, image).images[0].points) == 48
+    (other,) = last(given_board("apriltag:4x3:40mm:10mm"), image).images
+    assert "its markers are counted from the bottom row; write first_row: bottom" in other.remark
+    (tmp_path / "grid.yaml").write_text("target_type: 'circlegrid'\ntargetCols: 4\n")
+    with pytest.raises(DescriptionError, match="is a target file of Kalibr, of which aprilgrid"):
+        given_board(str(tmp_path / "grid.yaml"))
+
+
+def test_pixels_may_have_their_unit_and_poses_of_a_marker_are_named(tmp_path):
+    from calib.photographs.commands.hand_eye import _detected_before
+
+    board = given_board("aruco:1x1:80mm:0.1mm:DICT_4X4_50")
+    rows = "".join(f"a,m0.{k},{10 * k},{20 * k}\n" for k in range(4))
+    (tmp_path / "d.csv").write_text(f"# image: 640 x 480 px\npose,point,camera_u [px],camera_v [px]\n{rows}")
+    (image,) = _detected_before(str(tmp_path / "d.csv"), board)
+    assert image.pixels.tolist() == [[0, 0], [10, 20], [20, 40], [30, 60]]
+    (tmp_path / "p.csv").write_text("pose,x [m],y [m],z [m],qx,qy,qz,qw\na,0,0,0.6,0,0,0,1\n")
+    with pytest.raises(DataError, match=r"has poses of a marker, .*kind: pose, target: marker.*camera_qw"):
+        _detected_before(str(tmp_path / "p.csv"), board)

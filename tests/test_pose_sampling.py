@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from urdf_trees import urdf_of
 
 import calib
 
@@ -115,3 +116,39 @@ def test_bad_input_is_one_line_and_writes_nothing(run_calib, tmp_path, options, 
     assert words in run.err
     assert len(run.err.splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+NO_LIMITS = '<limit effort="1" velocity="1"/>'
+
+
+def limited(first, second):
+    """A robot whose two joints have these limits, as text."""
+    text = urdf_of(("turn", "revolute", "w", "a"), ("slide", "prismatic", "a", "b"))
+    usual = '<limit lower="-9" upper="9" effort="1" velocity="1"/>'
+    return text.replace(usual, first, 1).replace(usual, second, 1)
+
+
+def test_joints_without_a_range_are_named_and_stay_in_a_given_one(tmp_path):
+    (tmp_path / "r.urdf").write_text(limited(NO_LIMITS, NO_LIMITS))
+    (tmp_path / "r.yaml").write_text(
+        "urdf: r.urdf\nname_mot: [turn, slide]\nbase: {frame: w}\ntargets: {b: {frame: b}}\n"
+        "parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm}]\n"
+    )
+    robot = calib.load(tmp_path / "r.yaml")
+    with pytest.raises(calib.DataError, match=r"no range to spread poses over for turn, slide: a <limit> without"):
+        calib.sample(robot, 3)
+    q = calib.sample(robot, 30, within={"turn": (-0.1, 0.2), "slide": (0.0, 0.3)}).joints
+    assert np.all((q >= (-0.1, 0.0)) & (q <= (0.2, 0.3)))
+    assert np.all(np.ptp(q, axis=0) > 0.1)
+
+
+def test_limits_that_are_none_are_named(tmp_path, caplog):
+    wide = '<limit lower="-1e6" upper="1e6" effort="1" velocity="1"/>'
+    short = '<limit lower="0" upper="0.5" effort="1" velocity="1"/>'
+    (tmp_path / "sliding.urdf").write_text(limited(short, wide))
+    with pytest.raises(calib.DataError, match=r"'slide' has limits -1e\+06 to 1e\+06 m, which are none"):
+        calib.sample(calib.load(tmp_path / "sliding.urdf"), 3)
+    (tmp_path / "turning.urdf").write_text(limited(wide, short))
+    q = calib.sample(calib.load(tmp_path / "turning.urdf"), 50).joints
+    assert np.all(np.abs(q[:, 0]) <= np.pi)
+    assert "limits of 'turn' span 318310 turns; poses are spread over one, around home" in caplog.text

@@ -12,7 +12,7 @@ import calib
 from calib.core.results.result_reading import load_result
 from calib.core.robots.terms.terms import listed_terms
 from calib.core.rows.candidates import rows_of_poses
-from calib.core.rows.prediction import PositionUncertainty, other_combinations
+from calib.core.rows.prediction import PositionUncertainty, order_of_joints, other_combinations
 
 SIGMA = 4e-5
 
@@ -162,6 +162,18 @@ def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do
     np.testing.assert_array_equal(np.sort(mixed, axis=0), path)
     assert np.max(np.abs(np.corrcoef(mixed.T) - np.eye(6))) < 0.6
     assert len(other_combinations(path, 10)) == 10
+
+
+def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_of_axes():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        q, order, signs = rng.uniform(-2, 2, (40, 6)), rng.permutation(6), rng.choice([-1.0, 1.0], 6)
+        np.testing.assert_array_equal(
+            other_combinations(q[:, order] * signs, 15), other_combinations(q, 15)[:, order] * signs
+        )
+        places, ways = order_of_joints(q)
+        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[0], places[order])
+        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[1], ways[order] * signs)
 
 
 WIRES = """\

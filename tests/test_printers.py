@@ -222,6 +222,11 @@ BAD_KLIPPER = [
     ("arm_length: 208.25", "", "[stepper_a] has no 'arm_length'"),
     ("[stepper_b]", "[stepper_x]", "no [stepper_b]; a delta has stepper_a, stepper_b and stepper_c"),
     ("position_endstop: 240.9", "", "[stepper_a] has no 'position_endstop'"),
+    (
+        "kinematics: delta",
+        "kinematics: rotary_delta",
+        "whose arms turn; --klipper is for carriages on towers: begin with",
+    ),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
     ("rotation_distance: 32", "rotation_distance: 40", "probe again"),
@@ -262,6 +267,16 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
     [
         ("marlin", "", "no M665 with L"),
         ("marlin", "M665 L208", "no M665 with R, the radius"),
+        (
+            "marlin",
+            "arm_length 250.0 # mm\narm_radius 124.0\ngamma_max 330\nalpha_trim -0.2\n",
+            "settings of Smoothieware; write the lines 'M665 L250.0 R124.0 H330' and 'M666 X-0.2 Y0 Z0'",
+        ),
+        (
+            "duet",
+            "EPR:3 881 250.00 Diagonal rod length [mm]\nEPR:3 885 125.5 Horizontal rod radius at 0,0 [mm]\n",
+            "settings of Repetier; write the lines 'M665 L250.00 R125.5 H<Z max length>'",
+        ),
         ("duet", "M665 L208 R103", "no M665 with H, the height"),
         ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
         ("duet", "M665 L208:208:208:208 R103 H240", "M665 L has 4 rods"),

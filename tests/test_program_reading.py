@@ -56,6 +56,11 @@ SET = {
         'TPWrite "x"; p2:=p1;',
         "n:=1; ! c\n  p2\n.trans\n.z\n:=\n5;",
         "IF c IF c p2.trans.x:=1;",
+        "IF (c) AND (n>1) p2.trans:=[1,2,3];",
+        "TEST n CASE 1: TEST n CASE 2: p2:=p1; ENDTEST DEFAULT: n:=1; ENDTEST",
+        "IF -1<n p2.trans.x:=n;",
+        "FOR p2 FROM 1 TO 2 DO ENDFOR",
+        "IF c GOTO out; p2.extax:=p1.extax; out: n:=1;",
     ),
     "a RAPID argument": (
         "lift p2;",
@@ -71,6 +76,10 @@ SET = {
         "n:=elsewhere(p2);",
         "SearchL di1,p2,p1,v100,tool0;",
         '%"lift"% p2;',
+        "WHILE high(p2)>1 DO ENDWHILE",
+        '%"li"+"ft"% p2;',
+        "BitSet p2.robconf.cf1,1;",
+        'c:=StrToVal("5",p2.trans.z);',
     ),
     "what RAPID decides": (
         "IF p2.trans.z>500 n:=1;",
@@ -96,6 +105,10 @@ SET = {
         "ELSEWHERE()",
         "BAS(#INITMOV,0)",
         "$ROBROOT.Z=1",
+        "$BASE=$BASE:{X 0,Y 0,Z 5,A 0,B 0,C 0}",
+        "$TOOL=TOOL_DATA[N]",
+        "$ACT_EX_AX=5",
+        "$BASE:={X 1}",
     ),
     "a KRL statement within a line": (
         "IF $IN[1] THEN P2.Z=500 ENDIF",
@@ -111,6 +124,11 @@ SET = {
         "N=PLAIN(P2)",
         "IF P2.Z>5 THEN N=1 ENDIF",
         "FOR P2=1 TO 3\nENDFOR",
+        "P2={X 1}",
+        "P2:{X 0,Y 0,Z 5}",
+        "INTERRUPT DECL 4 WHEN $IN[2] DO LIFT(P2)",
+        "GOTO L1\nP2.Z=5\nL1:",
+        "SREAD(S,ST,P2)",
     ),
     "a URScript statement within a line": (
         "while (True): b2[2]=0.5 end",
@@ -126,6 +144,10 @@ SET = {
         "elsewhere(b2)",
         "if b2[2]>0.5: x=1 end",
         "x=b2[2]\nwhile x>0: x=x-1 end",
+        "x=b2[0]=5",
+        "switch c:\ncase 1: b2[0]=1\nend",
+        "b2[get_digital_in(1)]=5",
+        "while norm(b2)>1: x=1 end",
     ),
     "a URScript tool": (
         "if c: set_tcp(p[0,0,0.2,0,0,0]) end",
@@ -138,6 +160,9 @@ SET = {
         "sync(set_tcp(p[0,0,0.2,0,0,0]))",
         "if c: x=1 elif f(): x=2 end",
         "set_tcp(get_tcp_offset())",
+        "switch c:\ncase 1: f()\nend",
+        "set_tcp(pose_add(b1,b1))",
+        "set_tool_data(b1)",
     ),
     "a FANUC frame, position or selection": (
         "   3:  UFRAME[1]=PR[1] ;",
@@ -155,6 +180,10 @@ SET = {
         "   3:  UTOOL_NUM=R[1] ;",
         "   3:  IF P[2]=P[1],R[1]=1 ;",
         "   3:L P[1] 100mm/sec FINE TB .10sec,CALL GRIP ;",
+        "   3:  P[2:x]=PR[1] ;",
+        "   3:  PR[1]=P[2]+PR[2] ;",
+        "   3:  RUN OTHER ;",
+        "   3:  FOR R[1]=1 TO 3 ;\n UTOOL_NUM=2 ;\n ENDFOR ;",
     ),
 }
 # of these the tool of the second move is left alone
@@ -173,6 +202,10 @@ TOOLS = (
     "PDispSet [[0,0,1],[1,0,0,0]];",
     "IF c PDispOn p1,t;",
     "ConfL\\Off; IF c ConfL\\On;",
+    "ConfL\\Off; TEST n CASE 1: ConfL\\On; ENDTEST",
+    "IF c IF n=1 t:=tool0;",
+    "PDispOn\\Rot,p1,t;",
+    "FOR t FROM 1 TO 2 DO ENDFOR",
 )
 PROGRAMS = {"RAPID": (".mod", RAPID.replace("{tool}", "tool0")), "KRL": (".src", KRL), "URScript": (".script", UR)}
 PROGRAMS["FANUC"] = (".ls", LS)
@@ -201,13 +234,13 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
     suffix, text = program
     if place == "%":  # behind the move: it counts where the program comes there before, in a loop
         again = {
-            ".mod": (f"WHILE c DO\n{{}}{edit}\nENDWHILE", "MoveL p2"),
-            ".src": (f"LOOP\n{{}}{edit}\nENDLOOP", "LIN P2"),
-            ".script": (f"while x:\n{{}}{edit}\nend", "movel(b2"),
-            ".ls": (f" LBL[9] ;\n{{}}{edit}\n JMP LBL[9] ;", "   2:L P[2]"),
+            ".mod": (f"WHILE c DO\n@{edit}\nENDWHILE", "MoveL p2"),
+            ".src": (f"LOOP\n@{edit}\nENDLOOP", "LIN P2"),
+            ".script": (f"while x:\n@{edit}\nend", "movel(b2"),
+            ".ls": (f" LBL[9] ;\n@{edit}\n JMP LBL[9] ;", "   2:L P[2]"),
         }[suffix]
         move = next(line for line in text.split("\n") if line.startswith(again[1])) + "\n"
-        text = text.replace(move, "").replace("%", again[0].format(move)).replace("#\n", "")
+        text = text.replace(move, "").replace("%", again[0].replace("@", move)).replace("#\n", "")
     else:
         text = text.replace("#", edit).replace("%\n", "")
     good = (
@@ -250,6 +283,23 @@ def test_what_changes_nothing_leaves_both_targets_compensated(tmp_path, suffix, 
 
 
 @pytest.mark.parametrize(
+    ("suffix", "edit"),
+    [
+        (".mod", "PDispSet w; TEST n CASE 1: PDispOff; DEFAULT: MoveL p2,v100,fine,tool0; ENDTEST PDispOff;"),
+        (".mod", "PDispSet w; IF c THEN PDispOff; ELSE MoveL p2,v100,fine,tool0; ENDIF PDispOff;"),
+        (".src", "$TOOL.Z=9\nSWITCH N\nCASE 1\n$TOOL=$NULLFRAME\nDEFAULT\nLIN P2\nENDSWITCH\n$TOOL=$NULLFRAME"),
+        (".src", "$TOOL.Z=9\nIF $IN[1] THEN\n$TOOL=$NULLFRAME\nELSE\nLIN P2\nENDIF\n$TOOL=$NULLFRAME"),
+        (".script", "f()\nif c: set_tcp(p[0,0,0.1,0,0,0]) else: movel(b2) end\nset_tcp(p[0,0,0.1,0,0,0])"),
+        (".script", "f()\nswitch c:\ncase 1: set_tcp(b1) default: movel(b2) end\nset_tcp(p[0,0,0.1,0,0,0])"),
+    ],
+)
+def test_a_branch_is_taken_in_place_of_the_others_and_not_behind_them(tmp_path, suffix, edit):
+    text = {".mod": RAPID.replace("{tool}", "tool0"), ".src": KRL, ".script": UR}[suffix]
+    program = read(tmp_path, suffix, text.replace("#", edit).replace("%\n", ""))
+    assert [target.name.upper()[-1] for target in program.targets] == ["1"]
+
+
+@pytest.mark.parametrize(
     ("suffix", "text", "call"),
     [
         (".mod", RAPID.replace("{tool}", "t"), "rGrip;"),
@@ -272,7 +322,8 @@ def test_a_routine_that_is_said_to_be_harmless_is(tmp_path, suffix, text, call):
 @pytest.mark.parametrize(
     ("suffix", "text", "said"),
     [
-        (".script", "def m():\nmovel(b1)\n", "no 'end' ends"),
+        (".script", "def m():\nmovel(b1)\n", "routine 'm' has no end"),
+        (".script", "def m():\nwhile c:\nmovel(b1)\nend\n", "has no end"),
         (".script", "movel(b1)\nend\n", "'end' ends nothing"),
         (".script", "def m():\nelse:\nend\n", "'else' belongs to nothing"),
         (".script", "def m():\nmovel(?)\nend\n", "'?' is not understood"),
@@ -285,7 +336,7 @@ def test_a_routine_that_is_said_to_be_harmless_is(tmp_path, suffix, text, call):
         (".src", "DEF p()\nLIN {X 1,\nY 2}\nEND\n", "bracket that is not closed"),
         (".src", "DEF p()\nUNTIL TRUE\nEND\n", "'UNTIL' belongs to nothing"),
         (".ls", LS.replace("#", " IF (R[1]=1) THEN ;").replace("%\n", ""), "is not ended"),
-        (".ls", LS.replace("#", " ENDFOR ;").replace("%\n", ""), "'ENDFOR' belongs to nothing"),
+        (".ls", LS.replace("#", " ENDFOR ;").replace("%\n", ""), "'ENDFOR' ends nothing"),
         (".ls", LS.replace("#\n", "").replace("%\n", "").replace("P[2]{", "P[1]{"), "is in /POS twice"),
     ],
 )

@@ -98,7 +98,7 @@ def judge(folder, language, seed):
     return corrected, len(before) - corrected
 
 
-@pytest.mark.amount(100, 800)
+@pytest.mark.amount(100, 1800)
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_moves_of_a_corrected_program_differ_by_the_correction_and_by_nothing_else(language, amount, tmp_path):
     counts = np.array([judge(tmp_path, language, seed) for seed in range(amount)])

@@ -83,8 +83,8 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
             "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",
         ),
         ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
-        (b"\xff\xfea\x00,\x00", "is not UTF-8 text; give a CSV file in UTF-8"),
-        ("a,b\n1,2\n".encode("utf-16"), "is not UTF-8 text; give a CSV file in UTF-8"),
+        (b"\xff\xfea\x00,\x00", "column 2 has no name in the header; name it, or remove it"),
+        ("a,b\n1\n".encode("utf-16"), "line 2: 1 cells for 2 columns"),
         (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )

@@ -71,6 +71,9 @@ class Shapes:
 
     def _geom(self, body: Element, shape: Shape, role: dict[str, str]) -> bool:
         """Add one shape; return whether it could be read."""
+        if shape.kind != "mesh" and min(shape.size) <= 0:
+            self.remarks.append(f"{shape.kind} of size zero at {body.get('name')} left out; MuJoCo refuses it")
+            return True
         common = {**placed(shape.placement), "mass": "0", **role}  # a link weighs what its <inertial> says
         if shape.kind == "mesh":
             parts = self._files_of(shape)

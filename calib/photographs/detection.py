@@ -4,6 +4,7 @@
                   by the colours of the squares: white or black is looked up between the corners that were found.
     charuco       markers, then corners between them, refined by `CharucoDetector`
     circles       `findCirclesGrid`, asymmetric
+    dots          the same, symmetric; the largest dot of the four corners is the first
     aruco         corners of markers, refined to the edges (`CORNER_REFINE_SUBPIX`)
     apriltag      the same
 
@@ -21,6 +22,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, islice
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +40,7 @@ _LEAST_OFF = 5.0  # px
 _TRIES = 3  # images of a set in which other dictionaries and other boards are looked for
 _MOST_COLUMNS = 30  # of markers, that a miscounted board is looked for with
 _FITTING = 0.9  # part of the corners of markers that lie as on the board that they belong to
+_LARGER = 1.15  # size of the dot that marks a corner, over that of the others
 _FLAT = 30  # grey values between dark and bright
 
 
@@ -115,7 +118,7 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
             shown = [DetectedImage(name, (0, 0), (), np.zeros((0, 2)), image)] * len(layouts)
         else:
             shown = [detector.find(name, image) for detector in detectors]
-            if not any(detected.usable for detected in shown):
+            if not any(detected.usable or "first_row" in detected.remark for detected in shown):
                 ahead = (
                     detectors[0]
                     if len(detectors) == 1
@@ -158,6 +161,8 @@ class _Detector:
         if 0 < len(points) < self._n_points / 2 and self.mirrored(image) > 2 * len(points):
             points = {}  # chance finds in a mirrored image
         kept = on_one_plane(self.board, points)
+        if len(kept) < _FITTING * len(points) and (numbered := self._other_numbering(points)):
+            return DetectedImage(name, (image.shape[1], image.shape[0]), (), np.zeros((0, 2)), numbered)
         if 4 * (len(points) - len(kept)) > len(points) and self._other_columns(image):
             kept = {}
         pixels = np.array(list(kept.values())).reshape(-1, 2)
@@ -178,6 +183,8 @@ class _Detector:
             return _chessboard(self.board, image)
         if self.board.kind == "circles":
             return _circles(self.board, image)
+        if self.board.kind == "dots":
+            return _dots(self.board, image)
         if self.board.kind == "charuco":
             return _charuco(self._board, image)
         return _markers(self.board, image, self.board.dictionary or "")
@@ -200,6 +207,7 @@ class _Detector:
                 self._miscounted(image)
                 or _light_remark(image)
                 or "; without markers it is found only if all of it is in the image"
+                + (", and if the dot of one corner is larger than the others" if board.kind == "dots" else "")
             )
         markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
         if columns:
@@ -223,7 +231,8 @@ class _Detector:
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
         for other, noun in others:
-            corners = _chessboard(other, image, quick=True) if other.kind == "chessboard" else _circles(other, image)
+            find = {"chessboard": lambda b, i: _chessboard(b, i, quick=True), "dots": _dots}.get(other.kind, _circles)
+            corners = find(other, image)
             if len(corners) >= FEWEST:
                 self._suspect = other, noun
                 return f", but one of {other.columns} x {other.rows} {noun}: correct the board"
@@ -242,6 +251,8 @@ class _Detector:
 
         def fitting(columns: int) -> int:
             places = [_marker_corners(board, columns, numbers[k] - board.first_marker) for k in some]
+            if board.first_row == "bottom":
+                places = [place * [1, -1] + [0, board.marker or 0.0] for place in places]
             return int(np.sum(_on_plane(np.concatenate(places), pixels, robust=False)))
 
         fits = {columns: fitting(columns) for columns in self._columns}
@@ -250,6 +261,15 @@ class _Detector:
             return ""
         self._columns = range(best, best + 1)
         return f"a board of {best} columns"
+
+    def _other_numbering(self, points: dict[str, FloatArray]) -> str:
+        """What to write if markers lie as on a board that is numbered from the other side; else empty."""
+        other = "bottom" if self.board.first_row == "top" else "top"
+        if self.board.kind not in ("aruco", "apriltag"):
+            return ""
+        if len(on_one_plane(self.board.model_copy(update={"first_row": other}), points)) < _FITTING * len(points):
+            return ""
+        return f"its markers are counted from the {other} row; write first_row: {other} into the board"
 
     def _strangers(self, markers: list[int]) -> str:
         """What markers in an image that the board does not have say; empty without any."""
@@ -283,6 +303,8 @@ def opencv_board(board: Board, legacy: bool) -> object:
     cv2 = opencv()
     markers = dictionary(board.dictionary or "")
     numbers = np.array(marker_numbers(board), dtype=np.int32)
+    if board.kind != "charuco":  # as they lie, row by row from the top
+        numbers = np.array([board.marker_at(i, j) for j in range(board.rows) for i in range(board.columns)], np.int32)
     if numbers.max() >= len(markers.bytesList):
         raise DescriptionError(
             f"the board needs markers {numbers.min()} to {numbers.max()}, and {board.dictionary} has"
@@ -400,19 +422,48 @@ def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
 
 def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
     cv2 = opencv()
-    settings = cv2.SimpleBlobDetector_Params()
-    settings.maxArea = image.size / 50
-    settings.minArea = 20
-    settings.minDistBetweenBlobs = 5
     done, centres = cv2.findCirclesGrid(
         image,
         (board.columns, board.rows),
         flags=cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING,
-        blobDetector=cv2.SimpleBlobDetector_create(settings),
+        blobDetector=_blobs(image),
     )
     if not done:
         return {}
     return {f"c{k}": place for k, place in enumerate(np.asarray(centres, dtype=float).reshape(-1, 2))}
+
+
+def _blobs(image: GreyImage) -> Any:
+    """What finds dots in an image."""
+    cv2 = opencv()
+    settings = cv2.SimpleBlobDetector_Params()
+    settings.maxArea = image.size / 50
+    settings.minArea = 20
+    settings.minDistBetweenBlobs = 5
+    return cv2.SimpleBlobDetector_create(settings)
+
+
+def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
+    """Centres of a square grid, from the corner with the largest dot; none without one that is larger."""
+    cv2, blobs = opencv(), _blobs(image)
+    for flags in (cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING, cv2.CALIB_CB_SYMMETRIC_GRID):
+        done, centres = cv2.findCirclesGrid(image, (board.columns, board.rows), flags=flags, blobDetector=blobs)
+        if done:
+            break
+    else:
+        return {}
+    found = blobs.detect(image)
+    places, sizes = np.array([blob.pt for blob in found]), np.array([blob.size for blob in found])
+    grid = np.asarray(centres, dtype=float).reshape(board.rows, board.columns, 2)
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if along[0] * down[1] < along[1] * down[0]:  # rows run from right to left: seen from the front, they do not
+        grid = grid[:, ::-1]
+    ways = [np.rot90(grid, k) for k in range(4)]
+    ways = [way for way in ways if way.shape == grid.shape]
+    size = [float(sizes[np.argmin(np.linalg.norm(places - way[0, 0], axis=1))]) for way in ways]
+    if max(size) < _LARGER * float(np.median(sizes)):
+        return {}
+    return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(size))].reshape(-1, 2))}
 
 
 def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:
@@ -423,7 +474,7 @@ def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:
         pairs = [(r, c), (c + 1, r + 1), (r + 1, c + 1), *((c + i, r + j) for i in (-1, 1) for j in (-1, 1))]
         pairs += [(c - 2, r), (c + 2, r), (c, r - 2), (c, r + 2)]
     for columns, rows in dict.fromkeys(pairs):
-        even = (columns + rows) % 2 == 0 if board.kind == "chessboard" else rows % 2 == 0
+        even = (columns + rows) % 2 == 0 if board.kind == "chessboard" else rows % 2 == 0 and board.kind == "circles"
         if not even and min(columns, rows) >= 3 and (columns, rows) != (c, r):
             noun = "squares" if board.kind == "chessboard" else "dots"
             yield board.model_copy(update={"columns": columns, "rows": rows}), noun

@@ -33,6 +33,7 @@ _FOOT = 0.022  # m below the board: ruler and words
 _MARGIN = 0.008
 _MM = 1e3
 _INCH = 0.0254
+_SMALL_DOT, _LARGE_DOT = 0.25, 0.38  # radius over the spacing of a square grid
 _DOT = 0.5  # radius of a dot over the spacing
 
 
@@ -60,6 +61,10 @@ def shapes(board: Board) -> Shapes:
     if board.kind == "circles":
         radius = _DOT * (board.spacing or 0.0)
         return Shapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
+    if board.kind == "dots":
+        radii = (board.spacing or 0.0) * np.where(np.arange(board.columns * board.rows) == 0, _LARGE_DOT, _SMALL_DOT)
+        places = np.array(list(board.points().values()))[:, :2]
+        return Shapes(np.zeros((0, 4)), np.column_stack([places, radii]))
     if board.kind == "chessboard":
         return Shapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
     made: Any = opencv_board(board, bool(board.legacy))
@@ -114,14 +119,15 @@ class Paper:
             )
             self._cells[x0:x1, y0:y1] = True
         self._discs = scipy.spatial.cKDTree(black.discs[:, :2]) if len(black.discs) else None
-        self._radius = float(black.discs[0, 2]) if len(black.discs) else 0.0
+        self._radii = np.append(black.discs[:, 2], 0.0)  # the last for places far from all discs
 
     def black(self, places: FloatArray) -> BoolArray:
         """Return what is black of places on the board, (n, 2) [m]; beyond it is none."""
         at = [np.searchsorted(self._edges[k], places[:, k], side="right") for k in (0, 1)]
         result: BoolArray = self._cells[at[0], at[1]]
         if self._discs is not None:
-            result = result | (self._discs.query(places, distance_upper_bound=2 * self._radius)[0] < self._radius)
+            distance, disc = self._discs.query(places, distance_upper_bound=2 * self._radii.max())
+            result = result | (distance < self._radii[disc])
         return result
 
 

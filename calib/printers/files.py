@@ -45,7 +45,13 @@ def read_klipper(path: Path | str) -> PrinterFile:
             a number that is far off from what all others say.
     """
     cfg = _Klipper(path)
-    if cfg.text("printer", "kinematics") != "delta":
+    kinematics = cfg.text("printer", "kinematics")
+    if kinematics == "rotary_delta":
+        raise DataError(
+            f"{path}: is a rotary delta, whose arms turn; --klipper is for carriages on towers: begin with calib init"
+            " --template delta, with its lengths as --length"
+        )
+    if kinematics != "delta":
         raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
     steppers = [f"stepper_{tower}" for tower in TOWERS]
     for stepper in steppers:
@@ -161,6 +167,7 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
     Raises:
         DataError: A line is missing, or says what the firmware or the model does not know.
     """
+    _require_own_words(path)
     words = _settings(path)
     settings, ends = words["M665"], words["M666"]
     for key, meaning in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
@@ -202,6 +209,26 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
             raise DataError(
                 f"{path}: the switch of tower {tower} would trip with the nozzle at {millimetres(end):g} mm, below the"
                 " bed; correct it"
+            )
+
+
+def _require_own_words(path: Path | str) -> None:
+    """Raise `DataError` for settings of another firmware, with the lines that say the same."""
+    text = read_text(path, "a file with M665 and M666", DataError)
+    smoothie = dict(re.findall(r"^\s*(arm_length|arm_radius|gamma_max|\w+_trim)\s+([-+.\d]+)", text, re.MULTILINE))
+    lines = re.findall(r"^EPR:\s*\d+\s+\d+\s+([-+.\d]+)\s+(\w+ \w+ \w+)", text, re.MULTILINE)
+    repetier = {what: value for value, what in lines}
+    for firmware, known, keys in (
+        ("Smoothieware", smoothie, ("arm_length", "arm_radius", "gamma_max")),
+        ("Repetier", repetier, ("Diagonal rod length", "Horizontal rod radius", "Z max length")),
+    ):
+        if keys[0] in known and "M665" not in text:
+            said = " ".join(f"{letter}{known.get(key, f'<{key}>')}" for letter, key in zip("LRH", keys, strict=True))
+            trims = [known.get(f"{axis}_trim", "0") for axis in ("alpha", "beta", "gamma")]
+            ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}" if firmware == "Smoothieware" else "M666 X0 Y0 Z0"
+            raise DataError(
+                f"{path}: these are settings of {firmware}; write the lines 'M665 {said}' and '{ends}' into a file, and"
+                " give that with --marlin (check that the numbers are those that the printer uses)"
             )
 
 

@@ -73,6 +73,7 @@ CAPABILITIES = (
     Room("Programs", None, ("programs",)),
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),
+    Room("Files", None, ("files",)),
     Room("Printers", None, ("printers",)),
     Room("Quality", None, ("quality",)),
 )

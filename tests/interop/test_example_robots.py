@@ -24,9 +24,7 @@ SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip",
     "baxter_description/urdf/baxter.urdf": "left_gripper",
-    "double_pendulum_description/urdf/double_pendulum.urdf": "link2",
     "double_pendulum_description/urdf/double_pendulum_continuous.urdf": "link2",
-    "double_pendulum_description/urdf/double_pendulum_simple.urdf": "link3",
     "finger_edu_description/robots/finger_edu.urdf": "finger_tip_link",
     "kinova_description/robots/kinova.urdf": "j2s6s200_end_effector",
     "panda_description/urdf/panda.urdf": "panda_hand_tcp",
@@ -55,15 +53,17 @@ VARIANTS = (  # of an arm above: the same links with other limits, shapes or a g
 )
 PARALLEL_AXES = {  # what slides the target along both axes cannot be told from where the base is
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip.z",
-    "double_pendulum_description/urdf/double_pendulum.urdf": "link2.x",
     "double_pendulum_description/urdf/double_pendulum_continuous.urdf": "link2.x",
-    "double_pendulum_description/urdf/double_pendulum_simple.urdf": "link3.x",
 }
 OTHERS = {  # legged, wheeled, flying, hands, humanoids
     "a1", "alex", "alexander", "allegro_hand", "anymal_b_simple", "anymal_c_simple", "b1", "bolt", "borinot",
     "centauro", "g1", "go1", "go2", "hector", "hextilt", "human", "hyq", "icub", "iris", "laikago", "pr2",
     "quadruped", "romeo", "simple_humanoid", "solo", "talos_data", "tiago", "tiago_pro",
 }  # fmt: skip
+WITHOUT_LIMITS = {  # 0 to 0, which nobody has stated
+    "double_pendulum_description/urdf/double_pendulum.urdf",
+    "double_pendulum_description/urdf/double_pendulum_simple.urdf",
+}
 EMPTY = {"ur_description/urdf/ur3.urdf"}  # no robot inside: an unexpanded xacro file
 SIGMA = 2e-5  # [m], what a good laser tracker has
 
@@ -99,7 +99,7 @@ def random_poses(robot: calib.Robot, count: int, generator: np.random.Generator,
     """Joint values within the limits, and within +-2 rad or m of zero where these are wide."""
     limits = {
         joint.name: (max(joint.lower, -2.0), min(joint.upper, 2.0)) if joint.lower < joint.upper else (-2.0, 2.0)
-        for joint in robot.urdf.joints  # some files have limits of 0 and 0, which means that nobody stated them
+        for joint in robot.urdf.joints
     }
     lower, upper = np.array([limits[name] for name in robot.joint_names]).T
     names = tuple(f"{label} {k}" for k in range(count))
@@ -250,9 +250,15 @@ def test_iiwa_is_calibrated_exported_and_loaded_again(tmp_path: Path) -> None:
     check(iiwa(), "lbr_iiwa_link_7", tmp_path)
 
 
+@pytest.mark.parametrize("name", sorted(WITHOUT_LIMITS), ids=lambda name: Path(name).stem)
+def test_arms_whose_limits_nobody_states_are_named(name: str) -> None:
+    with pytest.raises(calib.DescriptionError, match=r"joint1, joint2 have a <limit> without lower and upper"):
+        calib.load(robots_folder() / name)
+
+
 def test_no_fixed_base_arm_is_left_out() -> None:
     folder = robots_folder()
     files = {str(path.relative_to(folder)) for path in folder.rglob("*.urdf")}
     assert set(ARMS) <= files
-    families = {Path(name).parts[0].removesuffix("_description") for name in files - set(ARMS) - EMPTY}
+    families = {Path(name).parts[0].removesuffix("_description") for name in files - set(ARMS) - WITHOUT_LIMITS - EMPTY}
     assert families <= OTHERS

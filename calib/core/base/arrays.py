@@ -58,7 +58,7 @@ def _short(value: object) -> str:
     """One value, or how many."""
     if isinstance(value, np.ndarray):
         return str(value.shape)
-    return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
+    return f"of {len(value)}" if isinstance(value, (tuple, list, dict, frozenset)) else repr(value)
 
 
 @cache

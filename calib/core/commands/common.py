@@ -30,8 +30,8 @@ from calib.core.data.parameter_files import read_parameters
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.losses import LOSSES
 from calib.core.results.result_reading import forced_lines, load, load_result
+from calib.core.robots.loading import first_description
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.rows.registration import register
 
 SIGMA_HELP = (
@@ -274,7 +274,7 @@ def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
 def loaded(path: str, output: Output) -> Robot:
     """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
     robot = load(path)
-    remark = arm_chain(robot.urdf).remark if robot.path == robot.urdf.path else ""
+    remark = first_description(robot.urdf, robot.path)[1] if robot.path == robot.urdf.path else ""
     if remark:
         output.note(f"note: {remark}")
     return robot

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import click
-import yaml
 
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
@@ -20,14 +18,12 @@ from calib.core.commands.first_files import FirstFiles
 from calib.core.data.dh_files import read_dh
 from calib.core.data.measurement_columns import header
 from calib.core.data.table_writing import format_table
-from calib.core.robots.description import Description, schema_text
+from calib.core.robots.description import checked_description, schema_text
 from calib.core.robots.first_description import MEASURES, Measure, description_text
-from calib.core.robots.loading import describe, load
+from calib.core.robots.loading import build, first_description
 from calib.core.robots.robot import Robot
 from calib.core.robots.templates import TEMPLATES, loop_files, read_lengths
-from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.core.robots.urdf.mjcf_reading import MjcfRobot, is_mjcf, read_mjcf
 from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
 _LENGTHS = "; ".join(
@@ -61,6 +57,9 @@ def _source_options(function: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--camera", metavar="FILE", help="With --measure camera: its intrinsics, YAML of OpenCV or camera_info of ROS."
 )
+@click.option(
+    "--xacro", multiple=True, metavar="NAME:=VALUE", help="Argument of a xacro file; once for each. Kept in the file."
+)
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Convention of the table, if it does not state it.")
 @click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
@@ -92,6 +91,7 @@ def command(
     measure: str | None,
     board: str | None,
     camera: str | None,
+    xacro: tuple[str, ...],
     dh: str | None,
     convention: str | None,
     template: str | None,
@@ -110,6 +110,7 @@ def command(
     written.
     """
     others = {name: file for name, file in given.items() if file}
+    arguments = _arguments(xacro)
     if schema:
         if urdf or dh or template or others:
             raise InputError("--schema is the same for all robots; give nothing but --out")
@@ -130,6 +131,8 @@ def command(
         raise InputError("--measure is for a URDF or a table; others have their own targets")
     if (board or camera) and measure != "camera":
         raise InputError("--board and --camera are for --measure camera")
+    if arguments and not urdf:
+        raise InputError("--xacro is for a xacro file in place of the URDF")
     if lengths and not (template or others):
         raise InputError("--length is for a robot of --template, and not for a URDF or a table")
     if convention and not dh:
@@ -150,7 +153,7 @@ def command(
     if dh and beside:
         text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(beside))
     else:
-        text = read_urdf(str(urdf))
+        text = read_urdf(str(urdf), arguments)
     how = MEASURES[measure] if measure else None
     sheet = Path(out).with_name(f"{Path(out).stem}_measurements.csv") if how and how.comments else None
     to_print = (
@@ -158,8 +161,8 @@ def command(
     )
     output.check(out, *(str(file) for file in (beside, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
-    mjcf = read_mjcf(text.path) if not dh and is_mjcf(Path(text.path).read_bytes()) else None
-    described, remark = _described(text, mjcf, target or (LAST_LINK if dh else None), relative)
+    described, remark = first_description(text, relative, target or (LAST_LINK if dh else None))
+    described = described.model_copy(update={"xacro": arguments}) if arguments else described
     files, words = {beside: text.source} if beside else {}, None
     if measure == "camera":
         plain = _loaded(text, description_text(text, described))
@@ -183,25 +186,12 @@ def command(
         output.say(remark)
 
 
-def _described(text: UrdfText, mjcf: MjcfRobot | None, target: str | None, relative: str) -> tuple[Description, str]:
-    """What a file describes: its arm, or the whole robot of an MJCF file with loops; and what to say of the choice."""
-    if mjcf is None or not mjcf.loops:
-        chain = arm_chain(text, target)
-        return describe(chain, relative), "; ".join(filter(None, [*(mjcf.remarks if mjcf else ()), chain.remark]))
-    if target is None:
-        raise InputError(f"{text.path}: has loops; say what is measured: --target, a body or a site of the file")
-    if not mjcf.motors:
-        raise InputError(f"{text.path}: has loops, and no joint has an actuator; add actuators to those with motors")
-    closed = {
-        "name_mot": mjcf.motors,
-        "closed_loop": tuple(loop.links for loop in mjcf.loops),
-        "type": tuple(loop.kind for loop in mjcf.loops),
-        "closed_loop_axes": tuple(loop.axes for loop in mjcf.loops),
-        "home": mjcf.home,
-    }
-    described = describe(arm_chain(text, target), relative).model_copy(update=closed)
-    _loaded(text, description_text(text, described))
-    return described, "; ".join(mjcf.remarks)
+def _arguments(given: Sequence[str]) -> dict[str, str]:
+    """Arguments of a xacro file as its own command takes them."""
+    wrong = next((text for text in given if not text.partition(":=")[0].isidentifier() or ":=" not in text), None)
+    if wrong is not None:
+        raise InputError(f"--xacro {wrong}: is not an argument; write it as prefix:=ur5e_")
+    return {name: value for name, _, value in (text.partition(":=") for text in given)}
 
 
 def _empty_sheet(robot: Robot, measure: Measure) -> str:
@@ -217,11 +207,7 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
 
 def _loaded(urdf: UrdfText, description: str) -> Robot:
     """The robot of a description that is not written yet; only a loaded one knows its columns and where it reaches."""
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "robot.urdf").write_bytes(urdf.source)
-        said = parse_yaml(description, "robot.yaml") | {"urdf": "robot.urdf"}
-        (Path(folder) / "robot.yaml").write_text(yaml.safe_dump(said), encoding="utf-8")
-        return load(Path(folder) / "robot.yaml")
+    return build(checked_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
 
 
 def _is_file(board: str | None) -> bool:
@@ -231,12 +217,9 @@ def _is_file(board: str | None) -> bool:
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:
     """Write the two files of a template, if the robot that they describe can be used."""
     texts = dict(zip((urdf, description), loop_files(name, read_lengths(name, given), urdf.name), strict=True))
-    with TemporaryDirectory() as folder:
-        for file, text in texts.items():
-            (Path(folder) / file.name).write_text(text, encoding="utf-8")
-        try:
-            load(Path(folder) / description.name)
-        except DescriptionError as error:
-            message = str(error).replace(f"{Path(folder) / description.name}: ", "")
-            raise InputError(f"template {name}: with these lengths, {message}") from None
+    try:
+        _loaded(parse_urdf(texts[urdf].encode(), str(urdf)), texts[description])
+    except DescriptionError as error:
+        message = str(error).removeprefix(f"{urdf}: ")
+        raise InputError(f"template {name}: with these lengths, {message}") from None
     write_files({file: text.encode() for file, text in texts.items()}, force=output.force)

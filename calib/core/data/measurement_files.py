@@ -18,6 +18,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, listed_columns, nearest
 from calib.core.data.instrument_cells import columns_in, named_columns, nearest_free_column, readings_in, setups_of
+from calib.core.data.joined_tables import joined_by_word
 from calib.core.data.joining import joined_poses, joined_readings
 from calib.core.data.measurement_columns import APPROACH, header, shown
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
@@ -74,12 +75,17 @@ def read_measurements(
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
     tables = [read_robot_table(source, robot, growing=growing) for source in paths]
+    tables = joined_by_word(tables, robot)
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.commanded_names) <= set(table.names)]
     if not with_joints:
         joints = ", ".join(robot.commanded_names)
         raise DataError(f"{tables[0].path}: none of the files has a column for every joint ({joints})")
+    several = len(tables) > 1
     used = {
-        column for table in tables for instrument in _seen_in(robot, table) for column in columns_in(instrument, table)
+        column
+        for table in tables
+        for instrument in _seen_in(robot, table, several)
+        for column in columns_in(instrument, table)
     }
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
     poses = joined_poses(
@@ -93,7 +99,7 @@ def read_measurements(
             start += len(table.rows)
         else:
             rows = _visits_by_pose(table, poses)
-        for instrument in _seen_in(robot, table):
+        for instrument in _seen_in(robot, table, several):
             own_lines = len(with_joints) < len(tables)
             parts.setdefault(instrument.name, []).append(
                 readings_in(robot, instrument, table, rows, own_lines=own_lines)
@@ -304,7 +310,10 @@ def _check_spelling(table: Table, robot: Robot) -> None:
 def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     """The visit of each row of a file without joint columns."""
     if "pose" not in table.names:
-        raise DataError(f"{table.path}: has neither a column for every joint nor a column 'pose'; add one of them")
+        raise DataError(
+            f"{table.path}: has neither a column for every joint nor a column 'pose'; add one of them, or say in the"
+            " robot description what joins the files: join: rows, or join: time"
+        )
     first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
     rows = []
     for line, name in zip(table.lines, table.text("pose"), strict=True):
@@ -317,9 +326,9 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     return np.array(rows, dtype=np.intp)
 
 
-def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
+def _seen_in(robot: Robot, table: Table, several: bool) -> list[Instrument]:
     """Instruments that a table has columns for; all, where nothing says that they may be missing."""
-    if not robot.description.instruments:
+    if not robot.description.instruments and not several:
         return list(robot.instruments)
     instruments = [
         instrument for instrument in robot.instruments if any(name in table.names for name in named_columns(instrument))

@@ -2,7 +2,8 @@
 
 Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
 figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
-instrument reads positions and has no columns. A column needs its unit in the header for that, because it is not known
+instrument reads positions and has no columns; so are NAME_x, NAME_y, NAME_z of the only NAME. U95 X, U95 Y, U95 Z
+beside them are twice the standard deviations of a reading. A column needs its unit for that, because it is not known
 whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
 a robot description says what files call their columns, and then nothing is guessed.
 """
@@ -12,10 +13,11 @@ from __future__ import annotations
 import functools
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.core.base.errors import DataError, nearest
+from calib.core.base.mapped_columns import MappedColumn
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
 from calib.core.data.tables import Source, Table, read_table
 from calib.core.robots.robot import Robot
@@ -23,6 +25,8 @@ from calib.core.robots.robot import Robot
 _LOG = logging.getLogger("calib")
 _NUMBERED = re.compile(r"(?:j|a|q|ax|axis|joint|theta|motor)0*(\d+)")
 _AXES = ("x", "y", "z")
+_NAMED = re.compile(r"(.+)_[xyz]")
+_U95 = re.compile(r"U95 ([XYZ])")
 _UNITS = (*PER_SI["length"], *PER_SI["angle"])
 _UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]+(?P<ending>{'|'.join(_UNITS)}))")
 
@@ -46,9 +50,11 @@ def read_robot_table(
     _check_separator(robot, table)
     _check_units(robot, table)
     guessed = _joints(robot, table) | _positions(robot, table)
+    spread = _spread(robot, table, guessed)
+    guessed |= spread
     if not guessed:
         return table
-    bare = next((name for name in guessed if table.units[table.names.index(name)] is None), None)
+    bare = next((name for name in guessed if name not in spread and table.units[table.names.index(name)] is None), None)
     if bare is not None:
         unit = DISPLAY_UNIT[robot.mechanism.dimensions[guessed[bare]]]
         raise DataError(
@@ -57,7 +63,20 @@ def read_robot_table(
         )
     text = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
     _tell(table.path, text)
-    return replace(table, names=tuple(guessed.get(name, name) for name in table.names))
+    halved = {guessed[name]: MappedColumn(guessed[name], None, factor=0.5) for name in spread}
+    return replace(table, names=tuple(guessed.get(name, name) for name in table.names), maps={**table.maps, **halved})
+
+
+def _spread(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str, str]:
+    """Columns U95 of X, Y and Z, and the standard deviations that their halves are; none where one is missing."""
+    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
+    found = {name: match[1].lower() for name in table.names if (match := _U95.fullmatch(name))}
+    if sorted(found.values()) != list(_AXES) or len(reading) != 1:
+        return {}
+    columns = [column.name for column in reading[0].columns()]
+    if not set(columns) <= {*table.names, *guessed.values()}:
+        return {}
+    return {name: f"{reading[0].name}_std_{axis}" for name, axis in found.items()}
 
 
 @functools.lru_cache(maxsize=64)
@@ -133,6 +152,10 @@ def _positions(robot: Robot, table: Table) -> dict[str, str]:
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
+    if not axes:  # or those of one body that has a name
+        named = {match[1] for name in table.names if units[name] and (match := _NAMED.fullmatch(name))}
+        whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]
+        axes = {f"{whole[0]}_{axis}": axis for axis in _AXES} if len(whole) == 1 else {}
     if sorted(axes.values()) != list(_AXES) or not columns or set(columns) & set(table.names):
         return {}
     return {name: columns[_AXES.index(axis)] for name, axis in axes.items()}

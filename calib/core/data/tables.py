@@ -15,7 +15,7 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
@@ -27,6 +27,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, nearest_column
 from calib.core.base.files import read_lines
 from calib.core.base.letters import unseen, visible
+from calib.core.base.mapped_columns import MappedColumn, mapped_column
 from calib.core.base.own_files import is_mark
 from calib.core.base.units import Dimension, per_si, split_column
 from calib.core.data.layouts import (
@@ -40,6 +41,7 @@ from calib.core.data.layouts import (
     workbook_lines,
 )
 from calib.core.data.on_demand import TextRows, cells_of, is_plain
+from calib.core.data.other_formats import read_other
 from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
@@ -88,6 +90,7 @@ class Table:
         lines: Line number in the file of each row.
         comments: Comment lines without their #.
         separator: What stands between the cells.
+        maps: Columns whose cells are not the values, by name.
     """
 
     path: str
@@ -97,6 +100,7 @@ class Table:
     lines: tuple[int, ...] | range | array[int]
     comments: tuple[str, ...]
     separator: str
+    maps: Mapping[str, MappedColumn] = field(default_factory=dict)
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
         """Return a column of numbers in SI, (n_rows,).
@@ -127,6 +131,10 @@ class Table:
         if self.units[index] is None and dimension is not None:
             check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
         values = values / divisor
+        if name in self.maps:
+            mapped = self.maps[name]
+            scale = 1.0 if dimension is None else per_si(mapped.unit, dimension, f"{self.path}, column '{name}'")
+            values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
                 f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what is measured; correct it, or"
@@ -284,7 +292,12 @@ def read_table(
     path = cast("Path | str", path)
     if is_bag(path):
         return _table_of_columns(str(path), *read_bag(path), renamed or {})
-    if growing is not None:
+    other = None if growing is not None or is_workbook(path) else read_other(path, renamed or {})
+    if isinstance(other, dict):
+        return _table_of_columns(str(path), list(other.items()), (), renamed or {})
+    if other is not None:
+        pieces = iter([other])
+    elif growing is not None:
         pieces = iter([list(growing)])
     elif is_workbook(path):
         pieces = iter([workbook_lines(path)])
@@ -299,7 +312,7 @@ def read_table(
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
     separator = separator_of(header)
     cells = _cells(str(path), header, numbers[0], separator)
-    names, units = _header(str(path), cells, renamed or {})
+    names, units, maps = _header(str(path), cells, renamed or {})
     first_row = next(lines, None)
     below = first_row and units_below(cells, _cells(str(path), first_row, numbers[-1], separator))
     if below:
@@ -316,7 +329,7 @@ def read_table(
         raise DataError(f"{path}: has a header but no rows")
     first, last = numbers[1], numbers[-1]
     where = numbers[1:] if last - first >= len(rows) else range(first, last + 1)
-    return Table(str(path), names, units, rows, where, tuple(map(visible, comments)), separator)
+    return Table(str(path), names, units, rows, where, tuple(map(visible, comments)), separator, maps)
 
 
 @functools.lru_cache(maxsize=64)
@@ -362,7 +375,7 @@ def _checked(path: str, lines: Iterable[str], numbers: array[int], width: int, s
 def _table_of_columns(
     path: str, columns: Sequence[tuple[str, Sequence[object]]], comments: tuple[str, ...], renamed: Mapping[str, str]
 ) -> Table:
-    names, units = _header(path, tuple(header for header, _ in columns), renamed)
+    names, units, maps = _header(path, tuple(header for header, _ in columns), renamed)
     lengths = {header: len(cells) for header, cells in columns}
     if len(set(lengths.values())) > 1:
         header = next(header for header, length in lengths.items() if length != len(columns[0][1]))
@@ -370,7 +383,7 @@ def _table_of_columns(
     rows = tuple(zip(*([_as_text(cell) for cell in cells] for _, cells in columns), strict=True))
     if not rows:
         raise DataError(f"{path}: has no rows")
-    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",")
+    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",", maps)
 
 
 def unique_headers(table: Columns) -> list[str]:
@@ -398,14 +411,19 @@ def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]
 
 def _header(
     path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
-) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
-    names, units = [], []
+) -> tuple[tuple[str, ...], tuple[str | None, ...], dict[str, MappedColumn]]:
+    """Names and units of columns, and what a description says of those whose cells are not the values."""
+    names, units, maps = [], [], dict[str, MappedColumn]()
     for number, cell in enumerate(cells, start=1):
         cell = text_of(cell.strip())
-        name, unit = split_column(renamed.get(cell, cell))
-        if cell not in renamed and name in renamed:
-            name, usual = split_column(renamed[name])
-            unit = unit or usual
+        name, unit = split_column(cell)
+        known = renamed.get(cell, renamed.get(name))
+        if known is not None:
+            mapped = mapped_column(known)
+            name, unit = mapped.name, mapped.unit if cell in renamed else unit or mapped.unit
+            if not mapped.plain:
+                maps[name] = mapped
+                _tell(path, f"{name} is {mapped.words}")
         if not name:
             raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)
@@ -413,4 +431,4 @@ def _header(
     for name in names:
         if names.count(name) > 1:
             raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
-    return tuple(names), tuple(units)
+    return tuple(names), tuple(units), maps

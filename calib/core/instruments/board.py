@@ -6,6 +6,8 @@ rows, y down the columns as one reads the print, z into the paper. That is OpenC
     chessboard    c0, c1, ...: where four squares meet, row by row
     charuco       the same, with a marker of a dictionary in every second square
     circles       c0, c1, ...: centres of dots, row by row; every second row is shifted by half a column (asymmetric)
+    dots          c0, c1, ...: centres of dots in a square grid, row by row from the corner whose dot is larger than the
+                  others, as it lies at the top left
     aruco         m<number>.<corner>: corners 0 to 3 of markers in rows and columns, clockwise from the top left one
     apriltag      the same, with tags of the family 36h11 unless another dictionary is named
 
@@ -23,13 +25,14 @@ from pydantic import Field, ValidationError, model_validator
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import PositiveLength, Section, read_yaml
 
-BoardKind = Literal["charuco", "chessboard", "circles", "aruco", "apriltag"]
-BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "aruco", "apriltag")
+BoardKind = Literal["charuco", "chessboard", "circles", "dots", "aruco", "apriltag"]
+BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "dots", "aruco", "apriltag")
 APRILTAG = "DICT_APRILTAG_36H11"
 _NEEDS: dict[BoardKind, tuple[str, ...]] = {
     "charuco": ("square", "marker", "dictionary"),
     "chessboard": ("square",),
     "circles": ("spacing",),
+    "dots": ("spacing",),
     "aruco": ("marker", "gap", "dictionary"),
     "apriltag": ("marker", "gap", "dictionary"),
 }
@@ -37,6 +40,7 @@ _SHORT: dict[str, tuple[str, ...]] = {
     "charuco": ("columns", "rows", "square", "marker", "dictionary"),
     "chessboard": ("columns", "rows", "square"),
     "circles": ("columns", "rows", "spacing"),
+    "dots": ("columns", "rows", "spacing"),
     "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
     "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
 }
@@ -48,33 +52,37 @@ class Board(Section):
 
     Attributes:
         kind: See the module docstring.
-        columns, rows: Of squares (charuco, chessboard), dots (circles) or markers (aruco, apriltag).
+        columns, rows: Of squares (charuco, chessboard), dots (circles, dots) or markers (aruco, apriltag).
         square: Side of a square [m].
         marker: Side of a marker, black border included [m].
         gap: Between neighbouring markers [m].
-        spacing: Between neighbouring rows of dots, and half of that between dots of one row [m].
+        spacing: Between neighbouring rows of dots; of circles, half of that between dots of one row [m].
         dictionary: Of the markers, as OpenCV calls it, such as DICT_6X6_250.
         first_marker: Number of the first marker.
+        first_row: In which row markers begin to be counted: `bottom` on boards of Kalibr.
         legacy: Whether a ChArUco board has the layout of OpenCV before 4.6, which has a marker in its first square
             where the number of rows is even; None: not known, both are tried.
     """
 
     kind: BoardKind
-    columns: int = Field(ge=2, le=_MOST)
-    rows: int = Field(ge=2, le=_MOST)
+    columns: int = Field(ge=1, le=_MOST)
+    rows: int = Field(ge=1, le=_MOST)
     square: PositiveLength | None = None
     marker: PositiveLength | None = None
     gap: PositiveLength | None = None
     spacing: PositiveLength | None = None
     dictionary: str | None = None
     first_marker: int = Field(default=0, ge=0)
+    first_row: Literal["top", "bottom"] = "top"
     legacy: bool | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _family(cls, value: Any) -> Any:
         if isinstance(value, dict) and value.get("kind") == "apriltag":
-            return {"dictionary": APRILTAG, **value}
+            value = {"dictionary": APRILTAG, **value}
+        if isinstance(value, dict) and value.get("columns") == value.get("rows") == 1 and "marker" in value:
+            return {"gap": value["marker"], **value}  # of one marker alone, which has no neighbour
         return value
 
     @model_validator(mode="after")
@@ -87,6 +95,10 @@ class Board(Section):
                     f"a board of kind {self.kind} {'needs' if not given else 'has no'} '{key}'; its keys are columns,"
                     f" rows, {', '.join(needs)}"
                 )
+        if min(self.columns, self.rows) < 2 and self.kind not in ("aruco", "apriltag"):
+            raise ValueError(f"a board of kind {self.kind} needs two or more columns and rows")
+        if self.first_row == "bottom" and self.kind not in ("aruco", "apriltag"):
+            raise ValueError("'first_row' is for boards of markers")
         if self.kind == "charuco" and not (self.marker or 0) < (self.square or 0):
             raise ValueError("'marker' must be smaller than 'square'")
         if self.legacy is not None and self.kind != "charuco":
@@ -101,7 +113,7 @@ class Board(Section):
         if self.kind == "circles" and self.rows % 2 == 0:
             raise ValueError(
                 f"circles in {self.rows} rows look the same turned by half a turn; use an odd number of rows (4x11:"
-                " rows of 4 dots, 11 of them)"
+                " rows of 4 dots, 11 of them); a square grid with one larger dot in a corner is kind dots"
             )
         return self
 
@@ -114,6 +126,9 @@ class Board(Section):
         if self.kind == "circles":
             step = self.spacing or 0.0
             return (2 * self.columns + 1) * step, (self.rows + 1) * step
+        if self.kind == "dots":
+            step = self.spacing or 0.0
+            return (self.columns + 1) * step, (self.rows + 1) * step
         pitch, gap = (self.marker or 0.0) + (self.gap or 0.0), self.gap or 0.0
         return self.columns * pitch - gap, self.rows * pitch - gap
 
@@ -122,11 +137,19 @@ class Board(Section):
         """Side of what a camera must tell apart: a marker, a square, or the way between dots [m]."""
         return self.marker or self.square or self.spacing or 0.0
 
+    def marker_at(self, column: int, row: int) -> int:
+        """Return the number of the marker in a column and a row, counted from 0, of a board of markers."""
+        counted = row if self.first_row == "top" else self.rows - 1 - row
+        return self.first_marker + counted * self.columns + column
+
     def points(self) -> dict[str, tuple[float, float, float]]:
         """Return where each point is in the board's frame, by name [m]."""
         if self.kind in ("charuco", "chessboard"):
             side = self.square or 0.0
             places = [((i + 1) * side, (j + 1) * side) for j in range(self.rows - 1) for i in range(self.columns - 1)]
+        elif self.kind == "dots":
+            step = self.spacing or 0.0
+            places = [((i + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)]
         elif self.kind == "circles":
             step = self.spacing or 0.0
             places = [
@@ -136,7 +159,7 @@ class Board(Section):
             side, pitch = self.marker or 0.0, (self.marker or 0.0) + (self.gap or 0.0)
             around = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side))
             return {
-                f"m{self.first_marker + j * self.columns + i}.{k}": (i * pitch + dx, j * pitch + dy, 0.0)
+                f"m{self.marker_at(i, j)}.{k}": (i * pitch + dx, j * pitch + dy, 0.0)
                 for j in range(self.rows)
                 for i in range(self.columns)
                 for k, (dx, dy) in enumerate(around)
@@ -144,7 +167,7 @@ class Board(Section):
         return {f"c{k}": (x, y, 0.0) for k, (x, y) in enumerate(places)}
 
     def __str__(self) -> str:
-        shapes = {"circles": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
+        shapes = {"circles": "dots", "dots": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
         numbers = [
             f"{key} {1e3 * value:g} mm"
             for key in ("square", "marker", "gap", "spacing")
@@ -198,6 +221,8 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
     if path.suffix.lower() in (".yaml", ".yml") or path.is_file():
         content = read_yaml(path, "a board (YAML: kind, columns, rows, sizes), or its short form")
         inner = content.get("board") if isinstance(content, dict) else None
+        if isinstance(content, dict) and "target_type" in content:
+            return checked_board(_of_kalibr(content, str(path)), str(path))
         return checked_board(inner if isinstance(inner, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:
         raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
@@ -211,3 +236,34 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
         raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
     sizes = dict(zip(keys[2:], values, strict=False))
     return checked_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)
+
+
+def _of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """A target file of Kalibr in the words of boards; its tags are counted from the bottom left.
+
+    Raises:
+        DescriptionError: It is of another type, or a key is missing.
+    """
+    kind, keys = content["target_type"], ("tagCols", "tagRows", "tagSize", "tagSpacing")
+    counts = ("targetCols", "targetRows", "rowSpacingMeters")
+    if kind == "checkerboard" and all(isinstance(content.get(key), (int, float)) for key in counts):
+        return {
+            "kind": "chessboard",
+            "columns": int(content["targetCols"]) + 1,  # Kalibr counts inner corners
+            "rows": int(content["targetRows"]) + 1,
+            "square": content["rowSpacingMeters"],
+        }
+    if kind != "aprilgrid" or not all(isinstance(content.get(key), (int, float)) for key in keys):
+        raise DescriptionError(
+            f"{where}: is a target file of Kalibr, of which aprilgrid ({', '.join(keys)}) and checkerboard"
+            f" ({', '.join(counts)}) are read; write this one as kind, columns, rows and sizes"
+        )
+    columns, rows, size, spacing = (content[key] for key in keys)
+    return {
+        "kind": "apriltag",
+        "columns": int(columns),
+        "rows": int(rows),
+        "marker": float(size),
+        "gap": float(size) * float(spacing),
+        "first_row": "bottom",
+    }

@@ -23,7 +23,7 @@ from calib.core.numerics.halton import halton
 from calib.core.robots.configurations import Configurations, configured
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
-from calib.core.rows.prediction import beside_common_motion, other_combinations
+from calib.core.rows.prediction import beside_common_motion, order_of_joints, other_combinations
 
 BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
@@ -203,7 +203,9 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
     bounded = np.isfinite(half)
     low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
-    accuracy = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    order, signs = order_of_joints(q)
+    sample = halton(_SAMPLED, len(low))[:, order]
+    accuracy = _widened(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
     if accuracy:
         yield (
             f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"

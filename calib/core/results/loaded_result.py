@@ -222,8 +222,6 @@ class LoadedResult(Hinting, CalibratedRobot):
 
     def beyond_curves(self, poses: Poses) -> list[str]:
         """Return a remark on poses that lie where no error curve of a joint was learned."""
-        if not len(self.joints):
-            return []
         outside = beyond_learned(self.robot, self.joints, poses.joints)
         beyond = np.flatnonzero(np.any(outside, axis=1))
         if not len(beyond):

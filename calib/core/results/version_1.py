@@ -60,13 +60,16 @@ def read_content(folder: Path | str) -> dict[str, Any]:
     path = Path(folder) / "result.json"
     if not path.exists():
         raise DataError(f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote")
-    content: dict[str, Any] = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
-    if content["version"] != 1:
+    try:
+        content: Any = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); {_AGAIN}") from None
+    if not isinstance(content, dict) or content.get("version") != 1:
         raise DataError(f"{path}: is not a result of format version 1 (fit.npz of a later one is missing); {_AGAIN}")
     require_unchanged(folder, content["sha256"])
     verdict, terms = content["verdict"], content["joint_terms"]
     if verdict["grade"] not in ("PASS", "CHECK", "FAIL") or (verdict["grade"] == "FAIL" and not verdict["reasons"]):
-        raise ValueError(f"verdict {verdict['grade']}")
+        raise DataError(f"{path}: is a damaged result of format version 1 (its verdict); {_AGAIN}")
     stored_terms(terms["entries"] if terms["asked"] is not None else ())
     dict(content["errors"]), [row["name"] for row in content["parameters"]], int(content["n_poses"])
     return content
@@ -107,7 +110,11 @@ class EarlierResult(LoadedResult):
 
     @property
     def fit(self) -> JudgedFit:
-        """None of this version."""
+        """None of this version.
+
+        Raises:
+            DataError: Always.
+        """
         raise DataError(f"{self.path}: an earlier version wrote it, without the measurements; {_AGAIN}")
 
     @property
@@ -184,9 +191,7 @@ class EarlierResult(LoadedResult):
     @property
     @_readable
     def joints(self) -> FloatArray:
-        """From `residuals.csv`; none without it."""
-        if not (Path(self.path) / "residuals.csv").is_file():
-            return np.zeros((0, len(self.robot.joint_names)))
+        """From `residuals.csv`, (n, n_actuated) [m or rad]."""
         return self._joints()[np.array(self._residuals.text("set")) == "identification"]
 
     @_readable

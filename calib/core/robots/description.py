@@ -101,6 +101,7 @@ def _name_or_list(value: Any) -> str:
 class Description(Section):
     """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
 
+    `xacro` has the arguments of a xacro file.
     `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
@@ -108,10 +109,13 @@ class Description(Section):
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
+    `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
+    nearest `time`, at most `lag` away [s].
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
     urdf: str
+    xacro: dict[str, str] = Field(default_factory=dict)
     name_mot: tuple[str, ...] = Field(min_length=1)
     closed_loop: tuple[tuple[str, str], ...] = ()
     type: tuple[Literal["3d", "6d"], ...] = ()
@@ -148,6 +152,8 @@ class Description(Section):
     tolerance: PositiveLength | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
+    join: Literal["pose", "rows", "time"] = "pose"
+    lag: Annotated[float, Field(gt=0)] = 0.02
 
     @model_validator(mode="after")
     def _named_once(self) -> Description:

@@ -16,7 +16,7 @@ from calib.core.robots.urdf.text import HELD_TYPES, UrdfText
 _TEXT = """\
 # Robot description of {robot}. Lengths and angles are m and rad, or carry a unit: 0.04 mm, 1.5 deg.
 urdf: {urdf}
-
+{xacro}
 # Joints with a motor, in the order of every joint vector. Measurement files have one column for each.
 {remark}name_mot: {actuated}
 
@@ -263,6 +263,7 @@ def description_text(
         remark="".join(f"# {line}\n" for line in lines),
         robot=" ".join(urdf.name.split()) or "a robot",
         urdf=quoted(description.urdf),
+        xacro=f"xacro: {quoted(description.xacro)}\n" if description.xacro else "",
         actuated=quoted(list(description.name_mot)),
         loops=loops,
         measured=measured,

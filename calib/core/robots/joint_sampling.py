@@ -7,12 +7,15 @@ range, nothing is drawn in, since home may lie outside; values are tried until e
 
 from __future__ import annotations
 
+import functools
+import logging
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.words import listed
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
@@ -24,6 +27,9 @@ _DRAWN_IN = 2.0 / 3.0
 _SMALLEST_BOX = 0.01  # of the joint limits
 _ROUNDS = 50  # of tries where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
+_LONGEST = 1e3  # stroke of a sliding joint [m]
+_MOST_TURNS = 10
+_LOG = logging.getLogger("calib")
 
 
 def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
@@ -42,7 +48,7 @@ def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
 def joint_box(
     mechanism: Mechanism, urdf: UrdfText, home: FloatArray, ranges: Ranges, path: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joint limits; a turning joint without them gets half a turn to both sides of home.
+    """Return joint limits; a turning joint without them, or with very wide ones, gets half a turn to each side of home.
 
     Joints that have a range get that, as far as it is inside their limits.
 
@@ -58,9 +64,15 @@ def joint_box(
 
     Raises:
         InputError: A range outside the limits of its joint.
-        DataError: A sliding joint has no limits.
+        DataError: A sliding joint has no limits, or some joint none that it can move between.
     """
     joints = {joint.name: joint for joint in urdf.joints}
+    still = [name for name in mechanism.actuated if name not in ranges and not joints[name].moves]
+    if still:
+        raise DataError(
+            f"{path}: no range to spread poses over for {listed(still)}: a <limit> without lower and upper is 0 to 0;"
+            " write the limits into the URDF, give ranges (--within), or a file of poses"
+        )
     lower, upper = home.copy(), home.copy()
     for k, name in enumerate(mechanism.actuated):
         low, high = joints[name].lower, joints[name].upper
@@ -69,11 +81,24 @@ def joint_box(
             if lower[k] > upper[k]:
                 raise InputError(f"within: {name} lies outside its joint limits {low:.6g} to {high:.6g} [m or rad]")
             continue
-        if mechanism.dimensions[name] == "length" and not np.isfinite(high - low):
-            raise DataError(f"{path}: sliding joint '{name}' has no limits to spread poses over; give a file of poses")
+        if mechanism.dimensions[name] == "length" and not high - low < _LONGEST:
+            stated = f"limits {low:g} to {high:g} m, which are none" if np.isfinite(high - low) else "no limits"
+            raise DataError(
+                f"{path}: sliding joint '{name}' has {stated} to spread poses over; give a range (--within), or a file"
+                " of poses"
+            )
+        if np.isfinite(high - low) and high - low > _MOST_TURNS * 2 * np.pi:
+            _warn(path, name, (high - low) / (2 * np.pi))
+            low, high = -np.inf, np.inf
         lower[k] = low if np.isfinite(low) else min(home[k], high) - np.pi
         upper[k] = high if np.isfinite(high) else max(home[k], low) + np.pi
     return lower, upper
+
+
+@functools.lru_cache(maxsize=64)
+def _warn(path: str, name: str, turns: float) -> None:
+    """Warn of limits over many turns, once."""
+    _LOG.warning("%s: limits of '%s' span %.0f turns; poses are spread over one, around home", path, name, turns)
 
 
 def spread(

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
-from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.units import Dimension, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
 from calib.core.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
@@ -44,11 +45,58 @@ def load(path: str | Path) -> Robot:
         raise DescriptionError(f"{path}: is a table; the robot comes first: its description or its URDF")
     if path.suffix.lower() in (".yaml", ".yml"):
         description = read_description(path)
-        urdf = read_urdf(path.parent / description.urdf)
+        urdf = read_urdf(path.parent / description.urdf, description.xacro)
+        description = _with_loops(description, urdf)
     else:
         urdf = read_urdf(path)
-        description = describe(arm_chain(urdf), path.name)
-    return _built(description, urdf, str(path))
+        description, _ = first_description(urdf, path.name)
+    return build(description, urdf, str(path))
+
+
+def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None) -> tuple[Description, str]:
+    """Return the description that a file of a robot stands for, and what to say of what was chosen.
+
+    That is its arm; with the loops of an MJCF file, the whole robot.
+
+    Args:
+        urdf: The robot.
+        urdf_path: How the description names the file.
+        target: Link that carries the measured point; the arm's end if not given.
+
+    Raises:
+        DescriptionError: There is no such link, or nothing moves it; or loops that do not determine the robot.
+    """
+    chain, mjcf = arm_chain(urdf, target), urdf.mjcf
+    if mjcf is None or not mjcf.loops:
+        return describe(chain, urdf_path), "; ".join(filter(None, [*(mjcf.remarks if mjcf else ()), chain.remark]))
+    if not mjcf.motors:
+        raise DescriptionError(f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors")
+    open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": mjcf.motors})
+    description, remarks = _with_loops(open_loops, urdf), [*mjcf.remarks]
+    try:
+        build(description, urdf, urdf.path)
+    except DescriptionError:
+        description = description.model_copy(update={"name_mot": (*mjcf.motors, *mjcf.springs)})
+        if not mjcf.springs:
+            raise
+        build(description, urdf, urdf.path)
+        remarks.append(f"springs are taken for motors, with columns for how far they give: {', '.join(mjcf.springs)}")
+    return description, "; ".join([*remarks, replace(chain, fingers=(), branches=(), still=()).remark]).strip("; ")
+
+
+def _with_loops(description: Description, urdf: UrdfText) -> Description:
+    """The description with the loops of an MJCF file, if it says nothing of loops."""
+    mjcf = urdf.mjcf
+    if mjcf is None or not mjcf.loops or "closed_loop" in description.model_fields_set:
+        return description
+    return description.model_copy(
+        update={
+            "closed_loop": tuple(loop.links for loop in mjcf.loops),
+            "type": tuple(loop.kind for loop in mjcf.loops),
+            "closed_loop_axes": tuple(loop.axes for loop in mjcf.loops),
+            "home": mjcf.home | description.home,
+        }
+    )
 
 
 def describe(chain: ArmChain, urdf_path: str) -> Description:
@@ -97,8 +145,7 @@ def robot(
     text, where = read_urdf(Path(urdf)), str(urdf)
     content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
     if motors is None or target is None or base is None:
-        chain = arm_chain(text, target if isinstance(target, str) else None)
-        plain = describe(chain, Path(urdf).name)
+        plain, _ = first_description(text, Path(urdf).name, target if isinstance(target, str) else None)
         content = {key: getattr(plain, key) for key in plain.model_fields_set}
     if motors is not None:
         content["name_mot"] = motors
@@ -106,7 +153,7 @@ def robot(
         content["base"] = {"frame": base, "pose": "unknown"} if isinstance(base, str) else base
     if target is not None:
         content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
-    return _built(checked_description(content | keys, urdf), text, where)
+    return build(_with_loops(checked_description(content | keys, urdf), text), text, where)
 
 
 RobotLike = Robot | Path | str
@@ -127,8 +174,17 @@ def as_robot(robot: RobotLike) -> Robot:
     return robot
 
 
-def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
-    """Put a robot together at its nominal values."""
+def build(description: Description, urdf: UrdfText, where: str) -> Robot:
+    """Put a robot together at its nominal values.
+
+    Args:
+        description: The description.
+        urdf: The URDF that it names.
+        where: What messages call it.
+
+    Raises:
+        DescriptionError: They do not fit each other.
+    """
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)
@@ -167,17 +223,22 @@ def _check_columns(
     texts |= {"pose", "setup"}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
-        name, unit = split_column(column)
+        mapped = mapped_column(column)
+        name, unit = mapped.name, mapped.unit
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
-        if name in texts and unit is None:
+        if name in texts and unit is None and mapped.plain:
             continue
         if name not in dimensions:
             raise DescriptionError(
                 f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
             )
         dimension = dimensions[name]
+        if mapped.factor == 0.0:
+            raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
+        if mapped.offset and dimension is not None and unit is None:
+            raise DescriptionError(f"{where}: columns.{foreign}: say the unit of the offset, such as [deg] or [mm]")
         if dimension is None:
             continue
         try:

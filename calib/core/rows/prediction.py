@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadAsArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, hold
 from calib.core.base.contributions import Contributions
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
@@ -170,18 +170,32 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
 
 
+def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return an order and signs of joints that follow from poses q (n, n_actuated) alone.
+
+    So what is sampled does not depend on the names of joints, on the order in which a description has them, and on
+    which way of an axis is called positive.
+
+    Returns:
+        The place of each joint in the order, and +1 or -1 for each, (n_actuated,).
+    """
+    off = q - q.mean(axis=0)
+    first = off[np.argmax(off != 0, axis=0), np.arange(off.shape[1])]
+    return np.argsort(np.lexsort(np.abs(off)[::-1])), np.where(first < 0, -1.0, 1.0)
+
+
 def other_combinations(q: FloatArray, most: int) -> FloatArray:
     """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
 
-    The values of each joint are moved on by another number of poses. So every joint stays where it was measured, and
-    what the poses leave open because joints moved along with each other shows.
+    The values of each joint are moved on by another number of poses, in the order of `order_of_joints`. So every joint
+    stays where it was measured, and what the poses leave open because joints moved along with each other shows.
 
     Args:
         q: The poses.
         most: Number of combinations at most.
     """
     n, n_joints = q.shape
-    mixed = np.stack([np.roll(q[:, j], j * n // n_joints) for j in range(n_joints)], axis=1)
+    mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)
     return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
 
 

@@ -18,7 +18,7 @@ _PHOTOGRAPHS = 12
 _HELP = (
     "The board: a YAML file (kind, columns, rows, square, marker, dictionary), or in short"
     " charuco:7x5:30mm:22mm:DICT_5X5_100"
-    " (squares, side, marker), chessboard:9x6:25mm (squares, not inner corners), circles:4x11:20mm,"
+    " (squares, side, marker), chessboard:9x6:25mm (squares, not inner corners), circles:4x11:20mm, dots:10x8:15mm,"
     " aruco:4x3:40mm:10mm:DICT_4X4_50, apriltag:4x3:40mm:10mm (markers, side, gap)."
 )
 board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=_HELP)

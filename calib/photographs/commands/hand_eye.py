@@ -188,6 +188,14 @@ def _tools(
 def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     """What `calib detect` has written."""
     table = read_table(path, {})
+    ends = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    if all(any(name == end or name.endswith(f"_{end}") for name in table.names) for end in ends):
+        raise DataError(
+            f"{path}: has poses of a marker, and hand-eye takes pixels of a board. Poses are readings of a robot"
+            " description: instruments: {camera: {kind: pose, target: marker}}, with base: {frame: base_link, pose:"
+            " unknown}, targets: {marker: {frame: tool0, position: unknown, orientation: unknown}}, and columns"
+            f" {', '.join(f'camera_{end}' for end in ends)} beside the joint values; then calib fit"
+        )
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
         raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")
@@ -197,7 +205,7 @@ def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     key = "pose" if "pose" in table.names else "image"
     if key not in table.names:
         raise DataError(f"{path}: has no column 'pose'")
-    pixels = np.stack([table.column(f"{pixel}_{axis}", None) for axis in "uv"], axis=1)
+    pixels = np.stack([table.column(f"{pixel}_{axis}", "pixel") for axis in "uv"], axis=1)
     names, points, known = table.text(key), table.text("point"), board.points()
     strange = next((k for k, name in enumerate(points) if name not in known), None)
     if strange is not None:

@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.core.base.words import counted
-from calib.core.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.words import counted, listed
+from calib.core.commands.common import Output, loaded, result_folder, shared_options
 from calib.core.data.measurement_columns import (
     approach_columns,
     cells_of,
@@ -29,28 +29,23 @@ from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
+from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is, row_figures
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
 from calib.programs.languages.gcode_dialects import DIALECTS
 from calib.programs.reaching.compensation import Compensation, compensate
-from calib.programs.reaching.expected_errors import (
-    COUNTED,
-    before_and_now,
-    expected_now,
-    left_as_it_is,
-    of_frame,
-    summary,
-)
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.program_task import KEEP
 
-_OF_GCODE = "--zero, --start, --tolerance-mm and --dialect"
-_FIGURES = ("before", "expected", "low95", "high95")
-_OF_POSITIONS: tuple[tuple[str, str, float], ...] = tuple(
-    (figure, ERROR_UNIT["length"], error_scale("length")) for figure in _FIGURES
-)
-_OF_ANGLES = tuple((f"{figure}_angle", ERROR_UNIT["angle"], error_scale("angle")) for figure in _FIGURES)
+_LINKS = ("--frames", "--base-link", "--flange-link", "--third-joint")
+_PLACES = ("--zero", "--start", "--tolerance-mm", "--dialect")
+_OPTIONS = {
+    "controllers' programs": ("--harmless", "--skip-unreachable", *_LINKS),
+    "G-code": ("--harmless", *_PLACES),
+    "tables": ("--keep", "--grid", "--skip-unreachable"),
+}
+"""Which options belong to which kind of program."""
 
 
 @click.command("compensate")
@@ -155,30 +150,25 @@ def command(
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
     known = load_result(result, nominal).known
-    suffix = Path(program).suffix.lower()
-    links = (base_link, flange_link, third_joint)
-    of_gcode = (zero, start, tolerance_mm, dialect)
-    if suffix not in languages.SUFFIXES and (frames or any(link is not None for link in links)):
-        raise InputError(
-            "--frames, --base-link, --flange-link and --third-joint are for programs of controllers"
-            f" ({', '.join(languages.SUFFIXES)}); leave them out"
-        )
-    if suffix in languages.SUFFIXES:
-        if any(option is not None for option in (keep, grid, *of_gcode)):
-            raise InputError(f"--keep, --grid, {_OF_GCODE} are not for programs of controllers")
-        compensate_controller(known, program, result, frames, harmless, links, skip_unreachable, out, output)
+    suffix, job = Path(program).suffix.lower(), Job(known, program, result, out, output)
+    kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
+    links, of_gcode = (base_link, flange_link, third_joint), (zero, start, tolerance_mm, dialect)
+    values = (harmless, frames, skip_unreachable, keep, grid, *links, *of_gcode)
+    names = ("--harmless", "--frames", "--skip-unreachable", "--keep", "--grid", *_LINKS[1:], *_PLACES)
+    given = [name for name, value in zip(names, values, strict=True) if value not in (None, (), False)]
+    wrong = [name for name in given if name not in _OPTIONS[kind]]
+    if wrong:
+        raise InputError(f"{listed(wrong)}: not for {kind} such as {program}; leave out")
+    if kind == "controllers' programs":
+        compensate_controller(job, frames, harmless, links, skip_unreachable=skip_unreachable)
         return
-    if suffix in SUFFIXES:
-        if keep is not None or grid is not None or skip_unreachable:
-            raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
-        compensate_gcode(known, program, result, (zero, start), (dialect, harmless), tolerance_mm, out, output)
+    if kind == "G-code":
+        compensate_gcode(job, (zero, start), (dialect, harmless), tolerance_mm)
         return
-    if harmless or any(option is not None for option in of_gcode):
-        raise InputError(f"{_OF_GCODE} are for G-code, --harmless for programs ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
     output.check(out)
     if grid is not None:
-        compensate_grid(known, rows, grid, result, out, output)
+        compensate_grid(job, rows, grid)
         return
     with output.working(f"compensating {len(rows)} rows"):
         compensation = compensate(known, rows, keep=keep)
@@ -190,27 +180,25 @@ def command(
     done = (
         f"left as it is: {left_as_it_is(result)}" if compensation.nothing_to_correct else f"compensated with {result}"
     )
-    comments = (
-        f"{program} for {nominal.name}, {done}; kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}",
-        *said_of_failure(output, result, out),
+    comments = job.comments(
+        f"{program} for {nominal.name}, {done}; kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}"
     )
     output.write(out, format_table(_columns(nominal, rows, compensation), comments))
-    figures, held_out, n = _summary(compensation), _held_out(result), len(rows)
-    output.json(
-        {
-            "robot": nominal.path,
-            "kept": compensation.keep,
-            "frame": compensation.frame,
-            "counted": COUNTED,
-            "nothing_to_correct": compensation.nothing_to_correct,
-            "n_rows": n,
-            "n_unreachable": n - int(np.sum(compensation.ok)),
-            **figures,
-            "held_out_rms_mm": held_out,
-            "rows": _rows(nominal, compensation),
-        }
-    )
-    output.say(_said(compensation, figures, held_out, result, out))
+    n_reached, held_out = int(np.sum(compensation.ok)), _held_out(result)
+    content = {
+        "robot": nominal.path,
+        "kept": compensation.keep,
+        "n_rows": len(rows),
+        "n_unreachable": len(rows) - n_reached,
+        "held_out_rms_mm": held_out,
+        "rows": _rows(nominal, compensation),
+    }
+    what = f"{n_reached} of {counted(len(rows), 'row')}", f"compensated ({compensation.keep} kept)", "left as they are"
+    subjects = "The tool", f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
+    more = []
+    if held_out is not None:
+        more.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (RMS), their noise included")
+    job.report(compensation, figures_of(compensation), content, what, more, subjects)
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
@@ -234,11 +222,10 @@ def _require_all(compensation: Compensation, frame: str) -> None:
     """Raise `UnreachablePoseError` that names the rows without a command, and the frame of goals."""
     misses = compensation.misses()
     if misses:
-        more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
         raise UnreachablePoseError(
             f"{counted(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"
-            f" {'; '.join(misses[:5])}{more}{f'; goals are {frame}' if frame else ''}; change these rows, or mark them"
-            " with --skip-unreachable"
+            f" {listed(misses, '; ')}{f'; goals are {frame}' if frame else ''}; change these rows, or mark them with"
+            " --skip-unreachable"
         )
 
 
@@ -250,15 +237,10 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
             columns.append((name, cells_of(values)))
     columns += condition_columns(robot, len(program), program.setups, program.context).items()
     columns += approach_columns(robot, program.approach).items()
-    for figure, unit, scale in _shown(compensation):
+    for figure, unit, scale in row_figures(compensation.keep):
         columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))
     columns.append(("status", [why or "ok" for why in compensation.reasons]))
     return columns
-
-
-def _shown(compensation: Compensation) -> tuple[tuple[str, str, float], ...]:
-    """Figures of each row, their unit and what that is of an SI unit; of angles where an orientation is kept."""
-    return _OF_POSITIONS + (() if compensation.keep == "position" else _OF_ANGLES)
 
 
 def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
@@ -279,15 +261,6 @@ def _rpy(rotations: FloatArray) -> FloatArray:
     return np.array([np.full(3, np.nan) if np.isnan(R).any() else pin.rpy.matrixToRpy(R) for R in rotations])
 
 
-def _summary(compensation: Compensation) -> dict[str, dict[str, float]]:
-    """Root mean square and largest error of all rows, before and after [mm], and of orientations [mrad]."""
-    return {
-        f"{figure}_{unit}": summary(scale * getattr(compensation, figure)[compensation.ok])
-        for figure, unit, scale in _shown(compensation)
-        if figure.startswith(_FIGURES[:2])
-    }
-
-
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     """One entry for each row; null where there is no number."""
     joints = joint_columns(robot, compensation.q)
@@ -298,7 +271,7 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
             **{
                 f"{figure}_{unit}": float(getattr(compensation, figure)[k]) * scale
-                for figure, unit, scale in _shown(compensation)
+                for figure, unit, scale in row_figures(compensation.keep)
             },
         }
         for k, name in enumerate(compensation.names)
@@ -309,23 +282,3 @@ def _held_out(folder: str) -> float | None:
     """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
     errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")
-
-
-def _said(
-    compensation: Compensation, figures: dict[str, dict[str, float]], held_out: float | None, result: str, out: str
-) -> str:
-    kept = compensation.nothing_to_correct
-    count = f"{int(np.sum(compensation.ok))} of {counted(len(compensation.names), 'row')}"
-    done = f"left as they are: {left_as_it_is(result)};" if kept else f"compensated ({compensation.keep} kept),"
-    lines = [f"{count} {done} written to {out}"]
-    turned = f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
-    for subject, ending in (("The tool", "_mm"), (turned, "_angle_mrad")):
-        if f"expected{ending}" in figures:
-            before, expected, unit = figures[f"before{ending}"], figures[f"expected{ending}"], ending.rpartition("_")[2]
-            lines.append(
-                expected_now(subject, expected, unit) if kept else before_and_now(subject, before, expected, unit)
-            )
-    lines.append(of_frame(compensation.frame))
-    if held_out is not None:
-        lines.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (RMS), their noise included")
-    return "\n".join(lines)

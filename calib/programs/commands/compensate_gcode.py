@@ -6,48 +6,32 @@ from collections.abc import Collection
 
 import numpy as np
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.own_files import GCODE_COMMENT
 from calib.core.base.units import millimetres, quantity
 from calib.core.base.words import counted
-from calib.core.commands.common import Output, said_of_failure
-from calib.core.rows.known_robot import KnownRobot
+from calib.programs.commands.report import Job, left_as_it_is, summary
 from calib.programs.languages.gcode import read_gcode
-from calib.programs.languages.gcode_program import ROUNDING, GcodeProgram
+from calib.programs.languages.gcode_program import ROUNDING
 from calib.programs.languages.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
-from calib.programs.reaching.expected_errors import (
-    COUNTED,
-    before_and_now,
-    expected_now,
-    left_as_it_is,
-    of_frame,
-    summary,
-)
 
 _TOLERANCE_MM = 0.01
 
 
 def compensate_gcode(
-    known: KnownRobot,
-    path: str,
-    result: str,
+    job: Job,
     places: tuple[str | None, str | None],
     rules: tuple[str | None, Collection[str]],
     tolerance_mm: float | None,
-    out: str,
-    output: Output,
 ) -> None:
     """Write a G-code program with which the calibrated robot goes where it says.
 
     Args:
-        known: The calibrated robot.
-        path: The program.
-        result: Folder of the calibration, for messages.
+        job: The program.
         places: --zero and --start.
         rules: --dialect and --harmless.
         tolerance_mm: --tolerance-mm; 0.01 if not given.
-        out: File to write.
-        output: Where to print.
 
     Raises:
         InputError: An option that cannot be.
@@ -57,12 +41,11 @@ def compensate_gcode(
     tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
-    if len(known.robot.target_names) > 1:
-        raise DataError(
-            f"{known.robot.path}: has several targets, but G-code moves only one; describe that target alone"
-        )
-    program = read_gcode(path, start, *rules)
-    output.check(out)
+    robot = job.known.robot
+    if len(robot.target_names) > 1:
+        raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
+    program = read_gcode(job.program, start, *rules)
+    job.output.check(job.out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     origin = np.zeros(3) if zero is None else np.array(zero)
     unknown = (np.nan, np.nan, np.nan)
@@ -71,30 +54,23 @@ def compensate_gcode(
         np.array([move.end for move in program.moves]) + origin,
         tuple(program.label(move) for move in program.moves),
     )
-    with output.working(f"compensating {counted(len(program.moves), 'move')}"):
-        compensated = compensate_moves(known, moves, tolerance)
+    with job.output.working(f"compensating {counted(len(program.moves), 'move')}"):
+        compensated = compensate_moves(job.known, moves, tolerance)
     figures = _figures(compensated)
-    between = f"between points at most {figures['between_mm']['max']:.4f} mm off"
-    done = f"compensated for {known.robot.name} with {result}; {between}"
+    worst, n_pieces = figures["between_mm"]["max"], sum(len(way) for way in compensated.waypoints)
+    done = f"compensated for {robot.name} with {job.result}; between points at most {worst:.4f} mm off"
+    ways: list[FloatArray] | None = [way - origin for way in compensated.waypoints]
+    more = f"Between points it is off by another {worst:.4f} mm at worst, measured at"
+    lines = [f"{more} {counted(compensated.n_measured, 'point')}"]
     if compensated.nothing_to_correct:
-        done = f"left as it is for {known.robot.name}: {left_as_it_is(result)}"
-    comments = (f"{done}; errors are {compensated.frame}", *said_of_failure(output, result, out))
-    comments = tuple(" ".join(line.split()) for line in comments)
-    ways = None if compensated.nothing_to_correct else [way - origin for way in compensated.waypoints]
-    output.write(out, program.rewritten(ways, comments), GCODE_COMMENT)
-    n_pieces = sum(len(way) for way in compensated.waypoints)
-    output.json(
-        {
-            "n_moves": len(program.moves),
-            "n_pieces": n_pieces,
-            "n_measured": compensated.n_measured,
-            "frame": compensated.frame,
-            "counted": COUNTED,
-            "nothing_to_correct": compensated.nothing_to_correct,
-            **figures,
-        }
-    )
-    output.say(_said(program, compensated, figures, result, out))
+        done, ways, lines = f"left as it is for {robot.name}: {left_as_it_is(job.result)}", None, []
+    comments = job.comments(f"{done}; errors are {compensated.frame}")
+    text = program.rewritten(ways, [" ".join(line.split()) for line in comments])
+    job.output.write(job.out, text, GCODE_COMMENT)
+    content = {"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": compensated.n_measured}
+    what = counted(len(program.moves), "straight move")
+    cut = f"compensated as {counted(n_pieces, 'line')}"
+    job.report(compensated, figures, content, (what, cut, "left as they are"), lines)
 
 
 def _point(text: str | None, option: str) -> tuple[float, ...] | None:
@@ -113,23 +89,3 @@ def _figures(compensated: CompensatedMoves) -> dict[str, dict[str, float]]:
     between = measured + ROUNDING if len(measured) else np.zeros(1)
     shown = {"before_mm": compensated.before, "expected_mm": compensated.expected, "between_mm": between}
     return {name: summary(millimetres(values)) for name, values in shown.items()}
-
-
-def _said(
-    program: GcodeProgram, compensated: CompensatedMoves, figures: dict[str, dict[str, float]], result: str, out: str
-) -> str:
-    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in compensated.waypoints)
-    before, expected, between = figures["before_mm"], figures["expected_mm"], figures["between_mm"]
-    if compensated.nothing_to_correct:
-        lines = [
-            f"{moves} left as they are: {left_as_it_is(result)}; written to {out}",
-            expected_now("The tool", expected, "mm"),
-        ]
-    else:
-        lines = [
-            f"{moves} compensated as {counted(n_pieces, 'line')}, written to {out}",
-            before_and_now("The tool", before, expected, "mm"),
-            f"Between points it is off by another {between['max']:.4f} mm at worst, measured at"
-            f" {counted(compensated.n_measured, 'point')}",
-        ]
-    return "\n".join([*lines, of_frame(compensated.frame)])

@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.base.words import counted
-from calib.core.commands.common import Output, said_of_failure
 from calib.core.data.measurement_columns import cells_of
 from calib.core.data.measurements import Poses
 from calib.core.data.table_writing import format_table
-from calib.core.rows.known_robot import KnownRobot
+from calib.programs.commands.report import COUNTED, Job, left_as_it_is, summary
 from calib.programs.languages.correction_grid import correction_grid
-from calib.programs.reaching.expected_errors import (
-    COUNTED,
-    before_and_now,
-    expected_now,
-    left_as_it_is,
-    of_frame,
-    summary,
-)
 from calib.programs.reaching.goals import Goals
 
 
-def compensate_grid(
-    known: KnownRobot, program: Poses | Goals, grid: str, result: str, out: str, output: Output
-) -> None:
+def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
     """Write the table of corrections, and say how wrong interpolation in it is.
 
     Args:
-        known: The calibrated robot.
+        job: What to write.
         program: Whose positions the table is for.
         grid: --grid.
-        result: Folder of the calibration, for messages.
-        out: File to write.
-        output: Where to print.
 
     Raises:
         InputError: A program of joints, or numbers of nodes that make no grid.
@@ -46,48 +30,34 @@ def compensate_grid(
         nx, ny, nz = (int(part) for part in grid.split(","))
     except ValueError:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
-    with output.working("compensating the grid"):
-        corrections = correction_grid(known, program, (nx, ny, nz))
-    name, degrees = corrections.target, PER_SI["angle"]["deg"]
-    columns: list[tuple[str, list[object]]] = []
-    for k, axis in enumerate("xyz"):
-        columns.append((f"{name}_{axis} [mm]", cells_of(millimetres(corrections.nodes[:, k]))))
-    for k, axis in enumerate("xyz"):
-        columns.append((f"add_{axis} [mm]", cells_of(millimetres(corrections.shift[:, k]))))
-    for k, axis in enumerate("xyz") if program.rotations is not None else ():
-        columns.append((f"turn_{axis} [deg]", cells_of(corrections.turn[:, k] * degrees)))
-    off, angle = millimetres(corrections.position_errors), corrections.angle_errors * degrees
+    with job.output.working("compensating the grid"):
+        corrections = correction_grid(job.known, program, (nx, ny, nz))
+    degrees = PER_SI["angle"]["deg"]
+    parts = [
+        (f"{corrections.target}_{{}} [mm]", millimetres(corrections.nodes)),
+        ("add_{} [mm]", millimetres(corrections.shift)),
+    ]
+    if program.rotations is not None:
+        parts.append(("turn_{} [deg]", corrections.turn * degrees))
+    columns = [(name.format(axis), cells_of(values[:, k])) for name, values in parts for k, axis in enumerate("xyz")]
+    off, angle = summary(millimetres(corrections.position_errors)), summary(corrections.angle_errors * degrees)
     wrong = (
-        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (RMS), {np.max(off):.4f} mm and"
-        f" {np.max(angle):.4f} deg at worst"
+        f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {off['max']:.4f} mm and {angle['max']:.4f} deg at"
+        " worst"
     )
-    kept, before = corrections.nothing_to_correct, summary(millimetres(corrections.before))
-    expected = summary(millimetres(corrections.expected))
-    done = f"all zero: {left_as_it_is(result)}" if kept else wrong
-    comments = (
-        f"corrections from {result}; {done}; errors are {corrections.frame}; {COUNTED}",
-        *said_of_failure(output, result, out),
+    kept = corrections.nothing_to_correct
+    done = f"all zero: {left_as_it_is(job.result)}" if kept else wrong
+    comments = job.comments(f"corrections from {job.result}; {done}; errors are {corrections.frame}; {COUNTED}")
+    job.output.write(job.out, format_table(columns, comments))
+    figures = {
+        "before_mm": summary(millimetres(corrections.before)),
+        "expected_mm": summary(millimetres(corrections.expected)),
+        "interpolation_mm": off,
+        "interpolation_deg": {"max": angle["max"]},
+    }
+    more = (
+        [] if kept else [f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"]
     )
-    output.write(out, format_table(columns, comments))
-    output.json(
-        {
-            "n_nodes": len(corrections.nodes),
-            "frame": corrections.frame,
-            "counted": COUNTED,
-            "nothing_to_correct": kept,
-            "before_mm": before,
-            "expected_mm": expected,
-            "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
-            "interpolation_deg": {"max": float(np.max(angle))},
-        }
-    )
-    nodes = f"{counted(len(corrections.nodes), 'node')} written to {out}"
-    subject = "At the nodes the tool"
-    if kept:
-        lines = [f"{nodes}, all zero: {left_as_it_is(result)}", expected_now(subject, expected, "mm")]
-    else:
-        lines = [
-            f"{nodes}; {wrong}, at {len(off)} points between them",
-            before_and_now(subject, before, expected, "mm"),
-        ]
-    output.say("\n".join([*lines, of_frame(corrections.frame)]))
+    what = counted(len(corrections.nodes), "node"), "with corrections", "all zero"
+    subjects = "At the nodes the tool", ""
+    job.report(corrections, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)

@@ -21,7 +21,7 @@ from calib.core.data.table_writing import format_table
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
-from calib.programs.reaching.expected_errors import COUNTED, expected_now, left_as_it_is, of_frame, summary
+from calib.programs.commands.report import COUNTED, expected_now, left_as_it_is, of_frame, summary
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.inverse import Solution, solve
 

@@ -23,9 +23,15 @@ EVERYTHING = "*"
 
 @dataclass(frozen=True)
 class Unknown:
-    """A setting that is not known, and why."""
+    """A setting that is not known.
+
+    Attributes:
+        why: Why not.
+        whole: Whether this is a whole sentence, and not about the setting.
+    """
 
     why: str
+    whole: bool = False
 
 
 @dataclass(frozen=True)

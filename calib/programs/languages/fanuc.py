@@ -2,46 +2,35 @@
 
 Each position says its user frame (UF) and tool (UT); what these are, the controller knows, and a table of frames says
 (`UFRAME[1]`, `UTOOL[1]`). Position registers, offsets, increments and further motion groups are computed at run time.
-Numbers keep their three decimals and their columns.
+An instruction ends with a semicolon, on its line or on a later one. What is no motion, no jump, no assignment and no
+known instruction (a call, a macro) may change frames and tools.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pinocchio as pin
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.fanuc_statements import WORDS, FanucStatements
-from calib.programs.languages.harmless import names
-from calib.programs.languages.robot_program import (
-    DEGREE,
-    MILLIMETRE,
-    Configuration,
-    LeftOutError,
-    Number,
-    ProgramTarget,
-    RobotProgram,
-    Source,
-    cells_at,
-)
+from calib.programs.languages.fanuc_positions import WORDS, Position, positions_of, sections_of
+from calib.programs.languages.harmless import FANUC, names
+from calib.programs.languages.reader import Reader
+from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, RobotProgram, Source
 from calib.programs.languages.tokens import Code, Span
+from calib.programs.languages.visits import Place
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
-_SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
-_CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
 _KNOWN = names(
     """FINE ACC CR WJNT RT_LD AP_LD PTH BREAK MROT SKIP LBL TA TB DB DA SEC MSEC MM CM MIN DEG INCH EV PSPD P SPS SPOT
-    CALL     TIME BEFORE AFTER MAX_SPEED WELD_SPEED ON OFF R DO RO GO AO F PULSE ARC START END WEAVE SINE"""
+    CALL TIME BEFORE AFTER MAX_SPEED WELD_SPEED ON OFF R DO RO GO AO F PULSE ARC START END WEAVE SINE CNT"""
 )
-_POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
-_TURNING = (0, 3, 4, 5)
+_NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
+_EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+_STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
 def read_fanuc(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
@@ -56,183 +45,199 @@ def read_fanuc(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: 
         DataError: The message names file and line.
     """
     source = Source.read(path, "a FANUC program as text (LS)")
-    sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
-    if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
-        raise DataError(f"{path}: has no /MN and /POS sections; save the program as text (LS)")
-    end = sections["END"].start() if "END" in sections else None
-    positions = _positions(Code(source, WORDS, lines="blank", part=slice(sections["POS"].end(), end)))
-    instructions = Code(source, WORDS, lines="blank", part=slice(sections["MN"].end(), sections["POS"].start()))
-    return _Reader(source, instructions, positions, frames, harmless).program()
+    instructions, positions = sections_of(source)
+    return _Reader(source, instructions, positions_of(source, positions), frames, harmless).program()
 
 
-@dataclass(frozen=True)
-class _Position:
-    """A position of `/POS`.
+class _Reader(Reader):
+    language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
-    Attributes:
-        code: Words of the section.
-        at: Its first word.
-        groups: Its motion groups.
-        fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
-        frame, tool: Numbers of its user frame and tool, as written; empty where it has none.
-        configuration: As written, with quotes; empty where it has none.
-    """
-
-    code: Code
-    at: int
-    groups: tuple[str, ...]
-    fields: Mapping[str, tuple[int, Span, str]]
-    frame: str
-    tool: str
-    configuration: str
-
-
-def _positions(code: Code) -> dict[str, _Position]:
-    """Positions of the section by number."""
-    positions: dict[str, _Position] = {}
-    for at in code.names(0, len(code.tokens) - 5):
-        if (
-            code.tokens[at].text != "P"
-            or not code.is_mark(at + 1, "[")
-            or not code.is_mark(code.partner[at + 1] + 1, "{")
-        ):
-            continue
-        number = code.tokens[at + 2].text.partition(":")[0].strip()
-        if number in positions:
-            raise DataError(f"{code.where(at)}: P[{number}] is in /POS twice; save the program again")
-        opening = code.partner[at + 1] + 1
-        positions[number] = _position(code, at, opening + 1, code.partner[opening])
-    return positions
-
-
-def _position(code: Code, at: int, first: int, stop: int) -> _Position:
-    groups, fields, said = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
-    for k in code.names(first, stop):
-        name = code.tokens[k].text
-        if name.startswith("GP") and code.is_mark(k + 1, ":"):
-            groups.append(name)
-        elif code.is_mark(k + 1, ":"):
-            said.setdefault(name, code.tokens[k + 2].text)
-        elif code.is_mark(k + 1, "="):
-            behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
-            number = code.number(k + 2, behind)
-            unit = code.tokens[behind].text
-            if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
-                if name in fields:
-                    raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
-                fields[name] = (code.tokens[k + 1].end, number, unit)
-    return _Position(code, at, tuple(groups), fields, *(said.get(key, "") for key in ("UF", "UT", "CONFIG")))
-
-
-class _Reader(FanucStatements):
     def __init__(
         self,
         source: Source,
-        code: Code,
-        positions: Mapping[str, _Position],
+        part: slice,
+        positions: Mapping[str, Position],
         frames: Mapping[str, pin.SE3 | str],
         harmless: Collection[str],
     ) -> None:
-        super().__init__(source, code, harmless)
-        self.positions, self.frames = positions, frames
+        code = Code(source, WORDS, lines="blank", ends=";", part=part)
+        super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless), "")
+        self.positions, self.frames, self.given, self.words = positions, frames, set(harmless), {}
 
-    def program(self) -> RobotProgram:
-        """Read the instructions, follow the program, and take in its moves."""
-        self.read()
-        self.uses.follow()
-        self.flow.follow()
-        return self.collector.program(LANGUAGE, [self.source])
+    def parameter(self, span: Span) -> tuple[list[str], bool]:
+        """Return nothing: programs have no parameters in the text."""
+        return [], False
 
-    def move(self, places: list[Span], options: Span, state: State | None) -> None:
-        """Take in one motion: its places and the words behind them, and what holds there."""
+    def read(self, at: int = 0) -> None:
+        """Read all instructions; a jump may be to any label if its number is computed."""
+        code = self.code
+        self.flow.jump("first")
+        self.flow.label("any label")
+        for at in code.names(0, len(code.tokens) - 3):
+            if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
+                self.flow.maybe(f"label {self._label(at)}")
+        self.flow.label("first")
+        super().read()
+
+    def _label(self, at: int) -> str:
+        return self.code.tokens[at + 2].text.partition(":")[0].strip()
+
+    def _place(self, span: Span) -> str:
+        """What a place of a motion is called: `P[1]`, `P[*]` where the number is computed, or `PR`."""
+        if self.code.tokens[span[0]].text == "PR":
+            return "PR"
+        number = self.code.tokens[span[0] + 2]
+        plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
+        return f"P[{self._label(span[0]) if plain else '*'}]"
+
+    def names(self, first: int, stop: int) -> set[str]:
+        """Return the registers and positions in some words."""
+        names = set()
+        for at in self.code.names(first, stop):
+            if self.code.is_mark(at + 1, "["):
+                whole = self.code.tokens[at].text == "P"
+                names.add(self._place((at, self.code.partner[at + 1] + 1)) if whole else self.code.tokens[at].text)
+        return names
+
+    def decide(self, first: int, stop: int) -> None:
+        """Take in words by which the program decides."""
+        self.uses.decide(self.names(first, stop), self.code.line(first))
+
+    def statement(self, at: int, stop: int) -> None:
+        """Take in an instruction, behind the conditions on which it is carried out."""
+        code, opened = self.code, 0
+        comma = code.until(at, stop, ",")
+        while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
+            self.decide(at, comma)
+            self.flow.open_choice(code.tokens[at].text, code.line(at))
+            self.flow.pass_over()
+            at, opened = comma + 1, opened + 1
+            comma = code.until(at, stop, ",")
+        if at < stop:
+            self._action(at, stop)
+        for _ in range(opened):
+            self.flow.close()
+
+    def _action(self, at: int, stop: int) -> None:
+        code, word = self.code, self.code.tokens[at].text
+        equals = code.until(at, stop, "=")
+        if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
+            self._motion(at, stop)
+        elif word == "IF" and code.tokens[stop - 1].text == "THEN":
+            self.choose(at)
+        elif word == "FOR":
+            self.count(at)
+        elif word == "ELSE":
+            self.otherwise(at)
+        elif word in ("ENDIF", "ENDFOR"):
+            self.close(at)
+        elif word == "LBL" and code.is_mark(at + 1, "["):
+            self.flow.label(f"label {self._label(at)}")
+        elif word == "JMP":
+            plain = code.is_mark(at + 2, "[") and code.partner[at + 2] == at + 4
+            self.flow.jump(f"label {self._label(at + 1)}" if plain else "any label")
+        elif word in ("END", "ABORT"):
+            self.flow.jump("return")
+        elif equals < stop and code.tokens[at].kind == "name":
+            self._assignment(at, stop, equals)
+        else:
+            self.decide(at, stop)
+            called = at + 1 if word == "CALL" else at
+            known = self.given if word == "CALL" else self.harmless
+            if code.tokens[called].text not in known and not code.is_mark(at, "-"):
+                self.call_elsewhere(code.shown(called, called + 1), code.line(at))
+
+    def _assignment(self, at: int, stop: int, equals: int) -> None:
+        """Take in what sets registers, outputs, frames and positions."""
+        code, word = self.code, self.code.tokens[at].text
+        names, value = self.names(at + 1, stop), code.shown(equals + 1, stop)
+        positions = {name for name in names if name.startswith("P[")}
+        if word in _NUMBERED:
+            plain = equals == at + 1 and value.isdigit()
+            self.flow.set(word, value if plain else Unknown(f"is computed in line {code.line(at)}"))
+        elif word in ("UFRAME", "UTOOL"):
+            plain = code.partner[at + 1] == at + 3 and code.tokens[at + 2].kind == "number"
+            key = f"{word}[{code.tokens[at + 2].text}]" if plain else word
+            self.flow.set(key, Unknown(f"is set while the program runs (line {code.line(at)})"))
+        elif word == "P":
+            self.uses.set(self._place((at, code.partner[at + 1] + 1 if code.is_mark(at + 1, "[") else at + 1)))
+        elif word == "PR" and not (code.tokens[equals + 1].text == "P" and code.partner[equals + 2] + 1 == stop):
+            self.uses.compute("PR", names - positions)
+            self.uses.decide(positions, code.line(at))
+        elif word in self.harmless or word == "PR":
+            self.uses.compute(word, names)
+        else:
+            self.uses.decide(names, code.line(at))
+            self.call_elsewhere(code.shown(at, at + 1), code.line(at))
+
+    def _motion(self, at: int, stop: int) -> None:
+        """Take in a motion, and what is called while the robot moves."""
+        code, places, first = self.code, list[Span](), at + 1
+        while first < stop and code.tokens[first].text in ("P", "PR") and code.is_mark(first + 1, "["):
+            places.append((first, code.partner[first + 1] + 1))
+            first = code.partner[first + 1] + 1
+        self.flow.move(code.tokens[at].start, lambda state: self._targets(places, (first, stop), state))
+        for k in code.names(first, stop):
+            if code.tokens[k - 1].text == "CALL" and code.tokens[k].text not in self.given:
+                shown, line = code.shown(k, k + 1), code.line(k)
+                self.run_at_any_time(k, lambda shown=shown, line=line: self.call_elsewhere(shown, line))  # type: ignore[misc]
+
+    # targets
+
+    def _targets(self, places: list[Span], options: Span, state: State | None) -> None:
+        changed = next((k for k in self.code.names(*options) if self.code.tokens[k].text in _CHANGED), None)
         for span in places:
-            start, position = self.code.tokens[span[0]].start, None
-            try:
-                found, changed = self._position(span), self._changed(options)
-                if changed.upper() in ("", "INC"):  # others move along with the position
-                    position = found
-                if changed:
-                    raise LeftOutError(f"is computed at run time ({changed})")
-                if state is None:
-                    raise LeftOutError("is a place to which the program never comes")
-                self.collector.take(self._target(found, state), self.source, start)
-            except LeftOutError as why:
-                if position is not None and position.fields:
-                    name = "J1" if "J1" in position.fields else "X"
-                    if name in position.fields:
-                        self.collector.refuse(self._cells(position, (name,)), self.source, start)
-                self.collector.leave(self.source, start, self.code.shown(*span), str(why))
+            self.go(
+                span,
+                state,
+                lambda span=span: self._position(span, options, changed),  # type: ignore[misc]
+                lambda position, state: self._target(position, state, changed),
+            )
 
-    def _changed(self, options: Span) -> str:
-        """A word behind the places that changes the target; a word that is not known."""
-        for at in self.code.names(*options):
-            token = self.code.tokens[at]
-            if token.text in _CHANGED:
-                return self.code.shown(at, at + 1)
-        for at in self.code.names(*options):
-            text = self.code.tokens[at].text
-            if text.rstrip("0123456789") not in ("CNT", "ACC", "CR", *_KNOWN) and not self.called(at):
-                raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
-        return ""
-
-    def _position(self, span: Span) -> _Position:
-        name = self.place(span)
+    def _position(self, span: Span, options: Span, changed: int | None) -> Position:
+        name = self._place(span)
         if name == "PR":
             raise LeftOutError("is a position register; its numbers are not in the program")
         if not name[2:-1].isdigit():
             raise LeftOutError("is computed at run time")
         if name[2:-1] not in self.positions:
             raise DataError(f"{self.code.where(span[0])}: {name} is not in /POS; save the program again")
+        if changed is not None and self.code.tokens[changed].text != "INC":  # others move along with the position
+            raise LeftOutError(f"is computed at run time ({self.code.shown(changed, changed + 1)})")
+        self._require_known(options)
         return self.positions[name[2:-1]]
 
-    def _target(self, position: _Position, state: State) -> ProgramTarget:
+    def _require_known(self, options: Span) -> None:
+        """Raise `LeftOutError` for a word behind the places of a motion that is not known."""
+        for at in self.code.names(*options):
+            known = self.code.tokens[at].text.rstrip("0123456789") in (*_KNOWN, *_CHANGED)
+            if not known and self.code.tokens[at - 1].text != "CALL":
+                raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
+
+    def _target(self, position: Position, state: State, changed: int | None) -> tuple[ProgramTarget, tuple[Place, ...]]:
         """The target of a motion."""
-        code, fields, where = position.code, position.fields, position.code.where(position.at)
-        name = f"P[{code.tokens[position.at + 2].text.partition(':')[0].strip()}]"
-        why = self.uses.why_not(name) or self.uses.why_not("P[*]")
+        why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
+        if changed is not None:
+            why = "is computed at run time (INC)"
         if why:
             raise LeftOutError(why)
-        if position.groups != ("GP1",):
-            raise LeftOutError("moves other motion groups, which the description does not have")
-        if any(float(self.source.text[slice(*fields[key][1])]) for key in fields if key.startswith("E")):
-            raise LeftOutError("moves external axes, which the description does not have")
-        line = code.line(position.at)
-        if set(_JOINTS) <= set(fields):
-            return ProgramTarget(line, self.source.path, name, self._cells(position, _JOINTS), None)
-        if not set(_POSE) <= set(fields):
-            missing = next(key for key in _POSE if key not in fields)
-            raise DataError(f"{where}: {name} has no number for {missing}; correct it")
-        if not position.frame or not position.tool:
-            raise DataError(f"{where}: {name} does not say UF and UT; save the program again")
-        frame, tool = (
-            self._frame(kind, number, state) for kind, number in (("UFRAME", position.frame), ("UTOOL", position.tool))
-        )
-        configuration = _configuration(where, position.configuration)
-        cells = self._cells(position, _POSE)
-        return ProgramTarget(line, self.source.path, name, cells, "xyz", frame, tool, configuration)
-
-    def _cells(self, position: _Position, names: tuple[str, ...]) -> tuple[Number, ...]:
-        """Numbers with the blanks before them, which make room for a sign."""
-        fields = [position.fields[name] for name in names]
-        units = [MILLIMETRE if unit == "MM" else DEGREE for _, _, unit in fields]
-        cells = cells_at(self.source, 0, [number for _, number, _ in fields], units)
-        return tuple(
-            replace(
-                cell,
-                start=start,
-                width=number[1] - start,
-                decimals=len(self.source.text[slice(*number)].partition(".")[2]),
-            )
-            for cell, (start, number, _) in zip(cells, fields, strict=True)
-        )
+        position.require_alone()
+        if position.joints is not None:
+            return ProgramTarget(position.line, self.sources[0].path, position.name, position.joints, None), ()
+        cells = position.pose()
+        frame = self._frame("UFRAME", position.frame, state)
+        tool = self._frame("UTOOL", position.tool, state)
+        configuration = position.configuration()
+        path = self.sources[0].path
+        return ProgramTarget(position.line, path, position.name, cells, "xyz", frame, tool, configuration), ()
 
     def _frame(self, kind: str, number: str, state: State) -> pin.SE3:
         what = "user frame" if kind == "UFRAME" else "tool"
-        selected = state[f"{kind}_NUM"]
-        if isinstance(selected, Unknown):
-            raise LeftOutError(f"which {what} is selected {selected.why}")
-        if selected not in ("", number):
-            raise LeftOutError(f"is of {what} {number}, and {selected} is selected here")
+        chosen = state[f"{kind}_NUM"]
+        if isinstance(chosen, Unknown):
+            raise LeftOutError(f"which {what} is selected {chosen.why}")
+        if chosen not in ("", number):
+            raise LeftOutError(f"is of {what} {number}, and {chosen} is selected here")
         if number == "0":
             return pin.SE3.Identity()
         name = f"{kind}[{number}]"
@@ -246,15 +251,3 @@ class _Reader(FanucStatements):
         if isinstance(frame, str):
             raise LeftOutError(frame)
         return frame
-
-
-def _configuration(where: str, text: str) -> Configuration:
-    """N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0."""
-    match = _CONFIG.fullmatch(text)
-    if match is None:
-        raise DataError(f"{where}: has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
-    if any(int(turn) for turn in match.groups()[3:]):
-        raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
-    ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
-    flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
-    return Configuration(f"CONFIG : {text}", ranges, **flags)

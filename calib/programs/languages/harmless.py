@@ -12,14 +12,6 @@ def names(text: str, *, fold_case: bool = False) -> frozenset[str]:
     return frozenset((text.upper() if fold_case else text).split())
 
 
-def call_remedy(name: str, line: int, what: str) -> str:
-    """Return why something is not known behind a call of what is declared elsewhere, and what to do."""
-    return (
-        f"is not known after '{name}' (line {line}), which is declared nowhere here and may {what}; say --harmless"
-        f" {name} if it does not"
-    )
-
-
 URSCRIPT = names("""
     abs acos asin atan atan2 assert binary_list_to_integer ceil cos d2r floor get_list_length integer_to_binary_list
     interpolate_pose inv length log norm normalize point_dist pose_add pose_dist pose_inv pose_sub pose_trans pow
@@ -116,7 +108,8 @@ RAPID_SETS = names(
 
 KRL = names("""
     ABS SIN COS ACOS TAN ATAN ATAN2 SQRT FORWARD INVERSE INV_POS PULSE STRADD STRCLEAR STRCOMP STRFIND STRLEN
-    STRDECLLEN VARSTATE VARTYPE GETVARSIZE IS_KEY_PRESSED TIMER_LIMIT SYNCCMD CANCELPROGSYNC MAX MIN ROUND B_NOT
+    STRDECLLEN VARSTATE VARTYPE GETVARSIZE IS_KEY_PRESSED TIMER_LIMIT SYNCCMD CANCELPROGSYNC MAX MIN ROUND
+    B_NOT B_AND B_OR B_EXOR AND OR NOT EXOR
     IR_STOPM EXISTS_KRLMSG ISMESSAGESET WSPACEGIVE WSPACETAKE
     HALT CONTINUE ANIN ANOUT DIGIN IMPORT
     $VEL $VEL_AXIS $ACC $ACC_AXIS $APO $JERK $GEAR_JERK $ORI_TYPE $CIRC_TYPE $CIRC_MODE $ADVANCE $OUT $OUTB $ANOUT

@@ -1,40 +1,33 @@
 """Targets of KRL, the language of KUKA: a `.src` file with the `.dat` file beside it.
 
 Read are `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes (`E6AXIS`,
-`AXIS`), declared in either file or written out. Tool and base are those that hold there on every way to the motion: of
-the inline forms (`FDAT_ACT` and a `BAS` behind it, or the spline's `STOOL2`, `SBASE`), of `BAS(#TOOL, ...)` and
-`BAS(#BASE, ...)`, or set in `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` stand in the controller's `$config.dat`,
-or in a table of frames.
+`AXIS`), declared in either file or written out. Tool and base are those that hold there on every way to the motion
+(`krl_frames`). A statement ends with its line; statements begin behind `THEN`, `ELSE`, `DO` and a label too. What is no
+assignment, no branch or loop and no known statement may set its arguments, and all frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.krl_statements import Aggregate, Frame, KrlStatements
-from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.robot_program import (
-    DEGREE,
-    MILLIMETRE,
-    Configuration,
-    LeftOutError,
-    Number,
-    ProgramTarget,
-    RobotProgram,
-    Source,
-    cells_at,
-)
+from calib.programs.languages.control_flow import State
+from calib.programs.languages.krl_frames import SELECTED, KrlFrames
+from calib.programs.languages.reader import Data, Frame, selected
+from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
+from calib.programs.languages.visits import Place
 
-LANGUAGE, SUFFIXES = "KRL", (".src",)
+SUFFIXES = (".src",)
 _WHAT = "a KRL program"
-_POSE, _AXES = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
-_NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
+_AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
+_MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
+_NO_STATEMENTS = "EXT EXTP EXTFCT EXTFCTP IMPORT SIGNAL STRUC ENUM CHANNEL DEFDAT ENDDAT BRAKE"
 
 
 def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
@@ -58,154 +51,183 @@ def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
     reader = _Reader([Source.read(path, "a KRL data list")], {}, ())
     reader.read_data(0)
-    frames: dict[str, pin.SE3 | str] = {}
-    for name in reader.declared:
-        if name.startswith(("TOOL_DATA[", "BASE_DATA[")):
-            frame = reader.frame_named(name, reader.flow.start)
-            frames[name] = pose_of(frame.values, "zyx") if isinstance(frame, Frame) else getattr(frame, "why", name)
-    return frames
+    names = [name for name in reader.declared if name.startswith(("TOOL_DATA[", "BASE_DATA["))]
+    frames = {name: reader.frame_named(name, reader.flow.start) for name in names}
+    return {name: frame.pose if isinstance(frame, Frame) else frame.why for name, frame in frames.items()}
 
 
-class _Reader(KrlStatements):
+class _Reader(KrlFrames):
     def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(sources, harmless)
-        self.frames = frames
+        super().__init__(sources, frames, harmless)
+        self.words = spelled(
+            {
+                self.begin: "DEF DEFFCT",
+                self.finish: "END ENDFCT",
+                self.close: "ENDIF ENDFOR ENDWHILE ENDLOOP ENDSWITCH",
+                self.line_end: _NO_STATEMENTS,
+                self._modified: " ".join(_MODIFIERS),
+                self.skip: "THEN DO",
+                self.otherwise: "ELSE DEFAULT",
+                self.choose_next: "CASE",
+                self.choose: "IF SWITCH",
+                self.repeat: "LOOP REPEAT",
+                self.repeat_while: "WHILE",
+                self.count: "FOR",
+                self.until: "UNTIL",
+                self.spline: "SPLINE PTP_SPLINE",
+                self.end_spline: "ENDSPLINE",
+                self._at_any_time: "INTERRUPT TRIGGER",
+                self._wait: "WAIT",
+                self.jump: "GOTO",
+                self.leave_loop: "EXIT",
+                self.leave: "RETURN",
+                self._resume: "RESUME",
+            }
+        )
 
-    def program(self) -> RobotProgram:
-        """Read the statements, follow the program, and take in its moves."""
-        self.read()
-        self.uses.follow()
-        self.flow.follow()
-        return self.collector.program(LANGUAGE, self.sources)
+    def parameter(self, span: Span) -> tuple[list[str], bool]:
+        """Return the name of a parameter, and whether it is a reference."""
+        return [self.code.tokens[span[0]].text], self.code.tokens[span[1] - 1].text != "IN"
 
-    def frame(self, span: Span, state: State) -> Hashable:
-        """Return what a tool or base is set to: a `Frame`, the name of a given one, or `Unknown`."""
-        if self.code.inside(*span, "{"):
-            components = self.components(0, *span)
-            if components is None or not set(_POSE) <= set(components):
-                return Unknown("is not six plain numbers")
-            return Frame(self._values(0, components))
-        return self.frame_named("".join(token.text for token in self.code.tokens[slice(*span)]), state)
+    def read(self, at: int = 0) -> None:
+        """Read the declarations of the other files, and all statements of the first."""
+        for file in range(1, len(self.codes)):
+            self.read_data(file)
+        super().read(at)
 
-    def frame_named(self, name: str, state: State) -> Hashable:
-        """Return the frame of a name."""
-        unknown = Unknown(f"{name if '[' in name else name.lower()} is not known here; give $config.dat with --frames")
-        if name in _NULL:
-            return Frame((0.0,) * 6)
-        if state.get(name) is not None:
-            return state[name]
-        base = name.partition("[")[0]
-        if base in ("TOOL_DATA", "BASE_DATA") and isinstance(state["DATA"], Unknown):
-            return Unknown(f"{name} {state['DATA'].why}")
-        data = self.declared.get(name)
-        if data is not None and data.components is None and base in ("TOOL_DATA", "BASE_DATA"):
-            return Unknown(f"{name} is not six plain numbers")
-        if data is not None and data.components is not None and set(_POSE) <= set(data.components):
-            if base not in ("TOOL_DATA", "BASE_DATA") and (self.uses.is_set(name) or (data.shared and self.foreign)):
-                return unknown
-            return Frame(self._values(data.file, data.components), ((data.file, data.components["X"][0]),))
-        return name if name in self.frames else unknown
+    def read_data(self, file: int) -> None:
+        """Read a data list."""
+        code, at = self.codes[file], 0
+        while at < len(code.tokens):
+            stop = code.line_end(at)
+            if stop > at and code.tokens[at].text not in _NO_STATEMENTS.split():
+                self._declaration(file, at, stop)
+            at = stop + 1
 
-    def form(self, name: str, state: State) -> tuple[Hashable, Hashable, Hashable]:
-        """Return tool, base and interpolation mode of an inline form."""
-        file, span = self.forms.get(name, (0, (0, 0)))
-        code, members = self.codes[file], dict[str, str]()
-        inside = code.inside(*span, "{")
-        for first, stop in code.split(*inside) if inside else []:
-            members[code.tokens[first].text] = "".join(token.text for token in code.tokens[first + 1 : stop])
-        if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
-            why = Unknown(f"{name} is {'set while the program runs' if members else 'declared nowhere here'}")
-            return why, why, why
-        tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
-        base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
-        return tool, base, members.get("IPO_FRAME", "#BASE")
+    def _wait(self, at: int) -> int:
+        stop = self.line_end(at)
+        self.decide(at + 1, stop)
+        return stop
 
-    def _values(self, file: int, components: Mapping[str, tuple[int, int]]) -> tuple[float, ...]:
-        return tuple(cell.value for cell in self._cells(file, components, _POSE))
+    def _modified(self, at: int) -> int:
+        """Take in what begins with DECL, GLOBAL, ..."""
+        first = at
+        while self.code.tokens[first].text in _MODIFIERS:
+            first += 1
+        if self.code.tokens[first].text in self.words:
+            return first
+        stop = self.line_end(at)
+        self._declaration(0, at, stop)
+        return stop
 
-    def _cells(
-        self, file: int, components: Mapping[str, tuple[int, int]], names: tuple[str, ...]
-    ) -> tuple[Number, ...]:
-        units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
-        return cells_at(self.sources[file], file, [components[name] for name in names], units)
+    def _at_any_time(self, at: int) -> int:
+        """`INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
+        stop, do = self.line_end(at), self.word(at, "DO")
+        self.decide(at, do)
+        if do + 1 < stop:
+            self.run_at_any_time(at, lambda: self.statement(do + 1, self.word(do, "PRIO")))
+        return stop
 
-    def move(self, word: str, span: Span, state: State | None) -> None:
-        """Take in one motion: its arguments, and what holds there."""
-        code = self.code
-        base, _, relative = word.partition("_")
-        for first, stop in code.split(*span)[: 2 if base.endswith("CIRC") else 1]:
-            end = next((k for k in range(first, stop) if code.tokens[k].text.startswith("C_")), stop)
-            data, start = None, code.tokens[first].start
-            try:
-                if relative:
-                    raise LeftOutError("is relative to where the robot is")
-                if state is None:
-                    raise LeftOutError("is a place to which the program never comes")
-                data = self._data(first, end)
-                self.collector.take(self._target(data, state), self.sources[0], start)
-            except LeftOutError as why:
-                if data is not None and data.components:
-                    self._refuse(data, start)
-                self.collector.leave(self.sources[0], start, code.shown(first, end), str(why))
+    def _resume(self, at: int) -> int:
+        """RESUME leaves the routine that an interrupt was in."""
+        self.run_at_any_time(at, lambda: self.call_elsewhere("RESUME", self.code.line(at)))
+        return at + 1
 
-    def _refuse(self, data: Aggregate, start: int) -> None:
-        """Leave a target as it is everywhere."""
-        for key in ("X", "A1"):
-            if data.components and key in data.components:
-                self.collector.refuse(
-                    cells_at(self.sources[data.file], data.file, [data.components[key]], [1.0]), self.sources[0], start
-                )
+    def _declaration(self, file: int, at: int, stop: int) -> None:
+        """Take in a line that declares data, or gives them their first values."""
+        code, first = self.codes[file], at
+        while code.tokens[first].text in _MODIFIERS:
+            first += 1
+        shared = any(code.tokens[k].text == "GLOBAL" for k in range(at, first))
+        typed = first + 1 < stop and code.tokens[first + 1].kind == "name"
+        kind = code.tokens[first].text if typed else ""
+        for left, right in code.split(first + typed, stop):
+            equals = code.until(left, right, "=")
+            if equals + 1 >= right:
+                continue
+            if code.inside(equals + 1, right, "{"):
+                shown = self.sources[file].text[code.tokens[left].start : code.tokens[equals - 1].end]
+                self.declare(code.text(left, equals), Data(shown, file, (equals + 1, right), kind, shared))
+            if file == 0:
+                self.expression(equals + 1, right)
+            names = {code.tokens[k].text for k in code.names(equals + 1, right)}
+            self.uses.compute(code.tokens[left].text, names)
 
-    def _data(self, first: int, stop: int) -> Aggregate:
+    def statement(self, at: int, stop: int) -> None:
+        """Take in an assignment, a call, a motion or a declaration."""
+        code, word = self.code, self.code.tokens[at].text
+        equals = code.until(at, stop, "=")
+        is_name, after = code.tokens[at].kind == "name", code.tokens[at + 1]
+        if word.removesuffix("_REL") in _MOVES and after.text not in ("=", "[", ".", "("):
+            self._move(at, stop)
+        elif is_name and equals < stop and (equals == at + 1 or after.text in ("[", ".")):
+            self.assign(at, stop, equals)
+            self.uses.set(word)
+            self.select_assigned(at, stop, equals)
+        elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
+            self.expression(at, stop)
+        elif is_name and stop > at + 1 and after.kind == "name" and word != "ASYPTP":
+            self._declaration(0, at, stop)
+        else:
+            self.set_arguments((at, stop), "is part of a statement that is not understood")
+            self.call_elsewhere(code.shown(at, stop), code.line(at))
+
+    def _move(self, at: int, stop: int) -> None:
+        """Take in a motion, with what holds for it alone behind WITH."""
+        self.expression(at + 1, stop)
+        end = min(self.word(at, "WITH"), stop)
+        if end < stop:
+            self.save("of the motion")
+            self.set_with(end, stop)
+        self.flow.move(self.code.tokens[at].start, lambda state: self._targets(at, end, state))
+        if end < stop:
+            self.restore("of the motion")
+
+    # targets
+
+    def _targets(self, at: int, stop: int, state: State | None) -> None:
+        code, (base, _, relative) = self.code, self.code.tokens[at].text.partition("_")
+        for first, last in code.split(at + 1, stop)[: 2 if base.endswith("CIRC") else 1]:
+            end = next((k for k in range(first, last) if code.tokens[k].text.startswith("C_")), last)
+            span = first, end
+            self.go(span, state, lambda span=span: self._data(span, bool(relative)), self._target)  # type: ignore[misc]
+
+    def _data(self, span: Span, relative: bool) -> Data:
         """The numbers of a target, written out or declared."""
-        code = self.code
-        name = "".join(token.text for token in code.tokens[first:stop])
-        written = code.inside(first, stop, "{") is not None
-        data = Aggregate(0, first, "", self.components(0, first, stop)) if written else self.declared.get(name)
-        if data is None and self.uses.is_set(name):
-            raise LeftOutError("is set while the program runs")
+        code, name = self.code, self.code.text(*span)
+        if relative:
+            raise LeftOutError("is relative to where the robot is")
+        data = Data("", 0, span) if code.inside(*span, "{") else self.declared.get(name)
         if data is None:
-            single = stop == first + 1 and code.tokens[first].kind == "name" and not name.startswith("$")
-            raise LeftOutError("is declared nowhere here" if single else "is computed at run time")
-        if data.components is None:
-            raise LeftOutError("is not plain numbers")
+            single = span[1] == span[0] + 1 and code.tokens[span[0]].kind == "name" and not name.startswith("$")
+            otherwise = "is declared nowhere here" if single else "is computed at run time"
+            raise LeftOutError(self.uses.why_not(name) or otherwise)
         return data
 
-    def _target(self, data: Aggregate, state: State) -> ProgramTarget:
-        assert data.components is not None
-        source, code = self.sources[data.file], self.codes[data.file]
-        why = self.uses.why_not(data.name.upper().partition("[")[0]) if data.name else ""
-        if why or (data.shared and self.foreign):
-            raise LeftOutError(why or f"may be set by {self.foreign}")
-        numbers = {key: float(source.text[slice(*place)]) for key, place in data.components.items()}
+    def _target(self, data: Data, state: State) -> tuple[ProgramTarget, tuple[Place, ...]]:
+        self.require_constant(data)
+        components = self.components(data)
+        if components is None:
+            raise LeftOutError("is not plain numbers")
+        source = self.sources[data.file]
+        numbers = {key: float(source.text[slice(*place)]) for key, place in components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
-        path, line = source.path, code.line(data.at)
+        line = self.codes[data.file].line(data.span[0])
         if set(_AXES) <= set(numbers):
-            return ProgramTarget(line, path, data.name, self._cells(data.file, data.components, _AXES), None)
-        if not set(_POSE) <= set(numbers):
+            return ProgramTarget(line, source.path, data.name, self.cells(data, _AXES), None), ()
+        cells = self.pose_cells(data)
+        if cells is None:
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
-        tool, base = (self._pose(key, state[key]) for key in ("$TOOL", "$BASE"))
+        tool, base = (selected(key, state[key]) for key in SELECTED[:2])
         mode = state["$IPO_MODE"]
         if mode != "#BASE":
             raise LeftOutError(
                 "the tool is not on the robot" if mode == "#TCP" else "whether the tool is on the robot is not known"
             )
-        cells, configuration = self._cells(data.file, data.components, _POSE), _configuration(numbers)
-        places = tuple(place for key in ("$BASE", "$TOOL") for place in getattr(state[key], "places", ()))
-        return ProgramTarget(line, path, data.name, cells, "zyx", base, tool, configuration, constants=places)
-
-    def _pose(self, key: str, value: object) -> pin.SE3:
-        """A tool or base as a pose."""
-        if isinstance(value, Frame):
-            return pose_of(value.values, "zyx")
-        frame = self.frames.get(value) if isinstance(value, str) else None
-        if isinstance(frame, pin.SE3):
-            return frame
-        why = frame if isinstance(frame, str) else getattr(value, "why", "is not known")
-        starts = ("nothing", "TOOL_DATA", "BASE_DATA")
-        own = why.startswith(starts) or "known here" in why or "declared nowhere here" in why.partition("(")[0]
-        raise LeftOutError(why if own else f"{key} {why}")
+        configuration = _configuration(numbers)
+        target = ProgramTarget(line, source.path, data.name, cells, "zyx", base.pose, tool.pose, configuration)
+        return target, base.places + tool.places
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

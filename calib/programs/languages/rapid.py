@@ -6,44 +6,55 @@ one or in arrays, or written out. Tools (`tooldata`) and work objects (`wobjdata
 declared in the program, or in another module, or in a table of frames. Axis configurations count while `ConfL` and
 `ConfJ` are on.
 
-Data that the program sets anywhere are no constants. Arguments are set by routines that get them as `INOUT`, `PERS`,
-`VAR` or `REF`, and by all that are declared nowhere here; those may also set all data that are not `LOCAL`.
+Statements end with a semicolon; `IF c x := 1;` is one in one. Data that the program sets anywhere are no constants.
+Arguments are set by routines that get them as `INOUT`, `PERS`, `VAR` or `REF`, and by all that are declared nowhere
+here; those may also set all data that are not `LOCAL`.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.rapid_statements import RapidStatements
+from calib.programs.languages.harmless import RAPID_SETS
+from calib.programs.languages.rapid_data import SIZES, TWO_TARGETS, RapidData
+from calib.programs.languages.reader import NO_VALUE, Data
 from calib.programs.languages.robot_program import (
     DEGREE,
-    MILLIMETRE,
     Configuration,
     LeftOutError,
-    Number,
     ProgramTarget,
     RobotProgram,
     Source,
     cells_at,
 )
+from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
 
-LANGUAGE, SUFFIXES = "RAPID", (".mod", ".modx", ".prg", ".sys")
+SUFFIXES = (".mod", ".modx", ".prg", ".sys")
 _WHAT = "a RAPID module"
-_TWO = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
+_OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
+_MOVE = re.compile(
+    r"(?:MOVE|TRIGG)(?:L|C|J|ABSJ)(?:SYNC|DO|AO|GO|IOS)?|ARC[LC](?:START|END|\d)?|SPOT(?:L|J|ML|MJ)"
+    r"|(?:DISP|PAINT|SEARCH)[LC](?:START|END)?"
+)
 _ABSOLUTE = re.compile(r"\w+ABSJ")
+_DISPLACED = Unknown("is active here (PDispOn, PDispSet, EOffsOn)")
+_MODES: dict[str, tuple[str, Unknown | None]] = {
+    "PDISPON": ("PDISP", _DISPLACED),
+    "PDISPSET": ("PDISP", _DISPLACED),
+    "PDISPOFF": ("PDISP", None),
+    "EOFFSON": ("EOFFS", _DISPLACED),
+    "EOFFSSET": ("EOFFS", _DISPLACED),
+    "EOFFSOFF": ("EOFFS", None),
+}
 _NONE = 8e9  # external axes that are not there say 9E9
 _QUARTER = np.pi / 2
-_FIXED = ("TOOL0", "WOBJ0")
 
 
 def read_rapid(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
@@ -63,214 +74,234 @@ def read_rapid(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: 
 def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return the tools and work objects that a module declares; the reason for those that cannot be used."""
     reader = _Reader(Source.read(path, _WHAT), {}, ())
+    reader.read()
     return {
         name: f"'{name.lower()}' is set by its module" if reader.uses.is_set(name.partition("{")[0]) else frame
-        for name, frame in reader.frames.items()
+        for name, data in reader.declared.items()
+        if data.kind in ("TOOLDATA", "WOBJDATA") and data.span != NO_VALUE
+        for frame in [reader.frame(data)]
     }
 
 
-@dataclass(frozen=True)
-class _Declared:
-    """A target, tool or work object: type, name, where its numbers stand, and whether other modules can set it."""
-
-    type: str
-    name: str
-    span: Span
-    shared: bool
-
-
-class _Reader(RapidStatements):
+class _Reader(RapidData):
     def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(source, harmless)
-        self.declared: dict[str, _Declared] = {}
-        self.frames: dict[str, pin.SE3 | str] = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity(), **frames}
-        self.read()
-        for data in self.data:
-            elements = self._elements(data.value) if data.array else [data.value]
-            for k, span in enumerate(elements, 1):
-                name = f"{data.name}{{{k}}}" if data.array else data.name
-                if self.code.inside(*span, "["):
-                    shown = self.source.text[self.code.tokens[data.at].start : self.code.tokens[data.at].end]
-                    shown += name[len(data.name) :]
-                    self.declared[name] = _Declared(data.type.lower(), shown, span, data.shared)
-        self.frames |= {
-            name: self._frame(declared) for name, declared in self.declared.items() if "data" in declared.type
-        }
+        super().__init__(source, frames, harmless)
+        self.words = spelled(
+            {
+                self.begin: "PROC FUNC",
+                self._begin_trap: "TRAP",
+                self.finish: "ENDPROC ENDFUNC ENDTRAP",
+                self._handler: "ERROR UNDO BACKWARD",
+                self._declaration: "CONST PERS VAR",
+                self.skip: "LOCAL TASK THEN DO ENDMODULE",
+                self._module: "MODULE",
+                self._record: "RECORD",
+                self.end: "ALIAS",
+                self._if: "IF",
+                self.choose: "TEST",
+                self.choose_next: "ELSEIF CASE",
+                self.otherwise: "ELSE DEFAULT",
+                self.count: "FOR",
+                self.repeat_while: "WHILE",
+                self.close: "ENDIF ENDFOR ENDWHILE ENDTEST",
+                self.jump: "GOTO",
+                self.leave: "RETURN RAISE",
+                self.halt: "EXIT EXITCYCLE RETRY TRYNEXT",
+            }
+        )
 
-    def program(self) -> RobotProgram:
-        """Follow the program, and take in its moves."""
-        self.uses.follow()
-        self.flow.follow()
-        return self.collector.program(LANGUAGE, [self.source])
+    def read(self, at: int = 0) -> None:
+        """Read all statements behind what a controller writes first: %%% ... %%%."""
+        marks = [at for at in range(len(self.code.tokens)) if self.code.is_mark(at, "%")][:6]
+        super().read(marks[-1] + 1 if self.code.is_mark(0, "%") else at)
 
-    def _elements(self, span: Span) -> list[Span]:
-        inside = self.code.inside(*span, "[")
-        return self.code.split(*inside) if inside else []
+    def skip(self, at: int) -> int:
+        """Go on behind a word or a statement; it may end branches that are one statement long."""
+        if self.code.tokens[at].text == ";":
+            self._close_compact()
+        return at + 1
 
-    def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
-        """Places of the plain numbers in brackets."""
-        spans = self._elements(span)
-        numbers = [self.code.number(*element) for element in spans]
-        for number, element in zip(numbers, spans, strict=True):
-            if number is None:
-                raise LeftOutError(f"'{self.code.shown(*element)}' is not a plain number")
-        if len(spans) != count:
-            raise DataError(f"{self.code.where(span[0])}: {what} has {len(spans)} numbers; expected {count}")
-        return [number for number in numbers if number is not None]
+    def _close_compact(self) -> None:
+        while self.flow.blocks and self.flow.blocks[-1].kind == "":
+            self.flow.close()
 
-    def _pose(self, position: Span, rotation: Span) -> tuple[Number, ...]:
-        spans = self._numbers(position, 3, "a position") + self._numbers(rotation, 4, "a quaternion")
-        return cells_at(self.source, 0, spans, (*[MILLIMETRE] * 3, *[0.0] * 4))
+    def close(self, at: int) -> int:
+        """End branches or a loop, and the branches of one statement that these were."""
+        super().close(at)
+        self._close_compact()
+        return at + 1
 
-    def _pose_value(self, span: Span) -> pin.SE3:
-        groups = self._elements(span)
-        if len(groups) != 2:
-            raise DataError(f"{self.code.where(span[0])}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
-        cells = self._pose(*groups)
-        return pose_of([cell.value for cell in cells], "quaternion", self.code.where(span[0]))
+    def _module(self, at: int) -> int:
+        return self.code.partner[at + 2] + 1 if self.code.is_mark(at + 2, "(") else at + 2
 
-    def _frame(self, declared: _Declared) -> pin.SE3 | str:
-        """A tool or work object as a frame, or why it cannot be one."""
-        groups = self._elements(declared.span)
-        texts = [self.code.tokens[start].text for start, _ in groups]
-        if len(groups) != (3 if declared.type == "tooldata" else 5):
-            raise DataError(
-                f"{self.code.where(declared.span[0])}: {declared.type} '{declared.name}' is not complete; correct it"
-            )
-        try:
-            if declared.type == "tooldata":
-                return (
-                    self._pose_value(groups[1]) if texts[0] == "TRUE" else f"tool '{declared.name}' is not on the robot"
-                )
-            if texts[0] != "FALSE":
-                return f"the robot holds work object '{declared.name}'"
-            if texts[1] != "TRUE":
-                return f"work object '{declared.name}' is moved by another unit"
-            return self._pose_value(groups[3]) * self._pose_value(groups[4])
-        except LeftOutError as why:
-            return f"'{declared.name}' is not constant: {why}"
+    def _record(self, at: int) -> int:
+        end = len(self.code.tokens) - 1
+        return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
-    def move(self, word: str, spans: Sequence[Span], options: Mapping[str, Span], state: State | None) -> None:
-        """Take in one instruction that moves: its arguments, and what holds there."""
-        targets = list(spans[: 2 if _TWO.match(word) else 1])
-        search = word.startswith("SEARCH")
-        if search:
-            targets = [span for span in spans[:4] if self._named(span) in self.declared][-1:] or targets
+    def _begin_trap(self, at: int) -> int:
+        self.flow.begin(self.code.tokens[at + 1].text, self.code.where(at), at_any_time=True)
+        return at + 2
+
+    def _handler(self, at: int) -> int:
+        """An error handler runs whenever an error happens."""
+        self.flow.jump("return")
+        name = f"{self.flow.routine} {self.code.tokens[at].text}"
+        self.flow.finish()
+        self.flow.begin(name, self.code.where(at), at_any_time=True)
+        return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
+
+    def _declaration(self, at: int) -> int:
+        code, stop = self.code, self.end(at + 1)
+        kind, name = code.tokens[at + 1].text, at + 2
+        local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
+        equals = code.until(name, stop, ":=")
+        if kind in SIZES:
+            shared, value = code.tokens[at].text != "CONST" and not local, (equals + 1, stop)
+            shown, key = code.shown(name, name + 1), code.tokens[name].text
+            if not code.is_mark(name + 1, "{"):
+                self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
+            for k, span in enumerate(self.parts(value) if code.is_mark(name + 1, "{") else (), 1):
+                self.declare(f"{key}{{{k}}}", Data(f"{shown}{{{k}}}", 0, span, kind, shared))
+        self.expression(equals + 1, stop)
+        self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
+        return stop
+
+    def _if(self, at: int) -> int:
+        """Begin branches; the condition ends where a word follows that can follow no value."""
+        code, stop, value = self.code, at + 1, False
+        while code.tokens[stop].kind != "end" and not code.is_mark(stop, ":="):
+            token = code.tokens[stop]
+            if token.kind == "mark" and token.text in "([{":
+                stop, value = code.partner[stop], True
+            elif token.kind == "mark" or token.text in _OPERATORS:
+                if value and token.text == "%":
+                    break
+                value = False
+            elif value:
+                break
+            else:
+                value = True
+            stop += 1
+        self.decide(at + 1, stop)
+        self.flow.open_choice("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
+        self.flow.pass_over()
+        return stop
+
+    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+        """Take in a call of a routine of the language; some set their arguments."""
+        name = self.code.tokens[at].text
+        if name in RAPID_SETS:
+            self.set_arguments(span, f"is set by '{self.code.shown(at, at + 1)}'")
+        return name in RAPID_SETS or name in self.harmless
+
+    def statement(self, at: int, stop: int) -> None:
+        """Take in an assignment or an instruction."""
+        code, word = self.code, self.code.tokens[at].text
+        equals = code.until(at, stop, ":=")
+        if code.tokens[at].kind != "name":
+            self.set_arguments((at, stop), "is an argument of a routine that is chosen at run time")
+            self.call_elsewhere(code.shown(at, stop), code.line(at))
+        elif equals < stop and code.is_mark(at + 1, ":=", "{", "."):
+            self.assign(at, stop, equals)
+            self.uses.set(word)
+        elif word == "CONNECT":
+            self.uses.set(code.tokens[at + 1].text)
+        elif word in ("CONFL", "CONFJ"):
+            self.flow.set(word, "OFF" not in self.names(at + 1, stop))
+        elif word in _MODES:
+            self.expression(at + 1, stop)
+            self.flow.set(*_MODES[word])
+        elif _MOVE.fullmatch(word) and stop > at + 1:
+            self.expression(at + 1, stop)
+            self._move(word, at, stop)
+        else:
+            self.expression(at + 1, stop)
+            self.call(at, (at + 1, stop))
+
+    def _move(self, word: str, at: int, stop: int) -> None:
+        """Take in an instruction that moves: arguments between commas, and options behind backslashes."""
+        code, spans, options = self.code, list[Span](), dict[str, Span]()
+        for first, last in code.split(at + 1, stop):
+            end = code.until(first, last, "\\")
+            if end > first:
+                spans.append((first, end))
+            for left, right in code.split(end + 1, last, "\\"):
+                behind = left + 2 if code.is_mark(left + 1, ":=", "?") else left + 1
+                options[code.tokens[left].text] = (behind, right)
+                if behind == left + 1 and right > behind:
+                    spans.append((behind, right))
+        if word.startswith("SEARCH"):
+            for span in spans[1:2]:
+                self.set_arguments(span, "is set by a search")
+        for k in range(at, stop) if word.endswith("SYNC") else ():
+            if code.tokens[k].kind == "text":
+                self.run_at_any_time(k, lambda k=k: self._call_named(k))  # type: ignore[misc]
+        self.flow.move(code.tokens[at].start, lambda state: self._targets(word, spans, options, state))
+
+    def _call_named(self, at: int) -> None:
+        """Take in a call of a routine whose name is a text."""
+        name = self.code.tokens[at].text.strip('"').upper()
+        if name in self.routines:
+            self.flow.call(name)
+        elif name not in self.harmless:
+            self.call_elsewhere(name, self.code.line(at))
+
+    # targets
+
+    def _targets(self, word: str, spans: Sequence[Span], options: Mapping[str, Span], state: State | None) -> None:
+        targets = list(spans[: 2 if TWO_TARGETS.match(word) else 1])
+        if word.startswith("SEARCH"):
+            targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
         for span in targets:
-            start, declared = self.code.tokens[span[0]].start, None
-            try:
-                if search:
-                    raise LeftOutError("is where a search ends, not where the robot stops")
-                declared = self._declared(word, span)
-                if state is None:
-                    raise LeftOutError("is a place to which the program never comes")
-                self.collector.take(self._target(word, declared, spans, options, state), self.source, start)
-            except LeftOutError as why:
-                if declared is not None and state is not None:
-                    self._refuse(declared, start)
-                self.collector.leave(self.source, start, self.code.shown(*span), str(why))
+            self.go(
+                span,
+                state,
+                lambda span=span: self._data(word, span),  # type: ignore[misc]
+                lambda data, state: (self._target(word, data, spans, options, state), ()),
+            )
 
-    def _refuse(self, declared: _Declared, start: int) -> None:
-        """Leave a target as it is everywhere, if it has plain numbers."""
-        groups = self._elements(declared.span)
-        first = self._elements(groups[0]) if groups else []
-        number = self.code.number(*first[0]) if first else None
-        if number is not None:
-            self.collector.refuse(cells_at(self.source, 0, [number], [MILLIMETRE]), self.source, start)
-
-    def _named(self, span: Span) -> str:
-        """What an argument names, in capitals."""
-        return "".join(self.code.tokens[at].text for at in range(*span))
-
-    def _declared(self, word: str, span: Span) -> _Declared:
+    def _data(self, word: str, span: Span) -> Data:
         """The numbers of a target that an argument is or names."""
-        name = self._named(span)
+        name = self.code.text(*span)
+        if word.startswith("SEARCH"):
+            raise LeftOutError("is where a search ends, not where the robot stops")
         if self.code.inside(*span, "["):
-            return _Declared("jointtarget" if _ABSOLUTE.match(word) else "robtarget", "", span, False)
-        base = name.partition("{")[0]
-        if base in self.several:
-            raise LeftOutError("is declared in several places; name each otherwise")
-        if name in self.declared and self.declared[name].type.endswith("target"):
-            return self.declared[name]
+            return Data("", 0, span, "JOINTTARGET" if _ABSOLUTE.match(word) else "ROBTARGET")
+        data = self.declared.get(name)
+        if data is not None and data.kind.endswith("TARGET") and data.span != NO_VALUE:
+            return data
         moved = self.code.tokens[span[0] + 2].text if name.startswith(("OFFS(", "RELTOOL(")) else ""
         along = f"; it moves along with {self.declared[moved].name}" if moved in self.declared else ""
-        raise LeftOutError(f"is computed at run time{along}" if "(" in name else "is declared nowhere here")
+        why = self.uses.why_not(name.partition("{")[0]) or "is declared nowhere here"
+        raise LeftOutError(f"is computed at run time{along}" if "(" in name else why)
 
     def _target(
-        self, word: str, declared: _Declared, spans: Sequence[Span], options: Mapping[str, Span], state: State
+        self, word: str, data: Data, spans: Sequence[Span], options: Mapping[str, Span], state: State
     ) -> ProgramTarget:
-        self._constant(declared.name.upper(), declared.shared)
+        self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
-        groups, line = self._elements(declared.span), self.code.line(declared.span[0])
-        where = self.code.where(declared.span[0])
-        if len(groups) != (2 if declared.type == "jointtarget" else 4):
-            raise DataError(f"{where}: {declared.type} '{declared.name}' is not complete; correct it")
-        self._without_external(groups[-1])
-        if declared.type == "jointtarget":
-            cells = cells_at(self.source, 0, self._numbers(groups[0], 6, "robax"), [DEGREE] * 6)
-            if isinstance(state["EOFFS"], Unknown):
-                raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
-            return ProgramTarget(line, self.source.path, declared.name, cells, None)
-        cells = self._pose(*groups[:2])
-        pose_of([cell.value for cell in cells], "quaternion", where)
-        for key in ("PDISP", "EOFFS"):
-            displaced = state[key]
-            if isinstance(displaced, Unknown):
-                raise LeftOutError(f"a program displacement {displaced.why}")
-        tool, frame = self._tool(word, spans), self._work_object(options)
+        parts, line, path = self.complete(data), self.code.line(data.span[0]), self.sources[0].path
+        if any(value < _NONE for value in self.values(parts[-1], 6, "extax")):
+            raise LeftOutError("moves external axes, which the description does not have")
+        if isinstance(state["EOFFS"], Unknown):
+            raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
+        if data.kind == "JOINTTARGET":
+            cells = cells_at(self.sources[0], 0, self.numbers(parts[0], 6, "robax"), [DEGREE] * 6)
+            return ProgramTarget(line, path, data.name, cells, None)
+        cells, _ = self.pose(parts[:2])
+        if isinstance(state["PDISP"], Unknown):
+            raise LeftOutError(f"a program displacement {state['PDISP'].why}")
+        tool, frame = self.tool(word, spans), self.work_object(options)
         checked = state["CONFJ" if word.startswith(("MOVEJ", "TRIGGJ")) else "CONFL"]
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
-        configuration = self._configuration(groups[2]) if checked else None
-        return ProgramTarget(line, self.source.path, declared.name, cells, "quaternion", frame, tool, configuration)
-
-    def _constant(self, name: str, shared: bool) -> None:
-        """Refuse data that the program, or another module, sets or decides by."""
-        why = self.uses.why_not(name.partition("{")[0])
-        if why:
-            raise LeftOutError(why)
-        if shared and self.foreign:
-            raise LeftOutError(f"may be set by {self.foreign}")
-
-    def _without_external(self, span: Span) -> None:
-        values = [float(self.source.text[a:b]) for a, b in self._numbers(span, 6, "extax")]
-        if any(value < _NONE for value in values):
-            raise LeftOutError("moves external axes, which the description does not have")
+        configuration = self._configuration(parts[2]) if checked else None
+        return ProgramTarget(line, path, data.name, cells, "quaternion", frame, tool, configuration)
 
     def _configuration(self, span: Span) -> Configuration:
         """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""
-        quarters = [round(float(self.source.text[a:b])) for a, b in self._numbers(span, 4, "a configuration")]
+        quarters = [round(value) for value in self.values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
         return Configuration(self.code.shown(*span), ranges, behind, elbow)
-
-    def _tool(self, word: str, spans: Sequence[Span]) -> pin.SE3:
-        known = [self._named(span) for span in spans if self._named(span) in self.frames]
-        known = [name for name in known if name not in self.declared or self.declared[name].type == "tooldata"]
-        if not known:
-            place = 4 if _TWO.match(word) else 3
-            name = self.code.shown(*spans[place]) if len(spans) > place else "?"
-            raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
-        return self._usable(known[-1])
-
-    def _work_object(self, options: Mapping[str, Span]) -> pin.SE3:
-        if "WOBJ" not in options:
-            return pin.SE3.Identity()
-        name = self._named(options["WOBJ"])
-        if name not in self.frames:
-            shown = self.code.shown(*options["WOBJ"])
-            raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
-        return self._usable(name)
-
-    def _usable(self, name: str) -> pin.SE3:
-        frame = self.frames[name]
-        if isinstance(frame, str):
-            raise LeftOutError(frame)
-        if name in self.several:
-            raise LeftOutError(f"'{name.lower()}' is declared in several places; name each otherwise")
-        if self.uses.is_set(name.partition("{")[0]):
-            raise LeftOutError(f"'{name.lower()}' is set while the program runs")
-        if self.foreign and name not in _FIXED and (name not in self.declared or self.declared[name].shared):
-            raise LeftOutError(f"'{name.lower()}' may be set by {self.foreign}")
-        return frame

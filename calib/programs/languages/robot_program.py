@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -99,7 +99,6 @@ class ProgramTarget:
         tool: T_flange_tool, of what a pose is.
         configuration: What it says of the joints.
         near: Joint values that it says a pose is near to [m or rad]; empty if it does not.
-        constants: Places (file, start) of the program's own poses that are its frame or tool.
     """
 
     line: int
@@ -111,7 +110,6 @@ class ProgramTarget:
     tool: pin.SE3 = field(default_factory=pin.SE3.Identity)
     configuration: Configuration | None = None
     near: tuple[float, ...] = ()
-    constants: tuple[tuple[int, int], ...] = ()
 
     @property
     def label(self) -> str:
@@ -249,71 +247,6 @@ class RobotProgram:
         return tuple(
             float(cell.shown(value)) * cell.unit for cell, value in zip(self.targets[k].cells, values, strict=True)
         )
-
-
-class Collector:
-    """Targets that a reader finds, each once, and what it leaves out."""
-
-    def __init__(self) -> None:
-        self._targets: dict[tuple[int, int], ProgramTarget | None] = {}
-        self._left: dict[tuple[str, int, str], NotCompensated] = {}
-        self._places: dict[tuple[int, int], list[tuple[Source, int, str]]] = {}
-        self._refused: dict[tuple[int, int], str] = {}
-
-    def take(self, target: ProgramTarget, source: Source, at: int) -> None:
-        """Take a target that the program goes to at a place of the text."""
-        key = (target.cells[0].file, target.cells[0].start)
-        known = self._targets.setdefault(key, target)
-        self._places.setdefault(key, []).append((source, at, target.name or source.shown_line(at)))
-        if known is None:
-            return
-        same = known.rotation is None or (known.frame.isApprox(target.frame) and known.tool.isApprox(target.tool))
-        if not same:
-            self.refuse(target.cells, source, at)
-            self.leave(source, at, target.name, "is reached with different tools or frames; give each a target")
-        else:
-            near, constants = known.near or target.near, known.constants + target.constants
-            self._targets[key] = replace(known, near=near, constants=tuple(dict.fromkeys(constants)))
-
-    def refuse(self, cells: Sequence[Number], source: Source, at: int) -> None:
-        """Leave a target as it is wherever the program goes to it, because of one place."""
-        key = (cells[0].file, cells[0].start)
-        self._targets[key] = None
-        self._refused.setdefault(key, f"stays as it is because of line {source.line(at)}")
-
-    def leave(self, source: Source, at: int, text: str, why: str) -> None:
-        """Note what is not compensated."""
-        line = source.line(at)
-        if (source.path, line, text) not in self._left:
-            self._left[source.path, line, text] = NotCompensated(source.path, line, text, why)
-
-    def _leave_what_moves_along(self) -> None:
-        """Leave out targets whose frame or tool is a target too: its new numbers move them already."""
-        taken = {key: target for key, target in self._targets.items() if target is not None}
-        for key, target in taken.items():
-            first = next((taken[place] for place in target.constants if place in taken), None)
-            if first is not None:
-                self._targets[key] = None
-                self._refused[key] = f"moves along with {first.name}, a target that is its frame or tool"
-
-    def program(self, language: str, sources: Sequence[Source]) -> RobotProgram:
-        """Return the program.
-
-        Raises:
-            DataError: It goes nowhere.
-        """
-        self._leave_what_moves_along()
-        for key, why in self._refused.items():
-            for source, at, text in self._places.get(key, ()):
-                self.leave(source, at, text, why)
-        targets = tuple(target for target in self._targets.values() if target is not None)
-        left = tuple(
-            sorted(self._left.values(), key=lambda left_out: (left_out.path != sources[0].path, left_out.line))
-        )
-        if not targets:
-            why = f"; {left[0]}" if left else ""
-            raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")
-        return RobotProgram(language, tuple(sources), targets, left)
 
 
 def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units: Sequence[float]) -> tuple[Number, ...]:

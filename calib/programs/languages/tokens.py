@@ -23,7 +23,7 @@ class Token(NamedTuple):
     """A word of a program.
 
     Attributes:
-        kind: `name`, `number`, `text`, `mark` or `line`, which is the end of a line.
+        kind: `name`, `number`, `text`, `mark` or `end`, which ends a statement.
         text: The word; in capitals where case does not count.
         start, end: Where it stands.
     """
@@ -57,11 +57,13 @@ class Code:
         source: The text.
         words: Pattern of its words.
         fold_case: Whether case does not count.
-        lines: What ends of lines are: `blank`; or words, `outside` of brackets, or of which brackets hold none (`all`).
+        lines: What ends of lines are: `blank`; or ends of statements, `outside` of brackets, or of which brackets hold
+            none (`all`).
+        ends: Marks that end a statement outside of brackets.
         part: Which part of the text to read.
 
     Attributes:
-        tokens: The words; the last one is the end of a line behind the text.
+        tokens: The words; the last one is an end behind the text.
         partner: Of each word the place of the bracket that closes or opens it; its own of all others.
 
     Raises:
@@ -75,6 +77,7 @@ class Code:
         *,
         fold_case: bool = True,
         lines: Literal["blank", "outside", "all"] = "all",
+        ends: str = "",
         part: slice = slice(None),
     ) -> None:
         self.source = source
@@ -90,6 +93,8 @@ class Code:
             if kind == "odd":
                 raise DataError(f"{source.where(match.start())}: '{match[0]}' is not understood here; correct it")
             at = len(self.tokens)
+            if kind == "line" or (kind == "mark" and match[0] in ends and not opened):
+                kind = "end"
             self.tokens.append(
                 Token(kind, match[0].upper() if fold_case and kind == "name" else match[0], match.start(), match.end())
             )
@@ -105,7 +110,7 @@ class Code:
                 self.partner[self.partner[at]] = at
         if opened:
             raise self._unclosed(opened[-1])
-        self.tokens.append(Token("line", "\n", len(source.text), len(source.text)))
+        self.tokens.append(Token("end", "\n", len(source.text), len(source.text)))
         self.partner.append(len(self.tokens) - 1)
 
     def _unclosed(self, at: int) -> DataError:
@@ -130,6 +135,12 @@ class Code:
         token = self.tokens[at]
         return token.kind == "mark" and token.text in marks
 
+    def line_end(self, at: int) -> int:
+        """Return where the statement that a word is in ends."""
+        while self.tokens[at].kind != "end":
+            at = self.partner[at] + 1
+        return at
+
     def until(self, first: int, end: int, *marks: str) -> int:
         """Return the place of the next of these marks outside of brackets, or the end."""
         at = first
@@ -151,6 +162,10 @@ class Code:
         """Return the words in a bracket if these words are one whole bracket of this kind."""
         whole = end > first and self.is_mark(first, opening) and self.partner[first] == end - 1
         return (first + 1, end - 1) if whole else None
+
+    def text(self, first: int, end: int) -> str:
+        """Return words without what stands between them."""
+        return "".join(token.text for token in self.tokens[first:end])
 
     def number(self, first: int, end: int) -> tuple[int, int] | None:
         """Return where a plain number with its sign stands in the text, if these words are one."""

@@ -2,12 +2,10 @@
 
 In the frame in which the goals are meant (`calib.core.rows.frames`). An error is normal, its covariance that of the
 predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
-The functions below say in words how large they are, in which frame, and what is counted.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +18,6 @@ from calib.core.rows.common_motion import target_poses
 from calib.core.rows.frames import Frame
 from calib.core.rows.prediction import length95, rms_length
 from calib.programs.reaching.goals import Goals
-
-COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
-"""What an expected error counts."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,55 +104,3 @@ def _turned(frame: Frame, goals: Goals, t: int, commands: FloatArray, context: C
         return np.array([pin.log3(turn) for turn in rotations @ goals.rotations.swapaxes(1, 2)])
     assert goals.directions is not None
     return np.cross(goals.directions, rotations[:, :, 2])
-
-
-def of_frame(frame: str) -> str:
-    """Say where and how errors count, in two sentences.
-
-    Args:
-        frame: In which frame, in words.
-    """
-    return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
-
-
-def left_as_it_is(result: str) -> str:
-    """Say why nothing was corrected.
-
-    Args:
-        result: Folder of the calibration.
-    """
-    return f"the verdict of {result} is that nothing is to be corrected"
-
-
-def summary(values: FloatArray) -> dict[str, float]:
-    """Return root mean square and largest of errors (n,)."""
-    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
-
-
-def expected_now(subject: str, expected: dict[str, float], unit: str) -> str:
-    """Say how large an error is expected to be.
-
-    Args:
-        subject: Of what it is, such as `The tool`.
-        expected: Its `summary`.
-        unit: Of this.
-    """
-    return (
-        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
-    )
-
-
-def before_and_now(subject: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
-    """Say how large an error is expected to be without and with the correction; both hold the same uncertainty.
-
-    Args:
-        subject: Of what it is.
-        before: `summary` of what the correction takes away.
-        expected: `summary` of the error that is expected with it.
-        unit: Of both.
-    """
-    without = math.hypot(before["rms"], expected["rms"])
-    return (
-        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst;"
-        f" without the correction by {without:.4f} {unit} (RMS)"
-    )

@@ -39,7 +39,8 @@ class ArmChain:
         joints: Its moving joints, without those that follow others.
         fingers: Moving joints that hang on its end and were taken for those of a gripper.
         branches: The robot's other moving joints, if the chain was chosen and not asked for.
-        others: Links at the ends of what was left out.
+        still: Joints on the way whose limits nobody has stated, taken for fixed ones.
+        others: If the chain was chosen, other links at which it could end, likely ones first.
     """
 
     target: str
@@ -47,21 +48,30 @@ class ArmChain:
     joints: tuple[str, ...]
     fingers: tuple[str, ...] = ()
     branches: tuple[str, ...] = ()
+    still: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
 
     @property
     def remark(self) -> str:
-        """What the choice leaves out, and how to choose another link; empty if it leaves out nothing."""
-        parts = [
-            f"{listed(names, shown=_SHOWN)} ({why})"
-            for names, why in ((self.fingers, "taken for a gripper"), (self.branches, "not on the way to it"))
-            if names
-        ]
-        if not parts:
-            return ""
-        return (
-            f"the arm is taken to end at {self.target}; left out: {'; '.join(parts)}; another end, such as"
-            f" {listed(self.others)}: calib init --target NAME"
+        """What was chosen, what that leaves out, and how to choose another link; empty if nothing was chosen."""
+        reasons = (
+            (self.fingers, "taken for a gripper"),
+            (self.branches, "not on the way to it"),
+            (self.still, "no motor: a <limit> without lower and upper is 0 to 0; write its limits into the URDF"),
+        )
+        parts = [f"{listed(names, shown=_SHOWN)} ({why})" for names, why in reasons if names]
+        left = f"left out: {'; '.join(parts)}" if parts else ""
+        if not self.others:
+            return left
+        return "; ".join(
+            filter(
+                None,
+                [
+                    f"the arm is taken to end at {self.target}",
+                    left,
+                    f"another end, such as {listed(self.others)}: calib init --target NAME",
+                ],
+            )
         )
 
 
@@ -121,9 +131,16 @@ class _Tree:
         way = self.way[target]
         names, moving = _motors(way), _moving(way)
         require_supported(way[way.index(moving[0]) :] if moving else way, self.urdf.path)
+        still = tuple(joint.name for joint in way if joint.unstated and not joint.moves)
         if not names:
-            raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; there is nothing to calibrate")
-        return ArmChain(target, moving[0].parent, names)
+            why = (
+                f"{listed(still)} have a <limit> without lower and upper, which is 0 to 0; write the limits into the"
+                ' URDF, or type="continuous"'
+                if still
+                else "there is nothing to calibrate"
+            )
+            raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; {why}")
+        return ArmChain(target, moving[0].parent, names, still=still)
 
     def arm(self) -> ArmChain:
         """The chain to the end of the arm, and what it leaves out."""
@@ -139,11 +156,15 @@ class _Tree:
         left = [joint for joint in _moving(self.urdf.joints) if joint.name not in kept]
         fingers = [joint for joint in left if self.body[chain.target] in self._before(self.body[joint.parent])]
         tips = [joint.child for joint in fingers if not self._on(joint.name)]
+        others = [*(link for link in ends[1:] if _motors(self.way[link])), *tips]
+        if not others:  # the end's own links, and those before it
+            others = [link for link in reversed(self.urdf.links) if self.body[link] == self.body[chain.target]]
+            others += [joint.child for joint in reversed(self.way[chain.target]) if _motors(self.way[joint.child])]
         return replace(
             chain,
             fingers=tuple(joint.name for joint in fingers),
             branches=tuple(joint.name for joint in left if all(joint is not finger for finger in fingers)),
-            others=(*(link for link in ends[1:] if _motors(self.way[link])), *tips),
+            others=tuple(link for link in dict.fromkeys(others) if link != chain.target),
         )
 
     def _on(self, body: str) -> list[UrdfJoint]:
@@ -179,7 +200,8 @@ class _Tree:
 
     def _end(self, body: str) -> str:
         """The last link in the file at the end of a body: no stiff finger, and beyond a palm if there is one."""
-        links = [link for link in self.urdf.links if self.body[link] == body]
+        ties = {link for loop in self.urdf.mjcf.loops for link in loop.links} if self.urdf.mjcf else set()
+        links = [link for link in self.urdf.links if self.body[link] == body and link not in ties]
         plain = [link for link in links if not self._is_stiff_finger(link)] or links
         parents = {joint.parent for joint in self.urdf.joints if joint.child in plain}
         ends = [link for link in plain if link not in parents]
@@ -201,7 +223,7 @@ class _Tree:
 
 
 def _moving(joints: list[UrdfJoint] | tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
-    return [joint for joint in joints if joint.type not in HELD_TYPES]
+    return [joint for joint in joints if joint.moves]
 
 
 def _motors(way: list[UrdfJoint]) -> tuple[str, ...]:

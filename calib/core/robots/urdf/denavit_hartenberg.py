@@ -45,6 +45,7 @@ CONVENTIONS: tuple[Convention, ...] = ("standard", "modified")
 KINDS: tuple[Kind, ...] = ("revolute", "prismatic", "fixed")
 NEARLY_PARALLEL = 0.05
 """Sine of the angle between two axes below which Hayati's form is used."""
+_FAR_AWAY = 5.0  # along its axis from the joint before it [m]
 _COINCIDENT = 1e-12  # axes that pass each other by less have no direction of a common normal [m]
 _ROUNDING = 1e-14  # smaller numbers are what rounding leaves of 0 [m or rad]
 BASE_LINK, LAST_LINK = "base_link", "flange"
@@ -146,6 +147,8 @@ def urdf_text(table: DhTable, name: str) -> str:
     last_moves = table.rows[-1].kind != "fixed"
     for k, row in enumerate(table.rows, start=1):
         origin, rest = _origin(table.convention, rest, row)
+        if row.kind == "revolute":
+            origin, rest = _slid(origin, rest)
         links.append(LAST_LINK if k == len(table.rows) and not last_moves else f"link_{k}")
         joints.append(_joint(row, links[-2], links[-1], origin))
     if last_moves:
@@ -163,6 +166,18 @@ def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3,
     if row.kind == "fixed":
         return rest * row.along * row.across, pin.SE3.Identity()
     return rest * row.along, row.across
+
+
+def _slid(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
+    """The origin of a joint that turns, moved along its axis to where the joint before is, if it lies far away.
+
+    In tables of nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres there and back. A
+    joint may stand anywhere on its axis: what follows it moves back, and no pose changes.
+    """
+    away = float(origin.translation @ origin.rotation[:, 2])
+    if abs(away) < _FAR_AWAY:
+        return origin, rest
+    return origin * _along(0.0, -away), _along(0.0, away) * rest
 
 
 def _joint(row: DhRow, parent: str, child: str, origin: pin.SE3) -> str:

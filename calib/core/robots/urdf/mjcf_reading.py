@@ -6,7 +6,7 @@ same. With p a joint's place in its body and q0 its value in the file (`ref`):
     body        a link of its name in the body's frame
     joint       T_parent_joint = T_parent_body Trans(p) Motion(-q0): its value is MuJoCo's own (qpos); then Trans(-p) to
                 the body. Several joints of a body follow each other, with links of their own between them
-    ball joint  three hinges about x, y and z, in a row
+    ball joint  three hinges about x, y and z, in a row; of a rod that one point ties to others, two across it
     site        a link that is fixed to its body
     connect, weld (equality)
                 a loop that stays cut open: two links, one fixed to each body, that coincide
@@ -72,6 +72,7 @@ class MjcfRobot:
         source: The URDF.
         motors: Joints with an actuator, in the order of these.
         loops: Cut open in the URDF.
+        springs: Joints with a spring and no actuator.
         home: Value of each joint in the file [m or rad].
         remarks: What the URDF does not hold.
     """
@@ -79,6 +80,7 @@ class MjcfRobot:
     source: bytes
     motors: tuple[str, ...]
     loops: tuple[MjcfLoop, ...]
+    springs: tuple[str, ...]
     home: dict[str, float]
     remarks: tuple[str, ...]
 
@@ -134,7 +136,7 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
             " URDF"
         ) from None
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # meshes are looked for from the working folder
         model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
@@ -165,7 +167,10 @@ class _Reader:
         self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
         ElementTree.indent(self.root)
         source = b'<?xml version="1.0"?>\n' + ElementTree.tostring(self.root, encoding="utf-8") + b"\n"
-        return MjcfRobot(source, tuple(dict.fromkeys(self._motors())), loops, self.home, tuple(self.remarks))
+        motors = tuple(dict.fromkeys(self._motors()))
+        stiff = [self._name("JOINT", int(number)) for number in np.flatnonzero(self.model.jnt_stiffness > 0)]
+        springs = tuple(name for name in stiff if name in self.home and name not in motors)
+        return MjcfRobot(source, motors, loops, springs, self.home, tuple(self.remarks))
 
     def _name(self, kind: str, number: int) -> str:
         of = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}")
@@ -201,10 +206,18 @@ class _Reader:
             body = self._name("BODY", int(model.jnt_bodyid[joint]))
             self.remarks.append(f"body {body} moves freely in the file, and stands still here")
         elif kind == types.mjJNT_BALL:
-            self.remarks.append(f"ball joint {name} is three hinges, {name}_x, {name}_y and {name}_z")
-            around = [(about, nowhere), (nowhere, nowhere), (nowhere, about)]
-            for letter, axis, (before, after) in zip("xyz", np.eye(3), around, strict=True):
-                yield _Motion(f"{name}_{letter}", "continuous", axis, before, after)
+            along = self._rod(int(model.jnt_bodyid[joint]), about)
+            axes = np.eye(3) if along is None else _across(along)
+            names = [f"{name}_{letter}" for letter, _ in zip("xyz", axes, strict=False)]
+            hinges = f"{', '.join(names[:-1])} and {names[-1]}"
+            self.remarks.append(
+                f"ball joint {name} is three hinges, {hinges}"
+                if along is None
+                else f"ball joint {name} is two hinges, {hinges}: the spin of this rod about itself moves nothing"
+            )
+            befores = [about, *[nowhere] * (len(names) - 1)]
+            for hinge, axis, before, after in zip(names, axes, befores, befores[::-1], strict=True):
+                yield _Motion(hinge, "continuous", axis, before, after)
         else:
             limits = (float(model.jnt_range[joint, 0]), float(model.jnt_range[joint, 1]))
             limited = bool(model.jnt_limited[joint])
@@ -217,6 +230,22 @@ class _Reader:
             value = float(model.qpos0[model.jnt_qposadr[joint]])
             axis = np.array(model.jnt_axis[joint])
             yield _Motion(name, moves, axis, about, about, value, limits if limited else None, joint)
+
+    def _rod(self, body: int, centre: FloatArray) -> FloatArray | None:
+        """Direction in a body from its ball joint to the only point that ties it to others, (3,); None: no rod."""
+        model, types = self.model, self.mujoco.mjtEq
+        if np.any(model.body_parentid[1:] == body) or model.body_jntnum[body] != 1:
+            return None
+        points = []
+        for number in np.flatnonzero(model.eq_active0):
+            if model.eq_type[number] == types.mjEQ_JOINT:
+                continue
+            bodies, places = self._tied(int(number))
+            if body in bodies and model.eq_type[number] != types.mjEQ_CONNECT:
+                return None
+            points += [place.translation - centre for place, own in zip(places, bodies, strict=True) if own == body]
+        length = float(np.linalg.norm(points[0])) if len(points) == 1 else 0.0
+        return points[0] / length if length > 0 else None
 
     def _moving(self, motion: _Motion, parent: str, child: str, place: pin.SE3) -> None:
         """Add a joint whose value is MuJoCo's."""
@@ -319,17 +348,7 @@ class _Reader:
         SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
 
     def _loop(self, number: int, name: str, *, whole: bool) -> MjcfLoop:
-        model = self.model
-        ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-        data = np.array(model.eq_data[number])
-        if model.eq_objtype[number] == self.mujoco.mjtObj.mjOBJ_SITE:
-            places = [_se3(model.site_pos[k], model.site_quat[k]) for k in ids]
-            bodies = [int(model.site_bodyid[k]) for k in ids]
-        else:
-            bodies = ids
-            points = (data[3:6], data[0:3]) if whole else (data[0:3], data[3:6])
-            turned = data[6:10] if whole else np.array([1.0, 0.0, 0.0, 0.0])
-            places = [_se3(points[0], turned), _se3(points[1], np.array([1.0, 0.0, 0.0, 0.0]))]
+        bodies, places = self._tied(number)
         axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
         if not whole:
             turn, count = self._held(bodies, [place.translation for place in places])
@@ -341,6 +360,17 @@ class _Reader:
             self._fixed(self.link_of[body], link, place)
             links.append(link)
         return MjcfLoop((links[0], links[1]), "6d" if whole else "3d", axes)
+
+    def _tied(self, number: int) -> tuple[list[int], list[pin.SE3]]:
+        """The two bodies of a tie, and where it holds each."""
+        model = self.model
+        ids = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        data, straight = np.array(model.eq_data[number]), np.array([1.0, 0.0, 0.0, 0.0])
+        if model.eq_objtype[number] == self.mujoco.mjtObj.mjOBJ_SITE:
+            return [int(model.site_bodyid[k]) for k in ids], [_se3(model.site_pos[k], model.site_quat[k]) for k in ids]
+        if model.eq_type[number] == self.mujoco.mjtEq.mjEQ_WELD:
+            return ids, [_se3(data[3:6], data[6:10]), _se3(data[0:3], straight)]
+        return ids, [_se3(data[0:3], straight), _se3(data[3:6], straight)]
 
     def _held(self, bodies: list[int], points: list[FloatArray]) -> tuple[FloatArray, int]:
         """Axes of a loop in its first body, (3, 3), those that its joints move along before the others; how many do."""
@@ -365,11 +395,15 @@ class _Reader:
         if count == 3:
             return np.eye(3), 3
         axis = directions[:, 2] if count == 2 else directions[:, 0]
-        across = np.eye(3)[int(np.argmin(np.abs(axis)))]
-        second = np.cross(axis, across)
-        second /= np.linalg.norm(second)
-        third = np.cross(axis, second)
+        second, third = _across(axis)
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
+
+
+def _across(axis: FloatArray) -> FloatArray:
+    """Two unit vectors across one (3,), and each other, (2, 3)."""
+    second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    second /= np.linalg.norm(second)
+    return np.array([second, np.cross(axis, second)])
 
 
 def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:

@@ -44,6 +44,8 @@ class UrdfJoint:
         rpy: Origin rotation, fixed-axis roll, pitch, yaw [rad].
         axis: Unit axis in the joint frame.
         lower, upper: Limits [rad or m]; infinite where the file gives none.
+        unstated: Whether its `<limit>` has neither, which URDF takes for 0 to 0, or is 0 to 0: programs write that
+            for limits that nobody has stated.
         mimic: Name of the joint it follows, multiplier and offset, or None.
         tag_span: Bytes of the joint's start tag; None if the joint comes out of an XML entity.
         origin_span: Bytes of the `<origin>` tag, or None where the file has none.
@@ -61,6 +63,14 @@ class UrdfJoint:
     mimic: tuple[str, float, float] | None
     tag_span: Span | None
     origin_span: Span | None
+    unstated: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a value of its own, or follows another joint, and a range over which it can go."""
+        if self.type in HELD_TYPES:
+            return False
+        return self.mimic is not None or not self.unstated
 
 
 class UrdfReader:
@@ -131,6 +141,11 @@ class UrdfReader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         depth = len(self._stack)
         if depth == 0:
+            if tag == "sdf":
+                raise UrdfError(
+                    f"{self.path}: is an SDF file of Gazebo, which is not read; give the URDF or xacro that it was made"
+                    " from, or convert it to MJCF where Gazebo is (sdf2mjcf of gz-mujoco), which every command takes"
+                )
             if tag != "robot":
                 raise UrdfError(
                     f"{self.path}: the top element is <{tag}>, not <robot>; is this a URDF"
@@ -212,6 +227,8 @@ class UrdfReader:
                 )
             joint["lower"] = -math.inf if lower < -_LARGEST else lower  # such numbers are written for "none"
             joint["upper"] = math.inf if upper > _LARGEST else upper
+            if lower == upper == 0.0 and joint["type"] in MOVING_TYPES:
+                joint |= {"lower": -math.inf, "upper": math.inf, "unstated": True}
         elif tag == "mimic":
             joint["mimic"] = (
                 self._required(attributes, "joint", f"<mimic> of {where}"),

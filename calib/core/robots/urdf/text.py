@@ -15,7 +15,7 @@ import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, nearest
 from calib.core.base.files import read_bytes
-from calib.core.robots.urdf.mjcf_reading import is_mjcf, read_mjcf
+from calib.core.robots.urdf.mjcf_reading import MjcfRobot, is_mjcf, read_mjcf
 from calib.core.robots.urdf.reader import (
     HELD_TYPES,
     MOVING_TYPES,
@@ -66,6 +66,7 @@ class UrdfText:
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
+        mjcf: What else was said where the file is MuJoCo's: motors, loops.
     """
 
     source: bytes
@@ -75,6 +76,7 @@ class UrdfText:
     joints: tuple[UrdfJoint, ...]
     root_span: Span
     end: int
+    mjcf: MjcfRobot | None = None
 
     @property
     def root(self) -> str:
@@ -150,18 +152,25 @@ class UrdfText:
                 )
 
 
-def read_urdf(path: Path | str) -> UrdfText:
+def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> UrdfText:
     """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; or MuJoCo's format (MJCF).
+
+    Args:
+        path: The file.
+        arguments: Of a xacro file, by name.
 
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
             or MJCF file that cannot be turned into a URDF.
     """
     source = read_bytes(path, "the path of a URDF", UrdfError)
+    if arguments and Path(path).suffix != ".xacro":
+        raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
     if Path(path).suffix == ".xacro":
-        source = expanded(path)
+        source = expanded(path, arguments or {})
     elif is_mjcf(source):
-        source = read_mjcf(path).source
+        mjcf = read_mjcf(path)
+        return replace(parse_urdf(mjcf.source, str(path)), mjcf=mjcf)
     return parse_urdf(source, str(path))
 
 

@@ -6,6 +6,8 @@ ends after some seconds, and opens only files of the package that the xacro file
 and of Python. What goes wrong is told by its kind and place; no message quotes what a file holds.
 
 The package is the folder around the file that has a `package.xml`; without one, the folder above the file's own.
+`$(find NAME)` is the package around the file of that name, one that lies beside it, or one in the folders of ROS:
+`ROS_PACKAGE_PATH`, and `share` of `AMENT_PREFIX_PATH`. No ROS is needed.
 
 When it fails. This is no prison: expressions can do what Python can. It keeps mistakes short, and what others may not
 read out of messages and robots.
@@ -17,8 +19,9 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from calib.core.base.errors import UrdfError
 
@@ -27,21 +30,28 @@ _MEMORY = 2**31  # bytes
 _PACKAGES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "ROS_PACKAGE_PATH", "ROS_DISTRO")
 _SYSTEM = ("PATH", "LD_LIBRARY_PATH", "SYSTEMROOT", "VIRTUAL_ENV")
 _MISSING, _FAILED = 3, 4
+_DEEP = 4  # folders below one of ROS_PACKAGE_PATH, or beside a package, in which packages are looked for
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 _FORBIDDEN = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "socket.")
 _IDENTIFIER = re.compile(r"[A-Za-z]\w{0,60}")
 _QUOTED = re.compile(r"'([^']*)'|[Uu]ndefined substitution argument (\S+)|unknown macro name: (\S+)")
 
 
-def expanded(path: Path | str) -> bytes:
+def expanded(path: Path | str, arguments: Mapping[str, str]) -> bytes:
     """Return the URDF that a xacro file stands for, by the package xacro, which not everybody has.
+
+    Args:
+        path: The file.
+        arguments: Values of its arguments by name.
 
     Raises:
         UrdfError: The package is missing, or the file cannot be expanded.
     """
-    elsewhere = f"or expand it elsewhere: xacro {path} > robot.urdf"
+    given = [f"{name}:={value}" for name, value in arguments.items()]
+    elsewhere = f"or expand it where ROS is: {' '.join(['xacro', str(path), *given])} > robot.urdf"
     environment = {name: os.environ[name] for name in (*_PACKAGES, *_SYSTEM) if name in os.environ}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    command = [sys.executable, "-P", "-X", "utf8", "-m", __name__, str(Path(path).resolve())]
+    command = [sys.executable, "-P", "-X", "utf8", "-m", __name__, str(Path(path).resolve()), *given]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_SECONDS, env=environment, check=False)
     except subprocess.TimeoutExpired:
@@ -58,16 +68,20 @@ def expanded(path: Path | str) -> bytes:
     return done.stdout
 
 
-def _main(path: str) -> int:
+def _main(path: str, *given: str) -> int:
     """Write the URDF to standard output, or the kind of an error to standard error; return the exit code."""
     try:
         import xacro
+        from xacro import substitution_args
     except ImportError:
         return _MISSING
     _limit_memory()
-    sys.addaudithook(_guard(Path(path)))
+    packages = _Packages(Path(path))
+    substitution_args._eval_find = packages.find
+    sys.addaudithook(_guard(packages))
+    values = dict(argument.split(":=", 1) for argument in given)
     try:
-        text: bytes = xacro.process_file(path).toprettyxml(indent="  ", encoding="utf-8")
+        text: bytes = _processed(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
     except BaseException as error:  # of xacro, of the XML parser, of expressions in the file
         sys.stderr.write(f"\n{_kind(error)}\n")
         return _FAILED
@@ -75,11 +89,44 @@ def _main(path: str) -> int:
     return 0
 
 
-def _kind(error: BaseException) -> str:
-    """What went wrong, with the one name that may be quoted: no text of a file, and none of another package."""
+def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
+    """The expanded document.
+
+    Raises:
+        _OutsideError: Arguments have no value: all of them are named.
+        Exception: Others, of xacro.
+    """
+    lacking: dict[str, str] = {}
+    while True:
+        try:
+            document = xacro.process_file(path, mappings=values | lacking)
+        except Exception as error:
+            name = next((m[2] for cause in _causes(error) if (m := _QUOTED.search(str(cause))) and m[2]), None)
+            if name is None or name in lacking or not _IDENTIFIER.fullmatch(name):
+                if lacking:
+                    raise _OutsideError(_without_value(lacking)) from None
+                raise
+            lacking[name] = name  # to see what else is missing
+            continue
+        if lacking:
+            raise _OutsideError(_without_value(lacking))
+        return document
+
+
+def _without_value(names: Mapping[str, str]) -> str:
+    return f"no value for {', '.join(names)}: calib init FILE {' '.join(f'--xacro {name}:=VALUE' for name in names)}"
+
+
+def _causes(error: BaseException) -> list[BaseException]:
     causes: list[BaseException] = [error]
     while (cause := getattr(causes[-1], "exc", None) or causes[-1].__cause__ or causes[-1].__context__) is not None:
         causes.append(cause)
+    return causes
+
+
+def _kind(error: BaseException) -> str:
+    """What went wrong, with the one name that may be quoted: no text of a file, and none of another package."""
+    causes = _causes(error)
     outside = next((cause for cause in causes if isinstance(cause, _OutsideError)), None)
     if outside is not None:
         return str(outside)
@@ -99,21 +146,67 @@ def _kind(error: BaseException) -> str:
 
 
 class _OutsideError(Exception):
-    """An expression asked for what is not its own."""
+    """An expression asked for what is not its own, or for what nobody gave."""
 
 
-def _guard(path: Path) -> Callable[[str, tuple[object, ...]], None]:
+class _Packages:
+    """Where packages are: the one around a file, and others as they are asked for.
+
+    Attributes:
+        own: Folder of the package around the file.
+        found: Folders of others, by name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
+        self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
+        self.found: dict[str, str] = {}
+
+    def find(self, name: str) -> str:
+        """Return the folder of a package."""
+        if name not in self.found:
+            folder = next((folder for folder in self._folders(name) if _is_package(folder, name)), None)
+            if folder is None:
+                raise _OutsideError(
+                    f"no package '{name}' around or beside the file, nor in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH; put"
+                    " the package beside it"
+                )
+            self.found[name] = os.path.realpath(folder)
+        return self.found[name]
+
+    def _folders(self, name: str) -> Iterator[Path]:
+        yield from (folder for folder in (self.own, *self.own.parents) if (folder / "package.xml").is_file())
+        for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+            yield Path(prefix) / "share" / name
+        roots = [Path(root) for root in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if root]
+        for root in (*list(self.own.parents)[:2], *roots):
+            yield root / name
+            for depth in range(_DEEP):
+                yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    """Whether a folder is the package of this name: by its package.xml, or without one by the folder's name."""
+    file = folder / "package.xml"
+    if not file.is_file():
+        return folder.name == name and folder.is_dir()
+    match = _NAME.search(file.read_text(encoding="utf-8", errors="replace"))
+    return match is not None and match[1] == name
+
+
+def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
-    own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
     installed = [entry for name in _PACKAGES for entry in os.environ.get(name, "").split(os.pathsep) if entry]
     python = [sys.prefix, sys.base_prefix, *sys.path]
-    folders = [os.path.realpath(folder) for folder in (str(own), *installed, *python) if folder]
+    folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 
     def check(event: str, given: tuple[object, ...]) -> None:
         if event == "open" and isinstance(given[0], (str, bytes, Path)):
             file = str(Path(os.fsdecode(given[0])).resolve())
-            if not any(file == folder or file.startswith(folder + os.sep) for folder in folders):
+            own = file.endswith(os.sep + "package.xml")
+            if not own and not any(
+                file == folder or file.startswith(folder + os.sep) for folder in (*folders, *packages.found.values())
+            ):
                 raise _OutsideError("it reads a file outside of its package")
         elif event.startswith(_FORBIDDEN):
             raise _OutsideError("it starts a program, or asks the network")
@@ -131,4 +224,4 @@ def _limit_memory() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1]))
+    sys.exit(_main(*sys.argv[1:]))

@@ -1,0 +1,93 @@
+"""Tables of readings that belong to a table of joint values by their order, or by time, where no column `pose` says so.
+
+Only if the robot description asks for it (`join`); what was joined is a warning of the logger `calib`.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError
+from calib.core.data.tables import Table
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.terms import condition_columns
+
+_LOG = logging.getLogger("calib")
+_TIME = "time"
+
+
+def joined_by_word(tables: Sequence[Table], robot: Robot) -> list[Table]:
+    """Return tables with a column `pose` each, by which they are joined, if the description asks for another way.
+
+    Raises:
+        DataError: Not one table with joint values, another number of rows, no `time`, or none near enough.
+    """
+    how, joints = robot.description.join, set(robot.commanded_names)
+    if how == "pose" or len(tables) == 1:
+        return list(tables)
+    leaders = [table for table in tables if joints <= set(table.names)]
+    if len(leaders) != 1:
+        raise DataError(f"{tables[0].path}: join: {how} needs one file with joint values, not {len(leaders)}")
+    return [_counted(leaders[0]) if table is leaders[0] else _follower(table, leaders[0], robot) for table in tables]
+
+
+def _counted(table: Table) -> Table:
+    """The table with its poses counted from 1."""
+    return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
+
+
+def _follower(table: Table, leader: Table, robot: Robot) -> Table:
+    """The rows of a table that belong to rows of the leader, with the number of each as its pose."""
+    if robot.description.join == "rows":
+        if len(table.rows) != len(leader.rows):
+            raise DataError(
+                f"{table.path}: has {len(table.rows)} rows and {leader.path} {len(leader.rows)}; join: rows needs as"
+                " many"
+            )
+        _tell(table.path, f"row by row with {leader.path}, as the description asks")
+        return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
+    own, given = _times(table), _times(leader)
+    order = np.argsort(own)
+    place = np.searchsorted(own[order], given)
+    pair = order[np.clip([place - 1, place], 0, len(own) - 1)]
+    nearest = pair[np.argmin(np.abs(own[pair] - given), axis=0), np.arange(len(given))]
+    apart, lag = np.abs(own[nearest] - given), robot.description.lag
+    near = np.flatnonzero(apart <= lag)
+    if len(near) == 0:
+        raise DataError(
+            f"{table.path}: no time within {lag:g} s of one in {leader.path} (the nearest is {np.min(apart):.3g} s"
+            " away); their clocks must agree, or state a larger lag"
+        )
+    _tell(table.path, f"to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
+    return _with_poses(table, nearest[near], near)
+
+
+def _times(table: Table) -> FloatArray:
+    if _TIME not in table.names:
+        raise DataError(f"{table.path}: no column 'time' to join by; name it so, or under 'columns' in the description")
+    return table.column(_TIME, condition_columns()[_TIME])
+
+
+def _with_poses(table: Table, rows: np.ndarray, poses: np.ndarray) -> Table:
+    """Some rows of a table, with these numbers as their poses, in place of a column that it has."""
+    others = [k for k, name in enumerate(table.names) if name != "pose"]
+    cells = [(*(table.rows[int(row)][k] for k in others), str(int(p) + 1)) for row, p in zip(rows, poses, strict=True)]
+    return replace(
+        table,
+        names=(*(table.names[k] for k in others), "pose"),
+        units=(*(table.units[k] for k in others), None),
+        rows=tuple(cells),
+        lines=tuple(table.lines[int(row)] for row in rows),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, text: str) -> None:
+    """Say what was joined, once."""
+    _LOG.warning("%s: joined %s", path, text)

@@ -1,0 +1,114 @@
+"""Files of measurements that are no table of this program: known by their head, turned into one, or named with the way.
+
+Capabilities and other packages bring formats under the group `calib.readers`: each entry is a tuple of `OtherFormat`,
+and the first that fits counts. What a file was taken for is a warning of the logger `calib`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import functools
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from calib.core.base.errors import DataError
+from calib.core.base.files import read_bytes
+from calib.core.base.registry import installed
+
+_LOG = logging.getLogger("calib")
+_HEAD = 1 << 16  # bytes by which a format is known
+_ASCII = 0.7  # part of a table that is digits, separators and plain letters
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+@dataclass(frozen=True)
+class SomeFile:
+    """A file, of which the head is read first.
+
+    Attributes:
+        path: The file.
+        head: Its first bytes.
+        renamed: What columns stand for, by the robot's description.
+    """
+
+    path: Path
+    head: bytes
+    renamed: Mapping[str, str]
+
+    @cached_property
+    def encoding(self) -> str:
+        """How its text is written: by its mark, else UTF-8 if it is that, else Latin-1."""
+        marked = next((name for mark, name in _MARKS if self.head.startswith(mark)), None)
+        if marked is not None:
+            return marked
+        try:
+            codecs.getincrementaldecoder("utf-8")().decode(self.head)
+        except UnicodeDecodeError:
+            return "cp1252"
+        return "utf-8"
+
+    @cached_property
+    def first_lines(self) -> list[str]:
+        """Lines of its head; none of a file that is no text."""
+        binary = b"\0" in self.head or len(self.head.decode("ascii", "ignore")) < _ASCII * len(self.head)
+        if binary and self.encoding != "utf-16":
+            return []
+        return codecs.getincrementaldecoder(self.encoding)(errors="replace").decode(self.head).splitlines()
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """All its lines."""
+        content = read_bytes(self.path, "a table", DataError)
+        return content.decode(self.encoding, errors="replace").splitlines()
+
+
+@dataclass(frozen=True)
+class OtherFormat:
+    """A format of files.
+
+    Attributes:
+        name: Of the format, as messages have it.
+        head: How it is known, in words.
+        taken: What becomes of it, in words; or if it is not read, what to do.
+        fits: Whether a file is one.
+        read: Returns lines of a table of this program, or its columns by header; None: it is not read.
+    """
+
+    name: str
+    head: str
+    taken: str
+    fits: Callable[[SomeFile], bool]
+    read: Callable[[SomeFile], list[str] | dict[str, Sequence[object]]] | None = None
+
+
+def other_formats() -> list[OtherFormat]:
+    """Return the formats, in the order in which they are tried."""
+    return [each for entry in installed("calib.readers") for each in entry.load()]
+
+
+def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
+    """Return what a file of another format holds, as lines of a table or columns by header; None: it is of none.
+
+    Raises:
+        DataError: It is of one that is not read: the message says which, and what to do.
+    """
+    if not Path(path).is_file():
+        return None
+    with Path(path).open("rb") as stream:
+        file = SomeFile(Path(path), stream.read(_HEAD), renamed)
+    known = next((each for each in other_formats() if each.fits(file)), None)
+    if known is None:
+        return None
+    if known.read is None:
+        raise DataError(f"{path}: this looks like {known.name}: {known.taken}")
+    _tell(str(path), f"read as {known.name}: {known.taken}")
+    return known.read(file)
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, text: str) -> None:
+    """Warn of what a file was taken for, once."""
+    _LOG.warning("%s: %s", path, text)

@@ -1,0 +1,1 @@
+"""Files of measurements as other programs write them."""

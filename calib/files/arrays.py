@@ -1,0 +1,102 @@
+"""Named arrays as columns: NumPy's `.npz`, MATLAB's `.mat`."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib.core.base.errors import DataError
+from calib.core.base.files import read_bytes
+from calib.core.data.other_formats import SomeFile
+
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
+    """Return the columns of NumPy's file.
+
+    Raises:
+        DataError: It cannot be read, or has no arrays of one length.
+    """
+    try:
+        loaded = np.load(io.BytesIO(_content(file)), allow_pickle=False)
+        return _columns(file, {file.path.stem: loaded} if isinstance(loaded, np.ndarray) else dict(loaded))
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise _unreadable(file, error) from None
+
+
+def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
+    """Return the columns of a MATLAB file of version 5; errors as `numpy_columns`."""
+    try:
+        return _columns(file, scipy.io.loadmat(io.BytesIO(_content(file))))
+    except (ValueError, OSError, TypeError, NotImplementedError) as error:
+        raise _unreadable(file, error) from None
+
+
+def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
+    """Return the columns of a MATLAB file of version 7.3, whose axes are in the other order.
+
+    Raises:
+        DataError: The package h5py is missing; or as `numpy_columns`.
+    """
+    try:
+        import h5py  # type: ignore[import-not-found]
+    except ImportError:
+        raise DataError(
+            f"{file.path}: is a MATLAB file of version 7.3, and the package that reads them is not installed: pip"
+            " install h5py; or save it with -v7"
+        ) from None
+    try:
+        with h5py.File(file.path, "r") as opened:
+            return _columns(file, {n: np.asarray(d).T for n, d in opened.items() if isinstance(d, h5py.Dataset)})
+    except (ValueError, OSError, TypeError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _content(file: SomeFile) -> bytes:
+    return read_bytes(file.path, "a file of arrays", DataError)
+
+
+def _unreadable(file: SomeFile, error: Exception) -> DataError:
+    reason = " ".join(str(error).split())
+    return DataError(f"{file.path}: cannot be read ({reason:.120}); save it again, with arrays of numbers alone")
+
+
+def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[object]]:
+    """Columns of the arrays of numbers; all whose first axis, or second of two, has the length that most have."""
+    numbers = {name: np.asarray(a) for name, a in arrays.items() if not name.startswith("__")}
+    numbers = {name: a.ravel() if 1 in a.shape and a.ndim == 2 else a for name, a in numbers.items()}
+    numbers = {n: a for n, a in numbers.items() if a.ndim in (1, 2, 3) and a.size > 1 and np.isrealobj(a)}
+    numbers = {n: a.astype(float) for n, a in numbers.items() if a.dtype.kind in "fiub"}
+    lengths = [size for a in numbers.values() for size in {*a.shape[:2]}]
+    if not lengths:
+        raise DataError(f"{file.path}: holds no arrays of numbers; save one for each column, all of one length")
+    most = max(lengths, key=lambda size: (lengths.count(size), size))
+    columns: dict[str, Sequence[object]] = {}
+    for name, array in numbers.items():
+        if array.ndim == 2 and array.shape[0] != most:
+            array = array.T
+        if array.ndim == 3 and array.shape[2] == most:
+            array = np.moveaxis(array, 2, 0)
+        if array.shape[0] == most:
+            columns |= _named(name, array)
+    return columns
+
+
+def _named(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
+    """Columns of one array, (n, ...)."""
+    if array.ndim == 1:
+        return {name: array.tolist()}
+    endings: tuple[str, ...]
+    if array.shape[1:] == (4, 4):
+        turned = scipy.spatial.transform.Rotation.from_matrix(array[:, :3, :3]).as_quat()
+        array, endings = np.hstack([array[:, :3, 3], turned]), _POSE
+    else:
+        array = array.reshape(len(array), -1)
+        endings = _POSE[:3] if array.shape[1] == 3 else tuple(str(k + 1) for k in range(array.shape[1]))
+    return {f"{name}_{ending}": column.tolist() for ending, column in zip(endings, array.T, strict=True)}

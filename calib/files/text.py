@@ -1,0 +1,253 @@
+"""Text of other programs as lines of a table of this program, each where it stands in the file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+
+from calib.core.base.errors import DataError
+from calib.core.data.other_formats import SomeFile
+
+_MARKS = ("//", "#", "%")
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan", re.ASCII | re.IGNORECASE)
+_U95 = re.compile(r"u[ _]?95[ _]?\(?([xyz]?)\)?(?:\s*[\[(](.+)[\])])?", re.IGNORECASE)
+_UNITS = {"millimeters": "mm", "millimetres": "mm", "meters": "m", "metres": "m", "micrometers": "um"}
+_SEEN = 40  # lines among which a header is
+_TICKS = 4096  # of a turn of the servos that LeRobot's arms have
+_AXES = ["x", "y", "z"]
+
+
+def _cells(line: str) -> list[str]:
+    """Cells of a line: parted by tabs, semicolons, commas, or else blanks."""
+    separator = next((mark for mark in "\t;," if mark in line), None)
+    return [cell.strip().strip('"') for cell in (line.split(separator) if separator else line.split())]
+
+
+def _numbers(cells: Sequence[str]) -> int:
+    return sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
+
+
+def _joined(cells: Sequence[str]) -> str:
+    """A line of a table: with semicolons where cells have commas."""
+    mark = ";" if any("," in cell for cell in cells) else ","
+    return mark.join(cells)
+
+
+def _comment(line: str) -> str | None:
+    """What a comment says; None: it is none."""
+    mark = next((mark for mark in _MARKS if line.lstrip().startswith(mark)), None)
+    return None if mark is None else line.lstrip()[len(mark) :].strip()
+
+
+def _first_row(lines: Sequence[str]) -> int | None:
+    """The first line that is no comment and not empty."""
+    return next((k for k, line in enumerate(lines) if line.strip() and _comment(line) is None), None)
+
+
+def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
+    """The comment that names the columns, and its cells."""
+    lines = file.first_lines
+    row = _first_row(lines)
+    if row is None or not _numbers(_cells(lines[row])) or len(_cells(lines[row])) < 2:
+        return None
+    n = len(_cells(lines[row]))
+    if _numbers(_cells(lines[row])) < n - 4:
+        return None
+    for k in range(row - 1, -1, -1):
+        said = _comment(lines[k])
+        if not said:
+            continue
+        cells = _cells(said)
+        named = len(cells) >= 2 and not _numbers(cells) and n - 2 <= len(cells) <= n
+        return (k, cells) if named and all(cells) and len(cells) > n / 2 else None
+    return None
+
+
+def has_header_in_comment(file: SomeFile) -> bool:
+    """Whether the last comment above the numbers names their columns."""
+    return _header_in_comment(file) is not None
+
+
+def commented_header_lines(file: SomeFile) -> list[str]:
+    """Return the lines with that comment as their header; columns without a name are called after their place."""
+    lines, known = file.lines, _header_in_comment(file)
+    assert known is not None  # or another format would have been found
+    header, names = known
+    width = len(_cells(lines[_first_row(lines) or 0]))
+    names = [*names, *(f"column_{k + 1}" for k in range(len(names), width))]
+    places = {name.split(" [")[0].split(" (")[0].casefold(): k for k, name in enumerate(names)}
+    unit = next((u for line in lines[:header] for word, u in _UNITS.items() if word in line.casefold()), None)
+    if all(axis in places for axis in _AXES):
+        z = re.search(r"[\[(](.+)[\])]$", names[places["z"]])
+        unit = z[1] if z else unit
+        for axis in _AXES:
+            if unit and not re.search(r"[\[(]", names[places[axis]]):
+                names[places[axis]] += f" [{unit}]"
+    if "target" in places and "pose" not in places:
+        names[places["target"]] = "pose"
+    mark = ";" if any("," in c for line in lines[header:] if "," in line for c in _cells(line)) else ","
+    return [
+        mark.join(names)
+        if k == header
+        else f"# {said}"
+        if (said := _comment(line)) is not None
+        else mark.join(_cells(line))
+        for k, line in enumerate(lines)
+    ]
+
+
+def has_only_numbers(file: SomeFile) -> bool:
+    """Whether lines have numbers alone, two or more."""
+    lines = [_cells(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
+    lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
+    return bool(lines) and len(lines[0]) > 1 and all(_numbers(cells) == len(cells) for cells in lines[:_SEEN])
+
+
+def has_only_blank_numbers(file: SomeFile) -> bool:
+    """Whether these are parted by blanks alone, so that no other reader knows them."""
+    row = _first_row(file.first_lines)
+    return row is not None and not re.search("[,;\t]", file.first_lines[row]) and has_only_numbers(file)
+
+
+def numbered_lines(file: SomeFile) -> list[str]:
+    """Return the lines below a header of numbers from 1."""
+    rows = [line for line in file.lines if line.strip() and _comment(line) is None]
+    width = len(_cells(rows[0])) if rows else 0
+    return [",".join(str(k + 1) for k in range(width)), *(_joined(_cells(row)) for row in rows)]
+
+
+def _axes_line(file: SomeFile) -> int | None:
+    """The line of X, Y, Z whose names stand in the line above."""
+    lines = [_cells(line) for line in file.first_lines[:_SEEN] if line is not None]
+    for k in range(1, len(lines)):
+        letters = [cell.casefold() for cell in lines[k]]
+        starts = [j for j in range(len(letters) - 2) if letters[j : j + 3] == _AXES]
+        above = lines[k - 1]
+        if starts and all(j < len(above) and above[j] and not any(above[j + 1 : j + 3]) for j in starts):
+            return k
+    return None
+
+
+def has_names_above(file: SomeFile) -> bool:
+    """Whether a line has names above the first letter of each X, Y, Z."""
+    return _axes_line(file) is not None
+
+
+def named_above_lines(file: SomeFile) -> list[str]:
+    """Return the lines with one header in place of names, letters and units."""
+    lines, k = file.lines, _axes_line(file)
+    assert k is not None  # or another format would have been found
+    letters, above = _cells(lines[k]), _cells(lines[k - 1])
+    units = _cells(lines[k + 1]) if k + 1 < len(lines) else []
+    has_units = bool(units) and not _numbers(units) and any(units)
+    header, name = [], ""
+    for j, letter in enumerate(letters):
+        name = above[j].rpartition(":")[2] if j < len(above) and above[j] else name
+        measured = letter.casefold() in _AXES and name
+        unit = f" [{units[j]}]" if has_units and j < len(units) and units[j] else ""
+        header.append((f"{name}_{letter.casefold()}" if measured else letter or f"column_{j + 1}") + unit)
+    return _with_header(lines, k + 1 + has_units, header)
+
+
+def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> list[str]:
+    """Lines of which the rows begin at `first`; those above are comments, the last of them the header."""
+    width, rows = len(header), list[str]()
+    for line in lines[first:]:
+        cells = _cells(line)
+        whole = len(cells) == width and _numbers(cells) > 0
+        rows.append(_joined(cells) if whole else f"# {line}" if line.strip() else "")
+    return [*(f"# {line}" for line in lines[: first - 1]), ",".join(header), *rows]
+
+
+def motive_lines(file: SomeFile) -> list[str]:
+    """Return the lines of an export of Motive with one header: NAME_x [mm], NAME_qx, ...
+
+    Raises:
+        DataError: It has no rows of names and of what they measure, or angles in place of quaternions.
+    """
+    lines = file.lines
+    first = _cells(lines[0])
+    settings = dict(zip(first[::2], first[1::2], strict=False))
+    unit = _UNITS.get(settings.get("Length Units", "").casefold(), "m")
+    rows = {cells[1]: cells for cells in map(_cells, lines[:12]) if len(cells) > 2 and cells[1] in ("Name", "Type")}
+    k = next((k for k, line in enumerate(lines[:14]) if _cells(line)[:1] == ["Frame"]), None)
+    if k is None or "Name" not in rows:
+        raise DataError(f"{file.path}: an export of Motive without a row 'Name' above 'Frame'; export it with headers")
+    if settings.get("Rotation Type", "Quaternion") != "Quaternion":
+        raise DataError(f"{file.path}: rotations as {settings['Rotation Type']}; export them from Motive as Quaternion")
+    kinds, letters = _cells(lines[k - 1]), _cells(lines[k])
+    header = []
+    for j, letter in enumerate(letters):
+        name = rows["Name"][j].replace(":", "_") if j < len(rows["Name"]) else ""
+        kind = kinds[j] if j < len(kinds) else ""
+        if kind == "Rotation":
+            header.append(f"{name}_q{letter.casefold()}")
+        elif kind == "Position":
+            header.append(f"{name}_{letter.casefold()} [{unit}]")
+        else:
+            header.append("time" if letter.startswith("Time") else f"{name} {kind} {letter}".strip())
+    return _with_header(
+        lines, k + 1, [name if header.count(name) == 1 else f"{name} {j}" for j, name in enumerate(header)]
+    )
+
+
+def _u95_header(file: SomeFile) -> tuple[int, list[str]] | None:
+    for k, line in enumerate(file.first_lines[:_SEEN]):
+        cells = _cells(line)
+        if len(cells) > 3 and any(_U95.fullmatch(cell) for cell in cells):
+            return k, cells
+    return None
+
+
+def has_expanded_uncertainty(file: SomeFile) -> bool:
+    """Whether a header has U95."""
+    return _u95_header(file) is not None
+
+
+def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
+    """Return the lines with U95 of each axis: that of a point is that of each of its coordinates."""
+    lines, known = file.lines, _u95_header(file)
+    assert known is not None  # or another format would have been found
+    header, names = known
+    single = next((j for j, name in enumerate(names) if (m := _U95.fullmatch(name)) and not m[1]), None)
+
+    def spread(cells: list[str], texts: Sequence[str]) -> list[str]:
+        return cells if single is None else [*cells[:single], *texts, *cells[single + 1 :]]
+
+    written = [f"U95 {m[1].upper()}" + (f" [{m[2]}]" if m[2] else "") if (m := _U95.fullmatch(n)) else n for n in names]
+    unit = f" [{m[2]}]" if single is not None and (m := _U95.fullmatch(names[single])) and m[2] else ""
+    table = []
+    for k, line in enumerate(lines):
+        cells = _cells(line)
+        if k == header:
+            table.append(_semicolons(spread(written, [f"U95 {axis}{unit}" for axis in "XYZ"])))
+        elif k > header and len(cells) == len(names):
+            table.append(_semicolons(spread(cells, [cells[single]] * 3 if single is not None else [])))
+        else:
+            table.append(line if _comment(line) is not None or not line.strip() else f"# {line}")
+    return table
+
+
+def _semicolons(cells: Sequence[str]) -> str:
+    return ";".join(cells)
+
+
+def servo_lines(file: SomeFile) -> list[str]:
+    """Raise `DataError` that says which lines of `columns` take a log's numbers to joint angles."""
+    try:
+        servos = json.loads("\n".join(file.lines))
+        ranges = {str(name): int(s["range_max"]) - int(s["range_min"]) for name, s in servos.items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise DataError(
+            f"{file.path}: looks like a calibration of LeRobot, but cannot be read; save it again"
+        ) from None
+    said = ", ".join(
+        f'{name}.pos: "{span / 200 * 360 / _TICKS:.4g} * {name} [deg]"'
+        for name, span in ranges.items()
+        if "grip" not in name
+    )
+    raise DataError(
+        f"{file.path}: this looks like a calibration of LeRobot's servos, not measurements; a log of -100..100 needs"
+        f" columns: {{{said}}} in the robot description (one in degrees, a factor of 1), and zeros from a few poses"
+    )

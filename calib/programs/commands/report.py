@@ -1,0 +1,154 @@
+"""What is said of a program that was compensated: how far off the tool will be, without and with the correction.
+
+The same for tables, G-code, controllers' programs and tables of corrections.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.commands.common import Output, said_of_failure
+from calib.core.rows.known_robot import KnownRobot
+from calib.programs.reaching.compensation import Compensation
+
+COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
+"""What an expected error counts."""
+FIGURES = ("before", "expected", "low95", "high95")
+"""Errors of each row of a compensation."""
+Figures = Mapping[str, Mapping[str, float]]
+"""Summaries by their name with the unit."""
+
+
+class Meant(Protocol):
+    """What was compensated in some frame."""
+
+    @property
+    def frame(self) -> str:
+        """The frame of the errors, in words."""
+
+    @property
+    def nothing_to_correct(self) -> bool:
+        """Whether it was left as it is."""
+
+
+def of_frame(frame: str) -> str:
+    """Say where and how errors count, in two sentences.
+
+    Args:
+        frame: In which frame, in words.
+    """
+    return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
+
+
+def left_as_it_is(result: str) -> str:
+    """Say why nothing was corrected.
+
+    Args:
+        result: Folder of the calibration.
+    """
+    return f"the verdict of {result} is that nothing is to be corrected"
+
+
+def summary(values: FloatArray) -> dict[str, float]:
+    """Return root mean square and largest of errors (n,)."""
+    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
+
+
+def expected_now(
+    subject: str, expected: Mapping[str, float], unit: str, before: Mapping[str, float] | None = None
+) -> str:
+    """Say how large an error is expected to be, with the correction and without.
+
+    Args:
+        subject: Of what it is, such as `The tool`.
+        expected: Its `summary`.
+        unit: Of this.
+        before: `summary` of what the correction takes away, of the same uncertainty; None: nothing is corrected.
+    """
+    now = (
+        f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
+    )
+    if before is None:
+        return now
+    return f"{now}; without the correction by {math.hypot(before['rms'], expected['rms']):.4f} {unit} (RMS)"
+
+
+def row_figures(keep: str, names: Sequence[str] = FIGURES) -> list[tuple[str, str, float]]:
+    """Return figures of the rows of a compensation, their unit in files, and what one in SI is in that.
+
+    Args:
+        keep: What was kept: errors of orientations count where these are.
+        names: Of `FIGURES`.
+    """
+    parts: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
+    shown = parts[: 1 if keep == "position" else 2]
+    return [(f"{name}{part}", ERROR_UNIT[kind], error_scale(kind)) for part, kind in shown for name in names]
+
+
+def figures_of(compensation: Compensation) -> dict[str, dict[str, float]]:
+    """Return root mean square and largest error of all rows, before and after."""
+    return {
+        f"{name}_{unit}": summary(scale * np.asarray(getattr(compensation, name)[compensation.ok]))
+        for name, unit, scale in row_figures(compensation.keep, FIGURES[:2])
+    }
+
+
+@dataclass(frozen=True)
+class Job:
+    """A program to compensate.
+
+    Attributes:
+        known: The calibrated robot.
+        program: File of the program.
+        result: Folder of the calibration.
+        out: File to write.
+        output: Where to print.
+    """
+
+    known: KnownRobot
+    program: str
+    result: str
+    out: str
+    output: Output
+
+    def comments(self, *lines: str) -> tuple[str, ...]:
+        """Return comments of the file, with what is said of a calibration that failed."""
+        return (*lines, *said_of_failure(self.output, self.result, self.out))
+
+    def report(
+        self,
+        compensated: Meant,
+        figures: Figures,
+        content: Mapping[str, object],
+        what: tuple[str, str, str],
+        more: Sequence[str] = (),
+        subjects: tuple[str, str] = ("The tool", "Its orientation"),
+    ) -> None:
+        """Print what was done.
+
+        Args:
+            compensated: What was compensated.
+            figures: `before_mm`, `expected_mm`, the same of angles where they count, and others for --json.
+            content: What else --json has.
+            what: What the program consists of; what was done with that; what was done where nothing is to be corrected.
+            more: Sentences on what was done.
+            subjects: What is off by a length, and by an angle.
+        """
+        kept = compensated.nothing_to_correct
+        common = {"frame": compensated.frame, "counted": COUNTED, "nothing_to_correct": kept}
+        self.output.json({**content, **common, **figures})
+        parts, done, left = what
+        line = f"{parts} {left}: {left_as_it_is(self.result)}; " if kept else f"{parts} {done}, "
+        lines = [f"{line}written to {self.out}"]
+        for subject, ending, unit in zip(subjects, ("_mm", "_angle_mrad"), ("mm", "mrad"), strict=True):
+            if f"expected{ending}" in figures:
+                before = None if kept else figures[f"before{ending}"]
+                lines.append(expected_now(subject, figures[f"expected{ending}"], unit, before))
+        self.output.say("\n".join([*lines, *more, of_frame(compensated.frame)]))

@@ -1,0 +1,178 @@
+"""The positions of FANUC's programs as text: what `/POS` says. Numbers keep their decimals and their columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.robot_program import (
+    DEGREE,
+    MILLIMETRE,
+    Configuration,
+    LeftOutError,
+    Number,
+    Source,
+    cells_at,
+)
+from calib.programs.languages.tokens import Code, Span, word_pattern
+from calib.programs.languages.visits import Place
+
+WORDS = word_pattern(
+    r"^[^\S\n]*\d*:[^\S\n]*(?:!|//)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
+    r"[$#]?[^\W\d]\w*",
+    r"<>|<=|>=|[-+*/%()\[\]{}=<>,.;:!&@#?^|~$]",
+    r"(?<=\[)[^\S\n]*\d+[^\S\n]*:[^\]\n]*|'[^'\n]*'|\"[^\"\n]*\"",
+)
+_SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
+_CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+_POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
+_TURNING = (0, 3, 4, 5)
+
+
+def sections_of(source: Source) -> tuple[slice, slice]:
+    """Return where the instructions and the positions of a program are.
+
+    Raises:
+        DataError: It has no such sections.
+    """
+    sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
+    if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
+        raise DataError(f"{source.path}: has no /MN and /POS sections; save the program as text (LS)")
+    end = sections["END"].start() if "END" in sections else None
+    return slice(sections["MN"].end(), sections["POS"].start()), slice(sections["POS"].end(), end)
+
+
+@dataclass(frozen=True)
+class Position:
+    """A position of `/POS`.
+
+    Attributes:
+        code: Words of the section.
+        at: Its first word.
+        groups: Its motion groups.
+        fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
+        frame, tool: Numbers of its user frame and tool, as written; empty where it has none.
+        written: Its configuration with quotes; empty where it has none.
+    """
+
+    code: Code
+    at: int
+    groups: tuple[str, ...]
+    fields: Mapping[str, tuple[int, Span, str]]
+    frame: str
+    tool: str
+    written: str
+
+    @property
+    def place(self) -> Place:
+        """Where it stands."""
+        return 0, self.at
+
+    @property
+    def line(self) -> int:
+        """The line on which it begins."""
+        return self.code.line(self.at)
+
+    @property
+    def name(self) -> str:
+        """What the program calls it."""
+        return f"P[{self.code.tokens[self.at + 2].text.partition(':')[0].strip()}]"
+
+    def _error(self, what: str) -> DataError:
+        return DataError(f"{self.code.where(self.at)}: {what}")
+
+    def require_alone(self) -> None:
+        """Raise `LeftOutError` if other axes than the robot's move."""
+        if self.groups != ("GP1",):
+            raise LeftOutError("moves other motion groups, which the description does not have")
+        text = self.code.source.text
+        if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
+            raise LeftOutError("moves external axes, which the description does not have")
+
+    @property
+    def joints(self) -> tuple[Number, ...] | None:
+        """Its joint values; None of a pose."""
+        return self._cells(_JOINTS) if set(_JOINTS) <= set(self.fields) else None
+
+    def pose(self) -> tuple[Number, ...]:
+        """Return the numbers of its pose.
+
+        Raises:
+            DataError: They are not complete.
+        """
+        missing = next((key for key in _POSE if key not in self.fields), None)
+        if missing is not None:
+            raise self._error(f"{self.name} has no number for {missing}; correct it")
+        if not self.frame or not self.tool:
+            raise self._error(f"{self.name} does not say UF and UT; save the program again")
+        return self._cells(_POSE)
+
+    def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
+        """Numbers with the blanks before them, which make room for a sign."""
+        source, fields = self.code.source, [self.fields[name] for name in names]
+        units = [MILLIMETRE if unit == "MM" else DEGREE for _, _, unit in fields]
+        cells = cells_at(source, 0, [number for _, number, _ in fields], units)
+        return tuple(
+            replace(
+                cell,
+                start=start,
+                width=number[1] - start,
+                decimals=len(source.text[slice(*number)].partition(".")[2]),
+            )
+            for cell, (start, number, _) in zip(cells, fields, strict=True)
+        )
+
+    def configuration(self) -> Configuration:
+        """Return what it says of the joints.
+
+        N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0.
+        """
+        match = _CONFIG.fullmatch(self.written)
+        if match is None:
+            raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
+        if any(int(turn) for turn in match.groups()[3:]):
+            raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
+        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
+        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
+        return Configuration(f"CONFIG : {self.written}", ranges, **flags)
+
+
+def positions_of(source: Source, part: slice) -> dict[str, Position]:
+    """Return the positions of a section by number.
+
+    Raises:
+        DataError: One is given twice.
+    """
+    code, positions = Code(source, WORDS, lines="blank", part=part), dict[str, Position]()
+    for at in code.names(0, len(code.tokens) - 5):
+        opening = code.partner[at + 1] + 1
+        if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
+            continue
+        number = code.tokens[at + 2].text.partition(":")[0].strip()
+        if number in positions:
+            raise DataError(f"{code.where(at)}: P[{number}] is in /POS twice; save the program again")
+        positions[number] = _position(code, at, opening + 1, code.partner[opening])
+    return positions
+
+
+def _position(code: Code, at: int, first: int, stop: int) -> Position:
+    groups, fields, said = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
+    for k in code.names(first, stop):
+        name = code.tokens[k].text
+        if name.startswith("GP") and code.is_mark(k + 1, ":"):
+            groups.append(name)
+        elif code.is_mark(k + 1, ":"):
+            said.setdefault(name, code.tokens[k + 2].text)
+        elif code.is_mark(k + 1, "="):
+            behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
+            number = code.number(k + 2, behind)
+            unit = code.tokens[behind].text
+            if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
+                if name in fields:
+                    raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
+                fields[name] = (code.tokens[k + 1].end, number, unit)
+    return Position(code, at, tuple(groups), fields, *(said.get(key, "") for key in ("UF", "UT", "CONFIG")))

@@ -1,0 +1,149 @@
+"""Data of RAPID: targets, tools and work objects as nested lists of numbers, and which tools and work objects hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+
+import pinocchio as pin
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.control_flow import State
+from calib.programs.languages.harmless import RAPID
+from calib.programs.languages.orientations import pose_of
+from calib.programs.languages.reader import NO_VALUE, Data, Reader
+from calib.programs.languages.robot_program import MILLIMETRE, LeftOutError, Number, Source, cells_at
+from calib.programs.languages.tokens import Code, Span, word_pattern
+
+_WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
+SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
+_REFERENCES = ("INOUT", "PERS", "VAR", "REF")
+TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
+_FIXED = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity()}
+
+
+class RapidData(Reader):
+    """Reads the data of a module.
+
+    Args:
+        source: The module.
+        frames: Tools and work objects that it does not declare, by their names in capitals.
+        harmless: Routines of other modules that set no data and no mode of motion, in capitals.
+    """
+
+    language, assigning, danger = "RAPID", ":=", "change a mode of motion"
+
+    def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        code = Code(source, _WORDS, lines="blank", ends=";:")
+        start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
+        super().__init__([source], [code], start, RAPID | set(harmless), "PROC FUNC")
+        traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
+        self.routines |= {code.tokens[at + 1].text: False for at in traps}
+        self.frames = {**_FIXED, **frames}
+
+    def parameter(self, span: Span) -> tuple[list[str], bool]:
+        """Return the names of a parameter, and whether it is a reference."""
+        names = [
+            self.code.tokens[k].text
+            for k in self.code.names(*span)
+            if self.code.is_mark(k + 1, ",", ")", "\\", "|", "{")
+        ]
+        return names, bool(self.names(*span) & {*_REFERENCES})
+
+    def parts(self, span: Span) -> list[Span]:
+        """Return what stands between the commas in brackets."""
+        inside = self.code.inside(*span, "[")
+        return self.code.split(*inside) if inside else []
+
+    def numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
+        """Return the places of the plain numbers in brackets.
+
+        Raises:
+            LeftOutError: One is none.
+            DataError: There are not so many.
+        """
+        spans = self.parts(span)
+        numbers = [self.code.number(*part) for part in spans]
+        for number, part in zip(numbers, spans, strict=True):
+            if number is None:
+                raise LeftOutError(f"'{self.code.shown(*part)}' is not a plain number")
+        if len(spans) != count:
+            raise DataError(f"{self.code.where(span[0])}: {what} has {len(spans)} numbers; expected {count}")
+        return [number for number in numbers if number is not None]
+
+    def values(self, span: Span, count: int, what: str) -> list[float]:
+        """Return the plain numbers in brackets."""
+        return [float(self.sources[0].text[slice(*place)]) for place in self.numbers(span, count, what)]
+
+    def complete(self, data: Data) -> list[Span]:
+        """Return the parts of data; `DataError` if some are not there."""
+        parts = self.parts(data.span)
+        if len(parts) != SIZES[data.kind]:
+            what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
+            raise DataError(f"{self.code.where(data.span[0])}: {what}")
+        return parts
+
+    def pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
+        """Return the numbers of a position and a quaternion, and the pose."""
+        where = self.code.where(parts[0][0])
+        if len(parts) != 2:
+            raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
+        spans = self.numbers(parts[0], 3, "a position") + self.numbers(parts[1], 4, "a quaternion")
+        cells = cells_at(self.sources[0], 0, spans, (*[MILLIMETRE] * 3, *[0.0] * 4))
+        return cells, pose_of([cell.value for cell in cells], "quaternion", where)
+
+    def frame(self, data: Data) -> pin.SE3 | str:
+        """Return a tool or work object as a frame, or why it cannot be one."""
+        parts = self.complete(data)
+        texts = [self.code.tokens[start].text for start, _ in parts]
+        try:
+            if data.kind == "TOOLDATA":
+                if texts[0] != "TRUE":
+                    return f"tool '{data.name}' is not on the robot"
+                return self.pose(self.parts(parts[1]))[1]
+            if texts[0] != "FALSE":
+                return f"the robot holds work object '{data.name}'"
+            if texts[1] != "TRUE":
+                return f"work object '{data.name}' is moved by another unit"
+            user, work = (self.pose(self.parts(part))[1] for part in parts[3:])
+            return user * work
+        except LeftOutError as why:
+            return f"'{data.name}' is not constant: {why}"
+
+    def _is_frame(self, name: str, kind: str) -> bool:
+        """Whether a name is that of a tool or work object."""
+        return self.declared[name].kind == kind if name in self.declared else name in self.frames
+
+    def tool(self, word: str, spans: Sequence[Span]) -> pin.SE3:
+        """Return the tool of a move, or raise `LeftOutError`."""
+        known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
+        if not known:
+            place = 4 if TWO_TARGETS.match(word) else 3
+            name = self.code.shown(*spans[place]) if len(spans) > place else "?"
+            raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
+        return self._usable(known[-1])
+
+    def work_object(self, options: Mapping[str, Span]) -> pin.SE3:
+        """Return the work object of a move, or raise `LeftOutError`."""
+        if "WOBJ" not in options:
+            return pin.SE3.Identity()
+        name = self.code.text(*options["WOBJ"])
+        if not self._is_frame(name, "WOBJDATA"):
+            shown = self.code.shown(*options["WOBJ"])
+            raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
+        return self._usable(name)
+
+    def _usable(self, name: str) -> pin.SE3:
+        """A tool or work object that nothing sets."""
+        data = self.declared.get(name)
+        if data is None or data.span == NO_VALUE:
+            frame = self.frames.get(name, f"'{name.lower()}' is not constant: it has no value")
+        else:
+            frame = self.frame(data)
+        if self.uses.is_set(name.partition("{")[0]):
+            frame = f"'{name.lower()}' {self.uses.why_not(name.partition('{')[0])}"
+        elif self.foreign and name not in _FIXED and (data is None or data.shared):
+            frame = f"'{name.lower()}' may be set by {self.foreign}"
+        if isinstance(frame, str):
+            raise LeftOutError(frame)
+        return frame

@@ -1,0 +1,227 @@
+"""What the languages of controllers have in common: expressions, assignments, calls, data and moves.
+
+A language says how it assigns, which routines and settings it knows, and what its targets, tools and frames look like.
+Reading writes down what is set and by what the program decides (`data_uses`) and the steps of each routine
+(`control_flow`); then all ways are followed, and each move is taken in with what holds there.
+
+A routine that is not declared and not known to be harmless may set its arguments, the data that it can see, and every
+setting.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import pinocchio as pin
+
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.statements import Statements
+from calib.programs.languages.tokens import Code, Span
+from calib.programs.languages.visits import Place, Visit, program_of
+
+NO_VALUE = (0, 0)
+"""The words of data that are declared without a value."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Data of a program, written out or declared.
+
+    Attributes:
+        name: What the program calls it; empty where it is written out.
+        file: Which of the program's files it is in.
+        span: Its words.
+        kind: Its type, in capitals.
+        shared: Whether other modules can set it.
+    """
+
+    name: str
+    file: int
+    span: Span
+    kind: str = ""
+    shared: bool = False
+
+    @property
+    def place(self) -> Place:
+        """Where it stands."""
+        return self.file, self.span[0]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A tool or frame that is selected, and where the data of the program stand that it is."""
+
+    pose: pin.SE3
+    places: tuple[Place, ...] = ()
+
+
+class Placed(Protocol):
+    """What has a place in the text."""
+
+    @property
+    def place(self) -> Place:
+        """Where its numbers stand."""
+
+
+_Goal = TypeVar("_Goal", bound=Placed)
+
+
+class Reader(Statements):
+    """Reads a program.
+
+    Args:
+        sources: Its files, the one with the statements first.
+        codes: The words of each.
+        start: What holds at first, by setting.
+        harmless: Routines that are declared elsewhere and change nothing.
+        routines: Words that begin routines with their parameters in brackets.
+
+    Attributes:
+        declared: Data by name.
+        foreign: The first routine that may set data that is shared, and what to do; empty if there is none.
+    """
+
+    language: str
+    assigning = "="  # the mark of an assignment
+    by_value = False  # whether no routine can set its arguments
+    lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; all if none
+    danger = "change a tool, frame or mode of motion"  # that is
+
+    def __init__(
+        self, sources: Sequence[Source], codes: Sequence[Code], start: State, harmless: Collection[str], routines: str
+    ) -> None:
+        super().__init__(sources, codes, start, routines)
+        self.harmless = harmless
+        self.visits = list[Visit]()
+        self.declared = dict[str, Data]()
+        self.foreign = ""
+
+    # a language says
+
+    def known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+        """Take in a call of a routine that the language has, if it is one; return whether it is."""
+        return self.code.tokens[at].text in self.harmless
+
+    def change(self, name: str, why: str = "is set while the program runs") -> None:
+        """Take in that data become other ones."""
+        self.uses.set(name, why)
+
+    def program(self) -> RobotProgram:
+        """Read all statements, follow the program, and take in its moves.
+
+        Raises:
+            DataError: A part is not ended, a statement cannot be read, or no target can be compensated.
+        """
+        self.read()
+        self.uses.follow()
+        self.flow.follow()
+        return program_of(self.language, self.sources, self.visits)
+
+    # what statements consist of
+
+    def names(self, first: int, stop: int) -> set[str]:
+        """Return the data in some words."""
+        return {self.code.tokens[at].text for at in self.code.names(first, stop)}
+
+    def decide(self, first: int, stop: int) -> None:
+        """Take in words by which the program decides."""
+        self.expression(first, stop)
+        self.uses.decide(self.names(first, stop), self.code.line(first))
+
+    def expression(self, first: int, stop: int) -> None:
+        """Take in the calls of an expression."""
+        for at in self.code.calls(first, stop):
+            close = self.code.partner[at + 1]
+            self.call(at, (at + 2, close), maybe=at > first or close + 1 < stop)
+
+    def assign(self, first: int, stop: int, equals: int) -> None:
+        """Take in what an assignment computes."""
+        if self.code.until(equals + 1, stop, self.assigning) < stop:
+            raise self.wrong(equals, "stands twice in a statement")
+        self.expression(first + 1, equals)
+        self.expression(equals + 1, stop)
+        self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
+
+    def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
+        """Take in a call with its arguments, which may not happen."""
+        name, shown = self.code.tokens[at].text, self.code.shown(at, at + 1)
+        if name in self.routines:
+            self.uses.compute(f"{name}()", self.names(*span))
+            if self.routines[name]:
+                self.set_arguments(span, f"is an argument of '{shown}', which can set it")
+            self.flow.call(name, maybe=maybe)
+        elif not self.known_call(at, span, maybe=maybe):
+            self.set_arguments(span, f"is an argument of '{shown}', which is declared nowhere here and can set it")
+            self.uses.decide(self.names(*span), self.code.line(at))
+            self.call_elsewhere(shown, self.code.line(at))
+
+    def call_elsewhere(self, shown: str, line: int) -> None:
+        """Take in a call of a routine that is declared elsewhere."""
+        called, remedy = f"'{shown}' (line {line}), which is declared nowhere here and may", f"say --harmless {shown}"
+        self.flow.lose(f"is not known after {called} {self.danger}; {remedy} if it does not", self.lost)
+        self.foreign = self.foreign or f"{called} set data; {remedy} if it does not"
+
+    def set_arguments(self, span: Span, why: str) -> None:
+        """Take in that all names that stand bare in a call may be set."""
+        for at in self.code.names(*span) if not self.by_value else ():
+            if not self.code.is_mark(at - 1, "\\", "."):
+                self.change(self.code.tokens[at].text, why)
+
+    # data and moves
+
+    def declare(self, key: str, data: Data) -> None:
+        """Take in a declaration."""
+        if key in self.declared:
+            self.uses.set(re.split(r"[\[{]", key)[0], "is declared in several places; name each otherwise")
+            data = replace(data, span=NO_VALUE)
+        self.declared[key] = data
+
+    def require_constant(self, data: Data) -> None:
+        """Raise `LeftOutError` for data that the program, or another module, sets or decides by."""
+        name = data.name if self.by_value else re.split(r"[\[{]", data.name)[0].upper()
+        why = self.uses.why_not(name) if name else ""
+        if why or (data.shared and self.foreign):
+            raise LeftOutError(why or f"may be set by {self.foreign}")
+
+    def go(
+        self,
+        span: Span,
+        state: State | None,
+        find: Callable[[], _Goal],
+        target: Callable[[_Goal, State], tuple[ProgramTarget, tuple[Place, ...]]],
+    ) -> None:
+        """Take in one target of a move.
+
+        Args:
+            span: Its words.
+            state: What holds there; None: the program never comes there.
+            find: Returns its numbers; raises `LeftOutError` where they are not in the program.
+            target: Returns the target and where data stand that are its frame or tool, or raises `LeftOutError`.
+        """
+        where = self.sources[0].path, self.code.line(span[0])
+        shown, place = self.code.shown(*span), None
+        try:
+            goal = find()
+            if state is None:
+                raise LeftOutError("is a place to which the program never comes")
+            place = goal.place
+            reached, frames = target(goal, state)
+            self.visits.append(Visit(where, reached.name or shown, place, reached, frames=frames))
+        except LeftOutError as why:
+            self.visits.append(Visit(where, shown, place, why=str(why)))
+
+
+def selected(what: str, value: Hashable) -> Frame:
+    """Return a tool or frame that is selected.
+
+    Raises:
+        LeftOutError: It is not known.
+    """
+    if not isinstance(value, Frame):
+        unknown = value if isinstance(value, Unknown) else Unknown("is not known")
+        raise LeftOutError(unknown.why if unknown.whole else f"{what} {unknown.why}")
+    return value

@@ -1,0 +1,250 @@
+"""How statements of programs follow each other: routines, branches, loops and jumps, the same in all languages.
+
+A language says which of its words begin and end them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.control_flow import Flow, State
+from calib.programs.languages.data_uses import DataUses
+from calib.programs.languages.robot_program import Source
+from calib.programs.languages.tokens import Code, Span
+
+
+def spelled(words: Mapping[Callable[[int], int], str]) -> dict[str, Callable[[int], int]]:
+    """Return by word what reads it, from the words by what reads them."""
+    return {word: read for read, text in words.items() for word in text.split()}
+
+
+class Statements(ABC):
+    """Reads the statements of a program.
+
+    Args:
+        sources: Its files, the one with the statements first.
+        codes: The words of each.
+        start: What holds at first, by setting.
+        routines: Words that begin routines with their parameters in brackets.
+
+    Attributes:
+        words: What reads the statement that begins with a word.
+        routines: Routines of the program, and whether they can set their arguments.
+    """
+
+    breaking = True  # whether statements end before `words`, too
+    words: Mapping[str, Callable[[int], int]]
+
+    def __init__(self, sources: Sequence[Source], codes: Sequence[Code], start: State, routines: str) -> None:
+        self.sources, self.codes, self.code = sources, codes, codes[0]
+        self.flow, self.uses = Flow(start), DataUses()
+        self.routines = dict[str, bool]()
+        for at in self.code.names(0, len(self.code.tokens) - 1):
+            if self.code.tokens[at].text in routines.split():
+                self._find_routine(at)
+
+    @abstractmethod
+    def parameter(self, span: Span) -> tuple[list[str], bool]:
+        """Return the names of a parameter, and whether the routine can set what is given for it."""
+
+    @abstractmethod
+    def statement(self, at: int, stop: int) -> None:
+        """Take in a statement that begins with none of `words`."""
+
+    @abstractmethod
+    def names(self, first: int, stop: int) -> set[str]:
+        """Return the data in some words."""
+
+    @abstractmethod
+    def decide(self, first: int, stop: int) -> None:
+        """Take in words by which the program decides."""
+
+    @abstractmethod
+    def expression(self, first: int, stop: int) -> None:
+        """Take in the calls of an expression."""
+
+    @abstractmethod
+    def change(self, name: str, why: str = "is set while the program runs") -> None:
+        """Take in that data become other ones."""
+
+    def read(self, at: int = 0) -> None:
+        """Read all statements from a word on."""
+        code, end = self.code, len(self.code.tokens) - 1
+        while at < end:
+            token = code.tokens[at]
+            if token.kind == "end":
+                at = self.skip(at)
+            elif token.kind == "name" and token.text in self.words:
+                at = self.words[token.text](at)
+            elif token.kind == "name" and code.tokens[at + 1].text == ":":
+                self.flow.label(f"label {token.text}")
+                at += 2
+            else:
+                stop = self.end(at)
+                self.statement(at, stop)
+                at = stop
+        path = self.sources[0].path
+        if self.flow.blocks:
+            raise DataError(f"{path}, line {self.flow.blocks[-1].line}: is not ended; correct it")
+        if self.flow.routine:
+            raise DataError(f"{path}: routine '{self.flow.routine.lower()}' has no end; correct it")
+        self.flow.finish_all()
+
+    def end(self, at: int) -> int:
+        """Return where the statement that begins at a word ends."""
+        tokens = self.code.tokens
+        while tokens[at].kind != "end":
+            at = self.code.partner[at] + 1
+            if self.breaking and tokens[at].kind == "name" and tokens[at].text in self.words:
+                break
+        return at
+
+    def wrong(self, at: int, why: str) -> DataError:
+        """Return the error that names a word and its line."""
+        return DataError(f"{self.code.where(at)}: '{self.code.shown(at, at + 1)}' {why}; correct it")
+
+    # words that routines begin and end with
+
+    def _routine(self, at: int) -> int:
+        """The bracket of the routine that a word begins, behind its name."""
+        last = min(at + 8, len(self.code.tokens))
+        bracket = next((k for k in range(at + 1, last) if self.code.is_mark(k, "(")), None)
+        if bracket is None:
+            raise self.wrong(at, "begins a routine that has no brackets")
+        return bracket
+
+    def _find_routine(self, at: int) -> None:
+        bracket = self._routine(at)
+        name, settable = self.code.tokens[bracket - 1].text, False
+        for span in self.code.split(bracket + 1, self.code.partner[bracket]):
+            parameters, set_by_it = self.parameter(span)
+            settable |= set_by_it
+            for parameter in parameters:
+                self.uses.set(parameter, "is given to a routine when it is called")
+                self.uses.compute(parameter, [f"{name}()"])
+        self.routines[name] = settable
+
+    def begin(self, at: int, *, at_any_time: bool = False) -> int:
+        """Begin a routine."""
+        bracket = self._routine(at)
+        self.flow.begin(self.code.tokens[bracket - 1].text, self.code.where(at), at_any_time=at_any_time)
+        return self.code.partner[bracket] + 1
+
+    def begin_thread(self, at: int) -> int:
+        """Begin a routine that runs beside the others."""
+        return self.begin(at, at_any_time=True)
+
+    def finish(self, at: int) -> int:
+        """End a routine."""
+        if not self.flow.routine or self.flow.blocks:
+            raise self.wrong(at, "ends nothing")
+        self.flow.finish()
+        return at + 1
+
+    def run_at_any_time(self, at: int, take: Callable[[], None]) -> None:
+        """Take in what happens while the robot moves."""
+        self.flow.begin(f"{self.flow.routine} {at}", at_any_time=True)
+        take()
+        self.flow.finish()
+
+    # words of branches and loops
+
+    def skip(self, at: int) -> int:
+        """Go on behind the word."""
+        return at + 1
+
+    def choose(self, at: int) -> int:
+        """Begin branches, behind a condition."""
+        stop = self.head(at)
+        self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
+        self.flow.pass_over()
+        return stop
+
+    def head(self, at: int) -> int:
+        """Take in the condition behind a word; return where it ends."""
+        stop = self.end(at)
+        self.decide(at + 1, stop)
+        return stop
+
+    def otherwise(self, at: int) -> int:
+        """Begin the next branch."""
+        if not self.flow.blocks or self.flow.blocks[-1].loop:
+            raise self.wrong(at, "belongs to nothing")
+        self.flow.next_choice()
+        return at + 1
+
+    def choose_next(self, at: int) -> int:
+        """Begin the next branch, behind a condition."""
+        self.otherwise(at)
+        stop = self.head(at)
+        self.flow.pass_over()
+        return stop
+
+    def repeat(self, at: int) -> int:
+        """Begin a loop."""
+        self.flow.open_loop(self.code.tokens[at].text, self.code.line(at))
+        return at + 1
+
+    def repeat_while(self, at: int) -> int:
+        """Begin a loop, behind a condition."""
+        self.repeat(at)
+        stop = self.head(at)
+        self.flow.pass_over()
+        return stop
+
+    def count(self, at: int) -> int:
+        """Begin a loop that counts."""
+        stop = self.head(at)
+        self.change(self.code.tokens[at + 1].text)
+        self.repeat(at)
+        self.flow.pass_over()
+        return stop
+
+    def until(self, at: int) -> int:
+        """End a loop, behind a condition."""
+        if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
+            raise self.wrong(at, "belongs to nothing")
+        stop = self.head(at)
+        self.flow.pass_over()
+        self.flow.close()
+        return stop
+
+    def close(self, at: int) -> int:
+        """End branches or a loop; `END` is followed by the word that began them."""
+        if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
+            raise self.wrong(at, "ends nothing")
+        self.flow.close()
+        return at + 1
+
+    # words that lead elsewhere
+
+    def jump(self, at: int) -> int:
+        """Go to a label."""
+        self.flow.jump(f"label {self.code.tokens[at + 1].text}")
+        return self.end(at)
+
+    def leave_loop(self, at: int) -> int:
+        """Leave the innermost loop."""
+        self.flow.leave_loop()
+        return at + 1
+
+    def begin_again(self, at: int) -> int:
+        """Go to the next round of the innermost loop."""
+        self.flow.leave_loop(again=True)
+        return at + 1
+
+    def leave(self, at: int) -> int:
+        """Leave the routine, with a value."""
+        stop = self.end(at)
+        self.expression(at + 1, stop)
+        self.uses.compute(self.flow.routine, self.names(at + 1, stop))
+        self.flow.jump("return")
+        return stop
+
+    def halt(self, at: int) -> int:
+        """Leave the program."""
+        stop = self.head(at)
+        self.flow.jump("halt")
+        return stop

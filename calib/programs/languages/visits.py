@@ -1,0 +1,103 @@
+"""Where a program goes, and what follows for its targets: which of them can have other numbers.
+
+The numbers of a target stand in one place, and the program may go there from several. They stay as they are if one of
+these visits cannot be compensated, if visits are with different tools or frames, or if they move along with another
+target that is their frame or tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from calib.core.base.errors import DataError
+from calib.programs.languages.robot_program import NotCompensated, ProgramTarget, RobotProgram, Source
+
+Place = tuple[int, int]
+"""Where numbers stand: the file, and their first word."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A place to which a program goes.
+
+    Attributes:
+        where: The file and the line that goes there.
+        text: What stands there.
+        place: Where its numbers stand; None: nowhere.
+        target: The target; None: it cannot be compensated.
+        why: Why it cannot.
+        frames: Where data of the program stand that are its frame or tool.
+    """
+
+    where: tuple[str, int]
+    text: str
+    place: Place | None
+    target: ProgramTarget | None = None
+    why: str = ""
+    frames: tuple[Place, ...] = ()
+
+    def left(self, why: str) -> NotCompensated:
+        """Return it as not compensated."""
+        return NotCompensated(*self.where, self.text, why)
+
+
+def program_of(language: str, sources: Sequence[Source], visits: Iterable[Visit]) -> RobotProgram:
+    """Return a program with the targets that can be compensated.
+
+    Args:
+        language: What it is written in.
+        sources: Its files, the given one first.
+        visits: In the order in which they stand in the text.
+
+    Raises:
+        DataError: There is no such target.
+    """
+    left = list[NotCompensated]()
+    same = dict[Place, list[Visit]]()
+    for visit in visits:
+        if visit.target is None:
+            left.append(visit.left(visit.why))
+        if visit.place is not None:
+            same.setdefault(visit.place, []).append(visit)
+    targets = dict[Place, ProgramTarget]()
+    for place, group in same.items():
+        stays = next((visit for visit in group if visit.target is None or _differs(group[0], visit)), None)
+        if stays is None:
+            targets[place] = _together(group)
+            continue
+        if stays.target is not None:
+            left.append(stays.left("is reached with different tools or frames; give each a target"))
+        because = f"stays as it is because of line {stays.where[1]}"
+        left += [visit.left(because) for visit in group if visit.target is not None and visit is not stays]
+    along = {
+        place: targets[frame].name
+        for place in targets
+        for visit in same[place]
+        for frame in reversed(visit.frames)
+        if frame in targets
+    }
+    for place, name in along.items():
+        left += [visit.left(f"moves along with {name}, a target that is its frame or tool") for visit in same[place]]
+        del targets[place]
+    once = dict[tuple[str, int, str], NotCompensated]()
+    for place_left in left:
+        once.setdefault((place_left.path, place_left.line, place_left.text), place_left)
+    ordered = sorted(once.values(), key=lambda place_left: (place_left.path != sources[0].path, place_left.line))
+    if not targets:
+        why = f"; {ordered[0]}" if ordered else ""
+        raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")
+    return RobotProgram(language, tuple(sources), tuple(targets.values()), tuple(ordered))
+
+
+def _differs(first: Visit, visit: Visit) -> bool:
+    one, other = first.target, visit.target
+    if one is None or other is None or one.rotation is None:
+        return False
+    return not (one.frame.isApprox(other.frame) and one.tool.isApprox(other.tool))
+
+
+def _together(group: Sequence[Visit]) -> ProgramTarget:
+    """The target of visits that are alike; what one of them says of joints to be near to counts."""
+    targets = [visit.target for visit in group if visit.target is not None]
+    return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

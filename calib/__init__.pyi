@@ -39,6 +39,8 @@ from calib.core.rows.simulate import simulate as simulate
 from calib.exporting.formats import export as export
 from calib.fleets.fleet import Fleet as Fleet
 from calib.fleets.fleet import fleet as fleet
+from calib.matching.match import match as match
+from calib.matching.result import Match as Match
 from calib.planning.assessment import Assessment as Assessment
 from calib.planning.assessment import check as check
 from calib.planning.pose_sampling import sample as sample

@@ -17,15 +17,18 @@ _COMMANDS = {
     "compare": ("calib.core.commands.compare", "Show results side by side."),
     "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
     "select": ("calib.planning.commands.select", "Choose the poses to measure."),
+    "route": ("calib.motion.command", "Plan a way through poses, as a program for the robot."),
     "simulate": ("calib.core.commands.simulate", "Simulate measurements."),
     "study": ("calib.studies.command", "Calibrate many times from simulated measurements."),
     "fit": ("calib.core.commands.fit", "Calibrate a robot from measurements."),
     "predict": ("calib.core.commands.predict", "Predict where the targets are."),
     "solve": ("calib.programs.commands.solve", "Find joint values that reach goals."),
     "compensate": ("calib.programs.commands.compensate", "Correct a program for the real robot."),
+    "match": ("calib.matching.command", "Agree with the poses that a controller prints."),
     "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
     "qualify": ("calib.quality.command", "Prove that this installation computes rightly."),
+    "certificate": ("calib.quality.certificate_command", "Write a calibration certificate with its budget."),
     "watch": ("calib.planning.commands.watch", "Say while measuring which pose is next, and when to stop."),
     "detect": ("calib.photographs.commands.detect", "Find a printed board in photographs."),
     "board": ("calib.photographs.commands.boards", "Write a board to print."),
@@ -35,11 +38,11 @@ _COMMANDS = {
 
 
 _GROUPS = {
-    "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
-    "Measuring and calibrating": ("watch", "fit", "verify", "compare", "fleet"),
+    "Before measuring": ("init", "check", "sample", "select", "route", "simulate", "study"),
+    "Measuring and calibrating": ("watch", "fit", "match", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
-    "Quality systems": ("qualify",),
+    "Quality systems": ("qualify", "certificate"),
 }
 """The commands in the order of work; those that come with the pictures stand after them."""
 

@@ -7,6 +7,7 @@ What a package adds is named in its `pyproject.toml`, under these groups of entr
     calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
     calib.formats               formats of `calib export`: a tuple of `Format`
+    calib.models                models by name: a mapping to files that `calib fleet` wrote, with their URDF
     calib.readers               formats of measurement files: a tuple of `OtherFormat`
     calib.first_descriptions    an option of `calib init` for files of a robot's own: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`

@@ -109,15 +109,6 @@ def test_bad_joint_values_are_refused_by_predict_and_simulate(folder, refused, c
     assert message in refused(command)
 
 
-@pytest.mark.parametrize("rows", [1, 2])
-def test_too_few_poses_are_refused(folder, refused, rows):
-    (folder / "data.csv").write_text("\n".join(ROWS[: rows + 1]) + "\n")
-    line = refused(FIT)
-    assert "data.csv: " in line
-    assert f"{rows} poses give" in line or "1 pose" in line
-    assert "measure at least" in line
-
-
 def test_data_that_is_not_there_is_refused(folder, refused):
     (folder / "data.csv").unlink()
     for command in (FIT, PREDICT, SIMULATE):

@@ -54,6 +54,8 @@ ELSEWHERE = [
     "Smallest changes that",
     ", then moved off the grid",  # the file: tests/test_select_command.py
     ", in order of measurement",
+    "; the efficiency is that of the free candidates",  # obstacles: tests/test_motion.py
+    "if all candidates were free (",
     "; positions are predicted",
     "results side by side",  # no sentence
     "std after fit",

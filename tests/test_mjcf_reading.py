@@ -90,9 +90,10 @@ def test_a_file_with_loops_is_closed_in_every_command(tmp_path, run_calib):
     assert np.allclose(plain.forward(q, "pen"), described.forward(q, "pen"), rtol=0, atol=1e-12)
     assert calib.load(tmp_path / "open.yaml").passive_names == ()
     done = run_calib("sample", "five_bar.xml", "-n", "2", "--out", "poses.csv", cwd=tmp_path)
-    assert (done.code, done.err) == (
-        0, "note: the arm is taken to end at pen; another end, such as end: calib init --target NAME\n"
-    )  # fmt: skip
+    assert done.code == 0
+    assert done.err.startswith(
+        "note: the arm is taken to end at pen; another end, such as end: calib init --target NAME\n"
+    )
 
 
 LEG = """<mujoco model="leg"><worldbody><body name="hip"><geom size=".02"/>

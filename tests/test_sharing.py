@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.base.arrays import ReadOnlyArrays
@@ -42,6 +43,17 @@ def fitted(robot, data):
     return calib.fit(robot, data)
 
 
+def matched(path):
+    """A match to the poses that the arm's own kinematics give."""
+    arm = calib.load(EXAMPLES / "arm.urdf")
+    q = arm.sample(30, seed=1)
+    T = np.linalg.inv(arm.forward(q, "base_link")) @ arm.forward(q, "flange")
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("ZYX", degrees=True)
+    rows = np.hstack([np.degrees(q), 1e3 * T[:, :3, 3], angles])
+    np.savetxt(path, rows, fmt="%.4f", delimiter=",", header="A1,A2,A3,A4,A5,A6,X,Y,Z,A,B,C", comments="")
+    return calib.match(EXAMPLES / "arm.urdf", path)
+
+
 @pytest.fixture(scope="module")
 def public_objects(robot, data, fitted, tmp_path_factory):
     """One of each public class, by its name."""
@@ -61,6 +73,7 @@ def public_objects(robot, data, fitted, tmp_path_factory):
         "Goals": calib.Goals(robot.positions(poses.joints)[:, 0]),
         "LoadedResult": calib.load_result(folder),
         "Holds": calib.Holds.ORIGINS,
+        "Match": matched(folder.with_name("pairs.csv")),
         "Measurements": data,
         "Origin": calib.Origin(np.arange(3.0), np.zeros(3)),
         "Parameter": robot.parameters[0],

@@ -78,7 +78,7 @@ def test_the_page_holds_the_numbers(scene):
     ):
         np.testing.assert_array_equal(floats(data["table"][name]).reshape(values.shape), values)
     group = np.frombuffer(base64.b64decode(data["table"]["group"]), dtype=np.uint8)
-    assert group.tolist() == [0, 0, 4, 0, 0, *[1] * (len(table) - 5)]
+    assert group.tolist() == [0, 0, len(poses.GROUPS), 0, 0, *[1] * (len(table) - 5)]
     assert data["table"]["labels"][0] == HOSTILE
 
 

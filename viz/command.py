@@ -22,7 +22,11 @@ MAP_POSES = 1000
 @click.option(
     "--result", metavar="DIR", help="Result folder of `calib fit`: robot before and after, its poses and errors."
 )
-@click.option("--data", metavar="FILE", help="Measurements (CSV) to judge the robot with, instead of those of the fit.")
+@click.option(
+    "--data",
+    metavar="FILE",
+    help="Measurements (CSV) to judge the robot with, instead of those of the fit; or poses alone, to look at.",
+)
 @click.option(
     "--map",
     "mapped",
@@ -51,7 +55,7 @@ def view(
     output: Output,
 ) -> None:
     """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
-    from calib.core.data.measurement_files import read_measurements
+    from calib.core.data.plan_files import read_pose_files
     from viz.inputs import gather
     from viz.live import LiveViewer
     from viz.viewer_page import scene_page
@@ -61,7 +65,7 @@ def view(
     model = loaded(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
         model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
-    measurements = None if data is None else read_measurements(data, model)
+    measurements = None if data is None else read_pose_files((data,), model)
     output.check(html)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements, mapped)

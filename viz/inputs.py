@@ -7,14 +7,16 @@ from pathlib import Path
 
 from calib import Fit, Measurements, Robot
 from calib.core.base.errors import InputError
+from calib.core.data.measurements import Poses
 from calib.core.results.result_reading import load_result
 from calib.core.results.version_1 import EarlierResult
+from calib.core.robots.pose_check import check_poses
 from calib.core.rows.registration import register
 from calib.core.rows.whitening import Whitening
 from viz import reading_errors
 from viz.judgement import Judgement, of_result
 from viz.judgement import of_fit as judgement_of_fit
-from viz.pose_sources import Sigmas, from_measurements, noise
+from viz.pose_sources import Sigmas, from_measurements, from_plan, noise
 from viz.poses import Calibrated
 from viz.remarks import remarks
 from viz.scene import Scene, build_scene, scene_of_fit
@@ -38,13 +40,13 @@ class Shown:
     ghost: Robot | None
 
 
-def gather(robot: Robot, result: Result | None = None, data: Measurements | None = None, mapped: int = 0) -> Shown:
+def gather(robot: Robot, result: Result | None = None, data: Poses | None = None, mapped: int = 0) -> Shown:
     """Return what to show.
 
     Args:
         robot: The nominal robot.
         result: A fit, or the folder that one was saved to; none: the robot as it is.
-        data: Measurements to judge the robots with, instead of those of the fit.
+        data: Measurements to judge the robots with, instead of those of the fit; or poses alone, to look at.
         mapped: With how many poses to show what is known over the workspace; 0: not at all.
 
     Raises:
@@ -54,6 +56,8 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     """
     if mapped and result is None:
         raise InputError("--map shows what a calibration knows: give its result with --result DIR")
+    if data is not None and not isinstance(data, Measurements):
+        return _planned(robot, result, data)
     if isinstance(result, Fit):
         return _from_fit(robot, result, data, mapped)
     if result is not None:
@@ -64,6 +68,18 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
         readings = reading_errors.of_measurements(data, placed, None)
         return Shown(build_scene(placed, None, table, readings, comments=remarks(data.comments)), placed, None)
     return Shown(build_scene(robot), robot, None)
+
+
+def _planned(robot: Robot, result: Result | None, poses: Poses) -> Shown:
+    """Poses where nothing was read yet, with what hits there."""
+    if isinstance(result, Fit):
+        robot = result.robot
+    elif result is not None:
+        robot = load_result(result, robot, failed_too=True).robot
+    check = check_poses(robot, poses.joints)
+    notes = [check.summary()] if check.n_blocked else []
+    notes += [f"collisions are not checked: {check.unchecked}"] if check.unchecked else check.remarks
+    return Shown(build_scene(robot, None, from_plan(robot, poses, check.hits), notes=tuple(notes)), robot, None)
 
 
 def _from_fit(

@@ -45,7 +45,19 @@ def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
         for k, (pair, T) in enumerate(itertools.product(of_first_setup, placed)):
             rod = T[pair.a, :3, 3], T[pair.b, :3, 3], 0.001 * robot.mechanism.length
             shapes += _rod(f"{instrument.name}/wire{k}", None, *rod, _WIRE)
-    return tuple(shapes)
+    return (*shapes, *_lines_of_sight(robot, placed))
+
+
+def _lines_of_sight(robot: Robot, placed: FloatArray) -> list[Shape]:
+    """Lines from where the description's `sight` is to targets, in poses of all bodies (n, n_bodies, 4, 4)."""
+    stand = robot.description.sight
+    if stand is None:
+        return []
+    joint, shapes = 0 if stand.frame is None else robot.mechanism.joint(stand.frame), []
+    for k, (target, T) in enumerate(itertools.product(robot.mechanism.targets, placed)):
+        start = T[joint, :3, :3] @ np.array(stand.xyz) + T[joint, :3, 3]
+        shapes += _rod(f"sight{k}", None, start, T[target.b, :3, 3], 0.001 * robot.mechanism.length, _WIRE)
+    return shapes
 
 
 def _tells_distances(instrument: Instrument) -> bool:

@@ -14,13 +14,25 @@ import numpy as np
 
 from calib import Fit, Measurements, Robot
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.data.measurements import Poses
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.outliers import Outlier, numbers_by_instrument
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging import findings
 from calib.core.rows.observed import predicted_readings
 from calib.core.rows.prediction import PositionUncertainty
-from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
+from viz.poses import (
+    COLLIDES,
+    EXCLUDED,
+    IDENTIFICATION,
+    MEASURED,
+    PLANNED,
+    VALIDATION,
+    Calibrated,
+    PoseTable,
+    averaged,
+    concatenate,
+)
 
 Sigmas = Mapping[str, float]
 """Noise of one reading of instruments that measure points, per axis, by their names [m]; unknown where left out."""
@@ -128,6 +140,37 @@ def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated
         UnreachablePoseError: A pose cannot be assembled.
     """
     return averaged(_judged(MEASURED, data, nominal, calibrated, sigmas))
+
+
+def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
+    """Return poses where nothing was read, at the positions that a robot predicts.
+
+    Args:
+        robot: The robot.
+        poses: The poses.
+        hits: What hits at each, "" where nothing does, (n,).
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    targets = robot.target_names
+    visits = np.repeat(np.arange(len(poses)), len(targets))
+    unknown = np.full((len(visits), 3), np.nan)
+    return PoseTable(
+        joints=poses.joints[visits],
+        measured=unknown,
+        before=robot.positions(poses.joints).reshape(-1, 3),
+        after=unknown,
+        sigma=unknown[:, 0],
+        spread=unknown,
+        group=tuple(COLLIDES if hits[visit] else PLANNED for visit in visits),
+        outlier=np.zeros(len(visits), dtype=bool),
+        labels=tuple(f"{poses.names[k]}: {hits[k]}" if hits[k] else poses.names[k] for k in visits.tolist()),
+        targets=targets * len(poses),
+        readings=np.ones(len(visits), dtype=np.intp),
+        series=(poses.path,) * len(visits),
+        place=visits.astype(np.intp),
+    )
 
 
 def noise(fit: Fit) -> Sigmas:

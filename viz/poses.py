@@ -13,7 +13,8 @@ from calib.core.base.errors import DataError
 from calib.core.rows.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
-GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)
+PLANNED, COLLIDES = "planned", "collides"
+GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED, PLANNED, COLLIDES)
 WORST = 1000
 """Rows with the largest errors of each state, which are always in a page."""
 _MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a screen
@@ -43,7 +44,8 @@ class PoseTable(ReadOnlyArrays):
         before, after: Predicted positions of the robot before and after calibration, (n, 3) [m].
         sigma: Standard deviation of each measured coordinate, which is a mean over the readings of its pose, (n,) [m].
         spread: Standard deviation of the predicted position after calibration, (n, 3) [m].
-        group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier).
+        group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier);
+            `planned`, or `collides` where the robot hits something, of poses where nothing was read.
         outlier: Which rows are outliers, (n,).
         labels: What to call each pose.
         targets: Name of the measured point of each row: of the instrument that measured it.

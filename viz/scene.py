@@ -28,6 +28,7 @@ from viz.reading_errors import ReadingErrors
 from viz.reading_errors import of_fit as readings_of_fit
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
+from viz.surroundings import surrounding_shapes
 from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
@@ -211,7 +212,7 @@ def build_scene(
         )
         ghost = replace(ghost, placements=np.where(beside[:, None, None], solid.placements, ghost.placements))
     shapes, shape_notes = read_shapes(nominal)
-    shapes += instrument_shapes(solid_robot)
+    shapes += instrument_shapes(solid_robot) + surrounding_shapes(solid_robot)
     decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
     view = _view(bodies, solid, shapes, decorations, table)
     size = float(np.linalg.norm(view.high - view.low))

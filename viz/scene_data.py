@@ -16,7 +16,7 @@ from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.position import POSITION
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
-from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, WORST
+from viz.poses import COLLIDES, EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, PLANNED, VALIDATION, WORST
 from viz.reading_errors import ReadingErrors
 from viz.scene import OtherErrors, Scene, nice_factor
 from viz.workspace_map import WorkspaceMap
@@ -26,8 +26,10 @@ _POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: of points that crowd, an
 _SAME = 5e-4  # of the scene's size: nearer points look like one
 _POINT_PIXELS = (4.0, 7.0)  # smallest width of points that crowd, and of points with room
 _FEW_POINTS = 500  # so many have room
-_MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc"}
+_MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc", PLANNED: "disc"}
+_MARKS[COLLIDES] = "alarm"
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
+_SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
 _MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: how long typical enlarged half axes look at first
 _EXACT = 1e-12  # [SI]: smallest range of colours, where nothing is wrong anywhere

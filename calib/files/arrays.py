@@ -21,7 +21,7 @@ def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of NumPy's file.
 
     Raises:
-        DataError: It cannot be read, or has no arrays of one length.
+        DataError: It cannot be read (see `_unreadable`), or has no arrays of one length.
     """
     try:
         loaded = np.load(io.BytesIO(_content(file)), allow_pickle=False)
@@ -31,7 +31,7 @@ def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 
 
 def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
-    """Return the columns of a MATLAB file of version 5; errors as `numpy_columns`."""
+    """Return the columns of a MATLAB file of version 5; for errors see `numpy_columns`."""
     try:
         return _columns(file, scipy.io.loadmat(io.BytesIO(_content(file))))
     except (ValueError, OSError, TypeError, NotImplementedError) as error:
@@ -42,7 +42,7 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of a MATLAB file of version 7.3, whose axes are in the other order.
 
     Raises:
-        DataError: The package h5py is missing; or as `numpy_columns`.
+        DataError: The package h5py is missing; for others see `numpy_columns`.
     """
     try:
         import h5py  # type: ignore[import-not-found]

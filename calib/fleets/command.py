@@ -32,7 +32,8 @@ from calib.fleets.fleet import fleet, urdf_beside
 def command(results: tuple[str, ...], out: str | None, html: str | None, verbose: bool, output: Output) -> None:
     """Make the prior of the next robot of a model, from results of others.
 
-    Each DIR is the result of `calib fit` for one robot, all with the same URDF and parameters. Poses, instruments and
+    Each DIR is the result of `calib fit` or `calib match` for one robot, all with the same URDF and parameters, or a
+    calibration of Universal Robots (YAML, as ur_calibration writes it). Poses, instruments and
     places may differ. The mean and spread of every parameter become the prior of the next robot, so that a few poses
     calibrate it. A robot that is unlike the others is named, and left out.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
@@ -23,10 +24,13 @@ from calib.core.robots.fleet_prior import FleetSection
 from calib.core.robots.robot import Robot
 from calib.fleets.hierarchy import Hierarchy, Likeness, learn_without_odd
 from calib.fleets.shared_parameters import section_of, shared_parameters, told_of, without_fleet
+from calib.fleets.ur_files import is_calibration, result_of_calibration
 
 _WIDTH = 118
 _CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
+_STATEMENT = 8.0
+"""Degrees of freedom of a noise that only the user states, right to a quarter: 1 / (2 * 0.25^2) (jcgm100, G.4.2)."""
 _NAMED = 3  # parameters of a robot that are named as unlike
 _UNPROVEN = {
     "CHECK": "systematic errors there count as properties of the robot.",
@@ -209,7 +213,8 @@ def fleet(*results: Path | str) -> Fleet:
     """Make the prior of the next robot of a model, from results of others.
 
     Args:
-        results: Two or more result folders, of different robots with the same URDF and parameters.
+        results: Two or more result folders, of different robots with the same URDF and parameters; or calibrations of
+            Universal Robots (YAML), of robots of one type.
 
     Raises:
         InputError: Fewer than two, or the same one twice.
@@ -221,7 +226,37 @@ def fleet(*results: Path | str) -> Fleet:
         raise InputError(f"{counted(len(results), 'result')} given; give those of two or more robots of one model")
     if len({Path(result).resolve() for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
-    folders = [Path(result) for result in results]
+    if not any(is_calibration(result) for result in results):
+        return _fleet([Path(result) for result in results])
+    with TemporaryDirectory() as scratch:
+        names = distinct_names(results)
+        folders = [
+            _as_folder(result, Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix))
+            for result, name in zip(results, names, strict=True)
+        ]
+        learned = _fleet(folders)
+    section = learned.robot.description.fleet
+    assert section is not None
+    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # what was found there is no instrument's noise
+    description = learned.robot.description.model_copy(update={"fleet": bare})
+    return replace(
+        learned,
+        robot=replace(learned.robot, description=description),
+        members=tuple(
+            replace(member, folder=str(result)) for member, result in zip(learned.members, results, strict=True)
+        ),
+    )
+
+
+def _as_folder(result: Path | str, folder: Path) -> Path:
+    """The result folder itself, or one that is written for a calibration of Universal Robots."""
+    if not is_calibration(result):
+        return Path(result)
+    result_of_calibration(result, folder)
+    return folder
+
+
+def _fleet(folders: Sequence[Path]) -> Fleet:
     loaded = [load_result(folder) for folder in folders]
     robots = [result.robot for result in loaded]
     shared = _shared(robots, folders)

@@ -7,16 +7,21 @@ is found from where they are.
 A camera sees its board from few of the poses that a robot can take. Where nothing but cameras reads, poses are tried
 until enough see something (`calib.core.instruments.pixel` says when that is). A kind that says where it reads something
 (`FrameInstrument.sights`) has poses brought there first.
+
+Where the robot file has shapes, or the description says what is around the robot, only poses are given that are free
+(`calib.core.robots.pose_check`): more are drawn, with the same seed, until enough of them are.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, random_numbers
+from calib.core.base.errors import DataError
 from calib.core.base.memory import require_memory
 from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Poses, of_visits
@@ -27,6 +32,7 @@ from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.pose_check import PoseCheck, blocked_by, check_poses
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import looks_at, predicted_readings
@@ -36,6 +42,7 @@ _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one
 _AT_ONCE = 1_000
 _BROUGHT_OF_EACH = 10  # poses that are brought to where a kind says that it reads something
 _FEW_SEE = 0.5  # of the poses
+_MOST_DRAWN = 64  # poses, for one that is free
 _NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
 
@@ -61,14 +68,47 @@ def sample(
 
     Raises:
         InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
-        DataError: Not enough were found, even near home; or a sliding joint has no limits.
+        DataError: Not enough were found, even near home, or are free; or a sliding joint has no limits.
     """
-    robot = as_robot(robot)
+    return free_sample(as_robot(robot), count, random_numbers(seed), within)[0]
+
+
+def free_sample(
+    robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
+) -> tuple[Poses, PoseCheck]:
+    """Return poses as `sample` does, and what hits at those that were drawn with them.
+
+    Raises:
+        InputError, DataError: See `sample`.
+    """
+    state, total = generator.bit_generator.state, count
+    while True:
+        generator.bit_generator.state = state  # the same poses, and more
+        drawn = _drawn(robot, total, generator, within)
+        check = check_poses(robot, drawn.joints)
+        free = np.flatnonzero(check.free)[:count]
+        if len(free) == count:
+            if len(free) == len(drawn):
+                return drawn, check
+            looked_at = PoseCheck(check.hits[: int(free[-1]) + 1], check.remarks)
+            named = _poses(robot, drawn.joints[free])
+            return replace(drawn.subset(free), names=named.names, labels=named.labels), looked_at
+        if total >= _MOST_DRAWN * count:
+            blocked = blocked_by(Counter(filter(None, check.hits)), len(check.hits))
+            raise DataError(
+                f"{robot.path}: only {counted(len(free), 'pose')} of {count} found that are free: {blocked}"
+            )
+        total = min(_MOST_DRAWN * count, max(2 * total, int(1.2 * total * count / max(len(free), 1))))
+
+
+def _drawn(
+    robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None
+) -> Poses:
+    """Poses as `sample` gives them, free or not."""
     touches = [instrument for instrument in robot.instruments if instrument.touches]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
     require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
-    generator = random_numbers(seed)
     tried = _poses(robot, robot.sample(total, generator, within=spanned))
     if all(instrument.may_see_nothing for instrument in robot.instruments):
         return _seeing(robot, tried, generator, spanned)

@@ -29,9 +29,10 @@ from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si, millimetres
 from calib.core.base.workers import Progress, Workers, in_order
-from calib.core.data.in_memory import PosesLike
+from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.numerics.observability import observability_of
 from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.pose_check import PoseCheck, check_poses
 from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
@@ -64,6 +65,7 @@ def select(
     seed: int = 0,
     off_grid: bool = False,
     skip_unreachable: bool = False,
+    checked: bool = True,
     sigma: float | str | None = None,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
@@ -88,6 +90,7 @@ def select(
         off_grid: Move the chosen poses continuously afterwards; see `calib.planning.refinement` for where they may
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        checked: Whether candidates at which the robot hits something, or a target is hidden, are left out.
         sigma: Noise of one position reading per axis [m], or text such as `0.04 mm`; the description's if not given.
         executor: What runs the starts, and the moves off the grid; as in `calib.fit`.
         progress: Called with how many starts are done and of how many; then with how many poses have found their place
@@ -105,9 +108,14 @@ def select(
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
     request = Request(index, total, minimum_distance, off_grid, groups)
+    candidates = as_poses(robot, candidates)
+    check = check_poses(robot, candidates.joints) if checked else PoseCheck(("",) * len(candidates))
+    blocked = np.flatnonzero(~check.free).tolist()
+    if blocked and len(blocked) == len(candidates):
+        raise InputError(f"{candidates.path}: none of the candidates is free: {check.summary()}")
     kinds = _start_kinds(random_start, starts)
     with Workers(executor, None if off_grid else starts) as workers:
-        setting = prepare(robot, candidates, request, measured, task, exclude, skip_unreachable, sigma)
+        setting = prepare(robot, candidates, request, measured, task, (*exclude, *blocked), skip_unreachable, sigma)
         require_count(setting)
         prepared = time.perf_counter()
         runs, best = _run_all(setting, kinds, rng, workers, progress)
@@ -116,6 +124,26 @@ def select(
             runs, best, efficiency, bound = _certify(setting, runs, best)
         on_grid = index_values(setting.problem, best.chosen, setting.sigma)
         poses = _poses(setting, best, on_grid, rng, workers, progress)
+    if blocked and off_grid and (hit := check_poses(robot, poses.joints)).n_blocked:
+        raise InputError(f"off the grid, {hit.summary()}; choose on the grid")
+    everywhere = None
+    if blocked:
+        everywhere = select(
+            robot,
+            candidates,
+            count,
+            index,
+            instruments=instruments,
+            measured=measured,
+            task=task,
+            exclude=exclude,
+            minimum_distance=minimum_distance,
+            random_start=random_start,
+            seed=seed,
+            skip_unreachable=skip_unreachable,
+            checked=False,
+            sigma=sigma,
+        ).on_grid
     order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(
@@ -145,6 +173,8 @@ def select(
         seed=seed,
         seconds=time.perf_counter() - started,
         selecting_seconds=time.perf_counter() - prepared,
+        check=check,
+        unobstructed=everywhere,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.words import titled_html
 from calib.core.numerics.identifiability import Rank
+from calib.core.robots.pose_check import PoseCheck
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,8 @@ class Selection(ReadOnlyArrays):
         seed: Seed of everything random.
         seconds: Duration.
         selecting_seconds: The part after assembly and Jacobians of the candidates.
+        check: What hits at the candidates.
+        unobstructed: All indices of the best choice from all candidates, free or not; None where all are free.
     """
 
     index: str
@@ -88,6 +91,8 @@ class Selection(ReadOnlyArrays):
     seed: int
     seconds: float
     selecting_seconds: float
+    check: PoseCheck
+    unobstructed: dict[str, float] | None
 
     def __len__(self) -> int:
         return len(self.joints)

@@ -68,6 +68,9 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
             "sigma_assumed": s.sigma_assumed,
             "skipped": list(s.skipped),
             "already_measured": s.already_measured,
+            "not_free": {poses.names[k]: hit for k, hit in enumerate(s.check.hits) if hit},
+            "collisions_unchecked": s.check.unchecked or None,
+            "unobstructed": None if s.unobstructed is None else _values(s.unobstructed),
             "seed": s.seed,
             "seconds": s.seconds,
             "selecting_seconds": s.selecting_seconds,
@@ -209,6 +212,12 @@ def _remarks(s: Selection) -> list[str]:
         lines.append("Unstated noise is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
+    if s.unobstructed is not None:
+        lines.append(f"Left out: {s.check.summary()}; the efficiency is that of the free candidates")
+        lines.append(
+            f"{s.index} is {_shown(s.index, s.on_grid[s.index]):.5g}; {_shown(s.index, s.unobstructed[s.index]):.5g} if"
+            f" all candidates were free ({100 * s.on_grid[s.index] / s.unobstructed[s.index]:.1f} %)"
+        )
     if s.skipped:
         lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
         lines += [f"  {reason}" for reason in s.skipped[:_SHOWN]]

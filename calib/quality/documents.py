@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib
 
 from calib.core.base.errors import InputError
+from calib.core.base.version import DISTRIBUTION
 
 _STYLE = """\
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:62rem;padding:0 1rem;color:#1b1f24;background:#fff}
@@ -81,7 +82,9 @@ class Document:
         try:
             fpdf = import_module("fpdf")
         except ImportError:
-            raise InputError("a PDF needs fpdf2: pip install 'medrue[certificate]', or print the HTML") from None
+            raise InputError(
+                f"a PDF needs fpdf2: pip install '{DISTRIBUTION}[certificate]', or print the HTML"
+            ) from None
         pdf = fpdf.FPDF(format="A4")
         pdf.set_title(self.title)
         fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")

@@ -239,7 +239,7 @@ def _exit_codes() -> Iterator[Check]:
             "robot.urdf": urdf,
             "right.yaml": description,
             "wrong.yaml": description + "\nno_such_key: 1\n",
-            "wrong.csv": "crank [deg],point_x [mm],point_y [mm],point_z [mm]\n10,1,2,many\n",
+            "wrong.csv": "crank [deg],pin_x [mm],pin_y [mm],pin_z [mm]\n10,1,2,many\n",
         }
         for name, text in files.items():
             (place / name).write_text(text, encoding="utf-8")

@@ -82,7 +82,7 @@ class Repeated(ReadOnlyArrays):
 
     @cached_property
     def seen(self) -> dict[str, View | FloatArray]:
-        """What each instrument saw in the first draw, at the minimum, by name."""
+        """What each instrument saw in the first draw, at the minimum, by name; see `seen_by`."""
         return seen_by(self.first.robot, self.first.configurations, self.first.identification.data.readings)
 
     def estimate(self, drawn: Drawn) -> Estimate:

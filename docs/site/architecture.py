@@ -68,8 +68,10 @@ CORE = (
 )
 CAPABILITIES = (
     Room("Planning", None, ("planning",)),
+    Room("Motion", None, ("motion",)),
     Room("Studies", None, ("studies",)),
     Room("Fleets", None, ("fleets",)),
+    Room("Matching", None, ("matching",)),
     Room("Programs", None, ("programs",)),
     Room("Exporting", None, ("exporting",)),
     Room("Photographs", None, ("photographs",)),

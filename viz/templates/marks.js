@@ -36,7 +36,7 @@ const POINT_VERTEX = `
   }`;
 
 // Shapes tell the groups apart without colour; a cross through one marks an outlier, used or left out.
-const SHAPES = ["disc", "diamond", "square"];
+const SHAPES = ["disc", "diamond", "square", "alarm"]; // the last is a square in red
 
 const POINT_FRAGMENT = `
   uniform vec3 edge; varying vec3 vColour; varying float vShape; varying float vOutlier; varying float vEdge;
@@ -50,7 +50,8 @@ const POINT_FRAGMENT = `
       return;
     }
     if (reach > 1.0) discard;
-    gl_FragColor = vec4(reach > 0.76 ? mix(vColour, edge, vEdge) : vColour, 1.0);
+    vec3 colour = shape == ALARM ? vec3(0.85, 0.08, 0.08) : vColour;
+    gl_FragColor = vec4(reach > 0.76 ? mix(colour, edge, vEdge) : colour, 1.0);
   }`;
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.

@@ -69,6 +69,11 @@ class Output:
         if not self.quiet:
             click.echo(visible(text), err=True)
 
+    def alarm(self, text: str) -> None:
+        """Print a danger to standard error, in red on a terminal."""
+        if not self.quiet:
+            click.secho(visible(text), err=True, fg="red")
+
     def remarks(self, remarks: Sequence[str]) -> None:
         """Print remarks on single poses to standard error, the first few of them."""
         for remark in remarks[:_REMARKS]:

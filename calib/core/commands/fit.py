@@ -27,6 +27,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.result_content import to_dict
 from calib.core.results.results import RESULT_FILES
+from calib.core.robots.loading import with_model
 from calib.core.robots.robot import Robot
 
 _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
@@ -71,6 +72,11 @@ _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
     metavar="NAME=VALUE,...",
     help="How far off parameters are expected to be, one standard deviation with its unit, such as joint_3.z=0.1mm.",
 )
+@click.option(
+    "--model",
+    metavar="NAME|FILE",
+    help="What is known of the robot's model before measuring: a model such as ur5e, or a file that calib fleet wrote.",
+)
 @click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; show both results.")
 @click.option("--starts", type=int, default=1, show_default=True, help="Number of starting points.")
 @click.option(
@@ -106,6 +112,7 @@ def command(
     fix: str | None,
     free: str | None,
     prior: str | None,
+    model: str | None,
     exclude_outliers: bool,
     starts: int,
     seed: int,
@@ -125,16 +132,18 @@ def command(
         if no_pages or out is None:
             raise InputError(f"--logo is for report.html: {'leave out --no-pages' if no_pages else 'give --out DIR'}")
         image_address(logo)
-    model = loaded(robot, output)
-    identification = read_measurements(data, model)
+    described = loaded(robot, output)
+    if model is not None:
+        described = with_model(described, str(Path(model).resolve()) if Path(model).is_file() else model)
+    identification = read_measurements(data, described)
     validation = None
     if validate is not None:
-        identification, validation = _hold_out(model, identification, validate, seed)
+        identification, validation = _hold_out(described, identification, validate, seed)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     output.check(folders=(out,), names=RESULT_FILES)
     with output.working(f"fitting {counted(len(identification), 'pose')}") as progress:
         result = fit(
-            model,
+            described,
             identification,
             validation=validation,
             sigma=sigma,

@@ -24,6 +24,7 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.plan_files import read_plan
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.configurations import near_singularities
+from calib.core.robots.pose_check import check_poses
 from calib.core.robots.robot import Robot
 from calib.core.rows.simulate import simulate, unstated_noise
 
@@ -63,6 +64,12 @@ def command(
     camera = None if photographs is None else _camera(model)
     _require_noise(model, sigma, camera)
     poses = read_plan(joints, model)
+    check = check_poses(model, poses.joints)
+    if check.n_blocked == len(poses) > 0:
+        raise InputError(f"{joints}: none of the poses is free: {check.summary()}")
+    if check.n_blocked:
+        output.note(f"note: left out: {check.summary()}")
+        poses = poses.subset(np.flatnonzero(check.free))
     output.check(out, folders=(photographs,))
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))

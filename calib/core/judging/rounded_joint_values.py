@@ -86,14 +86,13 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
     """The largest usual step that some values (n,) stand in [m or rad]; 0 for none."""
     if len(np.unique(values)) < _DIFFERENT:
         return 0.0
-    steps = [0.0]
-    for unit in _UNITS[dimension]:
-        in_unit = values * PER_SI[dimension][unit]
-        for step in _STEPS:
-            if np.all(np.abs(in_unit / step - np.round(in_unit / step)) < _CLOSE):
-                steps.append(step / PER_SI[dimension][unit])
-                break
-    return max(steps)
+    return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
+
+
+def usual_step(numbers: FloatArray) -> float:
+    """Return the largest usual step that all numbers (n,) stand in; 0 for none."""
+    on_it = (step for step in _STEPS if np.all(np.abs(numbers / step - np.round(numbers / step)) < _CLOSE))
+    return next(on_it, 0.0)
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:

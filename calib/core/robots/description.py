@@ -23,6 +23,7 @@ from calib.core.base.sections import (
     LENGTH_COMPONENTS,
     Component,
     FrameSection,
+    Length,
     PlaceSection,
     PositiveLength,
     Quantity,
@@ -33,9 +34,11 @@ from calib.core.base.units import Dimension
 from calib.core.instruments.kinds import KINDS, AnyInstrument
 from calib.core.instruments.noise import PositionSigma
 from calib.core.robots.fleet_prior import FleetSection
+from calib.core.robots.surroundings import Acceptance, Obstacles, ObstacleSection, ShapeSection, SightSection
 from calib.core.robots.terms.gravity import GravitySection, InclinometerSection
 from calib.core.robots.terms.term import TermSection
 from calib.core.robots.terms.terms import TERMS, AnyTerm
+from calib.core.robots.traceability import TraceabilitySection
 
 
 class BaseSection(FrameSection):
@@ -54,9 +57,15 @@ class TargetSection(PlaceSection):
 
     State how far an unknown position may be off (`sigma`) if you can: joints that hardly turned during the measurements
     leave the point loosely determined.
+
+    Attributes:
+        shape: What stands there, in the target's axes: a nest with its reflector, a board, a camera.
+        acceptance: In which directions it is seen; an angle is about its z axis.
     """
 
     what = "target"
+    shape: ShapeSection | None = None
+    acceptance: Acceptance | None = None
 
 
 class OriginSection(Section):
@@ -107,7 +116,11 @@ class Description(Section):
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
     frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
     `inclinometers` are sensors that say how far joints are turned that are not commanded.
-    `fleet` is what other robots of the model are like (`calib fleet` writes it).
+    `fleet` is what other robots of the model are like (`calib fleet` writes it); `model` takes it from a model that the
+    program knows, such as `ur5e`, or from such a file.
+    `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its
+    links keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
+    `traceability` is where the measurements come from, for a certificate (`calib.core.robots.traceability`).
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
     nearest `time`, at most `lag` away [s].
@@ -146,10 +159,15 @@ class Description(Section):
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     fleet: FleetSection | None = None
+    model: str | None = None
     priors: bool = True
     prior: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None
     tolerance: PositiveLength | None = None
+    obstacles: Obstacles | None = None
+    self_clearance: Annotated[Length, Field(ge=0)] = 0.005
+    sight: SightSection | None = None
+    traceability: TraceabilitySection | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
     join: Literal["pose", "rows", "time"] = "pose"
@@ -267,6 +285,8 @@ def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
         return k in (1, 3)
     if location[0] == "instruments":
         return k > 2 and location[k] in _FORMS
+    if location[0] == "obstacles":
+        return k == 1
     return location[0] == "sigma" and k == 1 and location[k] in _FORMS
 
 
@@ -308,6 +328,9 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
             "targets": TargetSection,
             "parametrisation": OriginSection,
             "gravity": GravitySection,
+            "obstacles": ObstacleSection,
+            "sight": SightSection,
+            "traceability": TraceabilitySection,
         }
         section = sections.get(first, Description)
     if first == "inclinometers":
@@ -317,7 +340,8 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
         named = "kind" if first == "instruments" else "term"
         if named in entry:
             section = (KINDS if first == "instruments" else TERMS)[entry[named]].section
-    for key in map(str, location[2:-1]):  # sections inside a section
+    unnamed = first == "traceability"  # else a name stands before them
+    for key in map(str, location[1 if unnamed else 2 : -1]):  # sections inside a section
         inner = section.model_fields.get(key)
         kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
         section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), section)

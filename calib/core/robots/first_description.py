@@ -31,6 +31,11 @@ parametrisation:
   - {{origin: all, components: [rx, ry, rz], sigma: {angle}}}
 {held}# priors: false                   # let the measurements alone decide
 
+# What the robot must not touch, and parts of its tool (frame: a link that moves); then only free poses are planned.
+# obstacles:
+#   floor: {{plane: true, frame: {base}}}     # below z = 0 of the base; xyz: [0, 0, -0.8 m] lowers it
+#   table: {{box: [1.2 m, 0.8 m, 40 mm], frame: {base}, xyz: [0.9 m, 0, -0.1 m], clearance: 20 mm}}
+
 {sigma}# Columns of foreign files, and what they stand for.
 # columns: {{x1: "{column}", j1: "{example} [deg]"}}
 """
@@ -268,6 +273,7 @@ def description_text(
         loops=loops,
         measured=measured,
         sigma=_SIGMA if how is None else "",
+        base=quoted(description.base.frame),
         column=f"{quoted(target) if how is None else point}_x [m]" if how is None or how.column is None else how.column,
         joints=" ".join(", ".join(joints).split()),
         length=lengths.sigma,

@@ -185,7 +185,10 @@ class Shared:
 
     @cached_property
     def pinocchio(self) -> tuple[pin.Model, pin.Data, FloatArray, FloatArray]:
-        """Pinocchio's model and data, and what it computes there: `flat_poses` of all joints, and the Jacobian."""
+        """Pinocchio's model and data, and what it computes there.
+
+        That is `flat_poses` of all joints, (n_joints, 12), and the Jacobian, (n_velocities, 6).
+        """
         model = self.mechanism.model_around(self._pairs)
         data = pin.Data(model)
         return model, data, flat_poses(data.oMi)[1:], data.J.T

@@ -12,6 +12,8 @@ import numpy as np
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.parameter import index_of
+from calib.core.base.registry import installed
+from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
@@ -27,10 +29,14 @@ from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, read_urdf
+from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
+
+_SAME_ORIGIN = 1e-4
+"""How far a stock origin may be from that of its model: rounded digits [m], [1]."""
 
 
 def load(path: str | Path) -> Robot:
-    """Load a robot from a robot description (YAML) or from a plain URDF.
+    """Load a robot from a robot description (YAML), from a plain URDF, or from a calibration of Universal Robots.
 
     A plain URDF means its arm (see `calib.core.robots.urdf.arm_chain`): every moving joint on the way to the arm's last
     link is actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
@@ -43,7 +49,7 @@ def load(path: str | Path) -> Robot:
     path = Path(path)
     if path.suffix.lower() in (".csv", ".xlsx"):
         raise DescriptionError(f"{path}: is a table; the robot comes first: its description or its URDF")
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if path.suffix.lower() in (".yaml", ".yml") and not is_ur_kinematics(read_yaml(path)):
         description = read_description(path)
         urdf = read_urdf(path.parent / description.urdf, description.xacro)
         description = _with_loops(description, urdf)
@@ -140,7 +146,7 @@ def robot(
         UrdfError: The URDF is not valid.
         DescriptionError: A key is not valid, or does not fit the URDF.
     """
-    if Path(urdf).suffix in (".yaml", ".yml"):
+    if Path(urdf).suffix in (".yaml", ".yml") and not is_ur_kinematics(read_yaml(urdf)):
         raise DescriptionError(f"{urdf}: is a robot description; load it with calib.load({str(urdf)!r})")
     text, where = read_urdf(Path(urdf)), str(urdf)
     content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
@@ -174,6 +180,42 @@ def as_robot(robot: RobotLike) -> Robot:
     return robot
 
 
+def with_model(robot: Robot, model: str) -> Robot:
+    """Return a robot with what is known of its model (`calib.core.robots.fleet_prior`) before it is measured.
+
+    Args:
+        robot: Not calibrated yet; names of its joints may have a prefix before those of the model.
+        model: Name of a model that a capability or another package brings, such as `ur5e`; or the file that `calib
+            fleet` wrote, beside the robot's description.
+
+    Raises:
+        DescriptionError: No such model, or the robot is not of it.
+    """
+    known = {name: path for entry in installed("calib.models") for name, path in entry.load().items()}
+    if model not in known and Path(model).suffix.lower() not in (".yaml", ".yml"):
+        raise DescriptionError(
+            f"{robot.path}: model: no model '{model}'{nearest(model, known)}; or give a file that calib fleet wrote"
+        )
+    of_model = load(known.get(model, Path(robot.path).parent / model))
+    section, joints = of_model.description.fleet, of_model.joint_names
+    if section is None:
+        raise DescriptionError(f"{model}: has no key 'fleet'; calib fleet writes it")
+    prefix = next((name.removesuffix(joints[0]) for name in robot.joint_names if name.endswith(joints[0])), "")
+    for name in joints:
+        place = robot.nominal.placement(prefix + name) if prefix + name in robot.nominal.origin_names else None
+        if place is None or not place.isApprox(of_model.nominal.placement(name), _SAME_ORIGIN):
+            raise DescriptionError(
+                f"{robot.path}: is no stock '{model}': joint '{prefix + name}' is "
+                + ("missing" if place is None else "elsewhere in that model; give the stock URDF")
+            )
+    own = {p.name for p in robot.parameters}
+    entries = {prefix + name: entry for name, entry in section.parameters.items() if prefix + name in own}
+    if not entries:
+        raise DescriptionError(f"{robot.path}: none of the joint origins that '{model}' knows is free")
+    fleet = section.model_copy(update={"parameters": entries, "unlike": ()})
+    return build(robot.description.model_copy(update={"fleet": fleet}), robot.urdf, robot.path)
+
+
 def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values.
 
@@ -202,6 +244,8 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
         index_of(robot.parameters, held, f"{where}: held")
     for name in description.elimination_order:
         index_of(robot.parameters, name, f"{where}: elimination_order")
+    if description.model is not None and description.fleet is None:
+        return with_model(robot, description.model)
     return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))
 
 

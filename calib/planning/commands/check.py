@@ -23,6 +23,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.judging.blind_spots import unordered
+from calib.core.robots.pose_check import check_poses
 from calib.core.rows.observed import unsaid_touches
 from calib.pictures import figures
 from calib.planning.assessment import check
@@ -90,6 +91,12 @@ def command(
     output.remarks(wrapped_terms(model, pose_set.joints))
     if isinstance(pose_set, Measurements):
         output.remarks(unordered(pose_set))
+    collisions = check_poses(model, pose_set.joints)
+    for name, hit in zip(pose_set.names, collisions.hits, strict=True):
+        if hit:
+            output.alarm(f"pose {name}: {hit}")
+    if collisions.n_blocked:
+        output.alarm(collisions.summary())
     output.check(folders=(plots,))
     with output.working(f"checking {len(pose_set)} poses"):
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
@@ -99,4 +106,6 @@ def command(
     if plots is not None:
         output.say(f"Figures written to {plots}")
     output.say(after_check(assessment, robot, pose_set, data, typed_options()))
-    output.json({"robot": model.path, "poses": source} | to_dict(assessment))
+    blocked = {name: hit for name, hit in zip(pose_set.names, collisions.hits, strict=True) if hit}
+    free = {"not_free": blocked, "collisions_unchecked": collisions.unchecked or None}
+    output.json({"robot": model.path, "poses": source} | to_dict(assessment) | free)

@@ -15,7 +15,7 @@ from calib.core.commands.common import Output, loaded, shared_options, values_op
 from calib.core.data.measurement_files import format_measurements, read_poses
 from calib.core.data.measurements import measurements
 from calib.core.robots.robot import Robot
-from calib.planning.pose_sampling import little_seen, sample
+from calib.planning.pose_sampling import free_sample, little_seen
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
 
@@ -47,7 +47,8 @@ def command(
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
     If the robot touches something, it does so at these poses. If only cameras measure, they see their targets there.
-    Cables, walls and collisions of the robot with itself are not checked: look at the poses before you send them
+    At these poses the robot hits neither itself nor what the description names under `obstacles`, if its file has
+    shapes or there are obstacles; otherwise nothing is checked. Cables are not: look at the poses before you send them
     (calib view ROBOT --data FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)
@@ -58,10 +59,15 @@ def command(
             ranges[name] = max(low, before[0]), min(high, before[1])
     output.check(out)
     with output.working(f"looking for {count} poses"):
-        poses = sample(model, count, seed, within=ranges)
+        poses, check = free_sample(model, count, np.random.default_rng(seed), ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
     output.write(out, format_measurements(model, measurements(poses, poses.planned), comments))
     output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
+    if check.n_blocked:
+        output.say(f"Left out: {check.summary()}")
+    output.remarks(check.remarks)
+    if check.unchecked:
+        output.note(f"note: collisions are not checked: {check.unchecked}")
     if (few := little_seen(model, poses)) is not None:
         output.note(f"note: {few}")
 

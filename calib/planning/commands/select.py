@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import click
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 
-from calib.core.base.errors import InputError, nearest
+import click
+import numpy as np
+
+from calib.core.base.errors import ComputationError, InputError, NotIdentifiableError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.units import metres
+from calib.core.base.units import metres, millimetres
 from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
@@ -30,8 +35,13 @@ from calib.planning.instrument_choice import ALL, EACH
 from calib.planning.next_steps import after_select
 from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
+from calib.planning.selection_problem import TASK
+from calib.planning.selection_result import Selection
 from calib.planning.selection_scores import CHOICES
 from calib.planning.selection_text import format_poses, text_report, to_dict
+
+_TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
+"""Numbers of poses that are tried for a goal."""
 
 
 @click.command("select")
@@ -40,8 +50,13 @@ from calib.planning.selection_text import format_poses, text_report, to_dict
 @click.option(
     "-n",
     "--count",
-    required=True,
     help="How many poses to choose; or how many with each instrument, such as tracker=12,sockets=18.",
+)
+@click.option(
+    "--goal-mm",
+    type=float,
+    help="In place of --count: as many poses as bring the predicted error of positions below this, RMS over --task [mm]"
+    " (index task). A `model` or `fleet` in the description counts.",
 )
 @click.option(
     "--instruments",
@@ -98,7 +113,8 @@ from calib.planning.selection_text import format_poses, text_report, to_dict
 def command(
     robot: str,
     candidates: str,
-    count: str,
+    count: str | None,
+    goal_mm: float | None,
     instruments: str,
     index: str,
     measured: str | None,
@@ -123,7 +139,8 @@ def command(
     With several instruments and --instruments, it also chooses which of them reads at which pose: the written file has
     a column `instrument`. A candidate for a touch must name what is touched, in the column of that instrument.
     """
-    counts = _counts(count)
+    if (count is None) == (goal_mm is None):
+        raise InputError("give one of --count and --goal-mm: how many poses, or what they shall reach")
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
@@ -137,11 +154,10 @@ def command(
     if (few := little_seen(model, poses)) is not None:
         output.note(f"note: {few}")
     with output.working(f"choosing from {len(poses)} poses") as progress:
-        selection = select(
+        choose = partial(
+            select,
             model,
             poses,
-            counts,
-            index,
             instruments=instruments if instruments in (ALL, EACH) else instruments.split(","),
             measured=done,
             task=None if task is None else read_poses(task, model),
@@ -156,13 +172,33 @@ def command(
             executor=jobs,
             progress=progress,
         )
+        if goal_mm is None:
+            selection = choose(_counts(str(count)), index)
+        else:
+            selection = _reaching(choose, metres(goal_mm), len(poses))
     output.write(out, format_poses(model, selection, poses, table))
     if plots is not None:
         write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
+    output.remarks(selection.check.remarks)
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.say(after_select(robot, out, typed_options()))
     output.json({"robot": model.path} | to_dict(selection, poses))
+
+
+def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -> Selection:
+    """The fewest poses, of the numbers that are tried, with which the predicted error is below the goal [m]."""
+    left = np.inf
+    for count in (count for count in _TRIED if count <= most):
+        with suppress(NotIdentifiableError):
+            selection = choose(count, TASK)
+            left = selection.after[TASK]
+            if left <= goal:
+                return selection
+    raise ComputationError(
+        f"no choice of up to {min(most, _TRIED[-1])} candidates brings the predicted error below"
+        f" {millimetres(goal):g} mm (the best: {millimetres(left):.3g} mm); give more candidates, or less noise"
+    )
 
 
 def _counts(text: str) -> int | dict[str, int]:

@@ -102,7 +102,7 @@ class Position:
         """Return the numbers of its pose.
 
         Raises:
-            DataError: They are not complete.
+            DataError: They are not complete; see `_error`.
         """
         missing = next((key for key in _POSE if key not in self.fields), None)
         if missing is not None:
@@ -130,6 +130,10 @@ class Position:
         """Return what it says of the joints.
 
         N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0.
+
+        Raises:
+            DataError: It has no configuration; see `_error`.
+            LeftOutError: It counts turns.
         """
         match = _CONFIG.fullmatch(self.written)
         if match is None:

@@ -84,7 +84,11 @@ class RapidData(Reader):
         return parts
 
     def pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
-        """Return the numbers of a position and a quaternion, and the pose."""
+        """Return the numbers of a position and a quaternion, and the pose.
+
+        Raises:
+            DataError: There are not two parts.
+        """
         where = self.code.where(parts[0][0])
         if len(parts) != 2:
             raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")

@@ -139,7 +139,7 @@ class Reader(Statements):
             self.call(at, (at + 2, close), maybe=at > first or close + 1 < stop)
 
     def assign(self, first: int, stop: int, equals: int) -> None:
-        """Take in what an assignment computes."""
+        """Take in what an assignment computes; two in a statement are an error, see `wrong`."""
         if self.code.until(equals + 1, stop, self.assigning) < stop:
             raise self.wrong(equals, "stands twice in a statement")
         self.expression(first + 1, equals)

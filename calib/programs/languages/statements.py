@@ -70,7 +70,11 @@ class Statements(ABC):
         """Take in that data become other ones."""
 
     def read(self, at: int = 0) -> None:
-        """Read all statements from a word on."""
+        """Read all statements from a word on.
+
+        Raises:
+            DataError: A routine, a branch or a loop is not ended.
+        """
         code, end = self.code, len(self.code.tokens) - 1
         while at < end:
             token = code.tokens[at]
@@ -137,7 +141,7 @@ class Statements(ABC):
         return self.begin(at, at_any_time=True)
 
     def finish(self, at: int) -> int:
-        """End a routine."""
+        """End a routine; see `wrong` where there is none."""
         if not self.flow.routine or self.flow.blocks:
             raise self.wrong(at, "ends nothing")
         self.flow.finish()
@@ -169,7 +173,7 @@ class Statements(ABC):
         return stop
 
     def otherwise(self, at: int) -> int:
-        """Begin the next branch."""
+        """Begin the next branch; see `wrong` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].loop:
             raise self.wrong(at, "belongs to nothing")
         self.flow.next_choice()
@@ -203,7 +207,7 @@ class Statements(ABC):
         return stop
 
     def until(self, at: int) -> int:
-        """End a loop, behind a condition."""
+        """End a loop, behind a condition; see `wrong` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
             raise self.wrong(at, "belongs to nothing")
         stop = self.head(at)
@@ -212,7 +216,7 @@ class Statements(ABC):
         return stop
 
     def close(self, at: int) -> int:
-        """End branches or a loop; `END` is followed by the word that began them."""
+        """End branches or a loop; `END` is followed by the word that began them; see `wrong`."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
             raise self.wrong(at, "ends nothing")
         self.flow.close()

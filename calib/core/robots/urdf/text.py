@@ -34,6 +34,7 @@ from calib.core.robots.urdf.reader import (
     UrdfJoint,
     UrdfReader,
 )
+from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.xacro_files import expanded
 
 __all__ = [
@@ -153,7 +154,8 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> UrdfText:
-    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; or MuJoCo's format (MJCF).
+    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; MuJoCo's format (MJCF); or a
+    calibration of Universal Robots (YAML).
 
     Args:
         path: The file.
@@ -168,6 +170,8 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
         raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
     if Path(path).suffix == ".xacro":
         source = expanded(path, arguments or {})
+    elif Path(path).suffix.lower() in (".yaml", ".yml"):
+        source = ur_urdf(read_origins(path))
     elif is_mjcf(source):
         mjcf = read_mjcf(path)
         return replace(parse_urdf(mjcf.source, str(path)), mjcf=mjcf)

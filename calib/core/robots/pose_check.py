@@ -1,0 +1,68 @@
+"""Which poses are free: the answer that a capability gives to whoever plans poses, shows them, or sends a robot there.
+
+`calib.motion` knows shapes; it is found by the entry point `check_poses` of the group `calib.methods`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.registry import brought
+from calib.core.base.words import counted, listed
+from calib.core.robots.robot_data import RobotData
+
+_PAIRS_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """What hits at poses.
+
+    Attributes:
+        hits: The pair that touches at each pose, such as `forearm - table`, or what hides a target; "" where it is
+            free, (n,).
+        remarks: What stands for links, and which pairs are not checked.
+        unchecked: Why nothing was checked; "" where it was.
+    """
+
+    hits: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    unchecked: str = ""
+
+    @property
+    def free(self) -> BoolArray:
+        """Which poses are free, (n,)."""
+        return np.array([not hit for hit in self.hits], dtype=bool)
+
+    @property
+    def n_blocked(self) -> int:
+        """How many poses are not free."""
+        return sum(map(bool, self.hits))
+
+    def summary(self) -> str:
+        """Say how many poses are not free, and by which pairs; "" where all are."""
+        return blocked_by(Counter(filter(None, self.hits)), len(self.hits))
+
+
+def blocked_by(pairs: Counter[str], n: int) -> str:
+    """Say by which pairs poses are not free, of n that were looked at; "" where all are free."""
+    if not pairs:
+        return ""
+    named = [f"{count} {pair}" for pair, count in pairs.most_common(_PAIRS_SHOWN)]
+    if len(pairs) > _PAIRS_SHOWN:
+        named.append(counted(len(pairs) - _PAIRS_SHOWN, "further pair"))
+    return f"{sum(pairs.values())} of {counted(n, 'pose')} not free ({listed(named)})"
+
+
+def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:
+    """Return what hits at actuated joints (n, n_actuated) [m or rad].
+
+    Raises:
+        DescriptionError: An obstacle or a mesh that the description names cannot be.
+    """
+    check: PoseCheck = brought("calib.methods", "check_poses")(robot, joints)
+    return check

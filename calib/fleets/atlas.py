@@ -1,0 +1,14 @@
+"""What is known of models before one of their robots is measured: the files of the folder `atlas`.
+
+Each is what `calib fleet` makes of the maker's own calibrations of several robots of a type, as their owners published
+them (files of `ur_calibration`): mean and spread of the joint origins, and what the robots leave open of the mean. The
+stock URDF stands beside it, made of the maker's published Denavit-Hartenberg parameters. The first lines of a file
+state how many robots are behind it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+MODELS = {path.stem: path for path in sorted((Path(__file__).parent / "atlas").glob("*.yaml"))}
+"""The files, by the model's name."""

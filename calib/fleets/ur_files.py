@@ -1,0 +1,91 @@
+"""A robot's result from the maker's own calibration of it: what `calib fit` of its stock model would have found.
+
+Universal Robots' controllers compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). Poses of the robot
+that the file describes, rounded, are fitted by the stock model of its type with all joint origins free and base and
+tool known. Single numbers of the files cannot be compared (parallel axes leave some of them open); the fit's prior puts
+all robots of a type into one gauge, and its covariance says what stays open.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from calib.core.base.errors import DataError
+from calib.core.base.files import write_file
+from calib.core.base.units import millimetres
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.data.in_memory import as_measurements
+from calib.core.fitting.settings import Settings
+from calib.core.numerics.halton import halton
+from calib.core.results.results import save
+from calib.core.robots.loading import load
+from calib.core.robots.loading import robot as robot_of
+from calib.core.robots.parametrisation import default_sections
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.ur_kinematics import JOINTS, nearest_type, nominal_origins, read_origins, ur_urdf
+
+_POSES = 40
+_STEP = 5e-5, 2e-4  # to which poses are rounded: far below what robots differ by [m], [rad]
+_FAR = 0.03  # RMS distance from a type beyond which it is none [m]
+
+
+def is_calibration(path: Path | str) -> bool:
+    """Whether this is a calibration of Universal Robots, and no result folder."""
+    return Path(path).suffix.lower() in (".yaml", ".yml") and Path(path).is_file()
+
+
+def result_of_calibration(path: Path | str, folder: Path) -> str:
+    """Write the result that a calibration stands for.
+
+    Args:
+        path: The calibration.
+        folder: Where to.
+
+    Returns:
+        The robot's type.
+
+    Raises:
+        DataError: The robot is of no known type.
+        UrdfError: The file is no calibration, or has lost a sign.
+    """
+    origins = read_origins(path)
+    model, away = nearest_type(origins)
+    if away > _FAR:
+        raise DataError(f"{path}: is of no known type; the nearest, {model}, is {millimetres(away):.0f} mm off (RMS)")
+    urdf = folder.parent / f"{model}.urdf"
+    if not urdf.exists():
+        write_file(str(urdf), ur_urdf(nominal_origins(model), model))
+    stock, robot = _stock(urdf), load(path)
+    q = 2 * np.pi * halton(_POSES + 1, 6)[1:] - np.pi
+    T = np.linalg.inv(robot.forward(q, "base_link_inertia")) @ robot.forward(q, "tool0")
+    turns = scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    values = np.hstack([np.round(part / step) * step for part, step in zip((T[:, :3, 3], turns), _STEP, strict=True)])
+    names = [f"{Path(path).stem} {k}" for k in range(_POSES)]
+    save(calibrate(stock, as_measurements(stock, q, {"maker": values}, names), None, Settings()), folder)
+    return model
+
+
+def _stock(urdf: Path) -> Robot:
+    """The stock model of a type, the origins of its moving joints free, base and tool known."""
+    sigma, angle = (f"{scale * step / np.sqrt(12):.4f} {unit}" for step, scale, unit in
+                    zip(_STEP, (1e3, 1e3), ("mm", "mrad"), strict=True))  # fmt: skip
+    stock = robot_of(
+        urdf,
+        motors=JOINTS,
+        base={"frame": "base_link_inertia"},
+        target={"tool0": {"frame": "tool0"}},
+        instruments={
+            "maker": {
+                "kind": "pose",
+                "target": "tool0",
+                "rotation": "rotation_vector",
+                "sigma": sigma,
+                "sigma_angle": angle,
+            }
+        },
+        parametrisation=default_sections(),
+    )
+    return stock.fix([p.name for p in stock.parameters if p.name.rpartition(".")[0] not in JOINTS])

@@ -1,0 +1,138 @@
+"""Whether a fitted robot agrees with a controller as far as the digits of a file go, and how far elsewhere.
+
+The only noise of printed pairs is rounding, of joint values and of poses: every number is off by a uniform part of its
+last digit. With L_v what these parts do to the whitened rows of pair v, and rows and priors linear,
+
+    e_v = L_v w,   w uniform on (-sqrt 3, sqrt 3)      C = (J^T J + P^T P)^-1
+    d = C (J^T e + P^T z)                              error of the parameters, z normal for what priors hold
+    r = e - J d                                        residuals of a robot that the model holds exactly
+    r'_v = (1 - J_v C J_v^T)^-1 r_v                    the same at pair v, predicted by a fit of the others
+
+Many draws of w are the distribution of sum r^2, sum r'^2 and of errors elsewhere, without approximations of a normal
+noise. Real residuals far above all draws say that the controller computes with something that the model has not.
+
+When it fails. Something that the controller knows and that is smaller than what rounding hides; the claim has an
+allowance for that (`_ALLOWANCE`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import CalibrationError
+from calib.core.fitting.fitted import Fit
+from calib.core.numerics import linalg
+from calib.core.numerics.halton import halton
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+
+_DRAWS = 600
+_BEYOND = 1.1  # times the largest of all draws, above which residuals are no rounding
+_ALLOWANCE = 1.25  # of the claim, for what rounding may hide
+_POSES = 300  # other poses that the claim is about
+_SURE = 0.99  # part of the draws in which the claim holds
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement(ReadOnlyArrays):
+    """What residuals say.
+
+    Attributes:
+        ratio: Sum of squares over the largest of all draws: at most 1 where rounding explains them.
+        far: How far each pair is from what the others predict, over the largest of all draws, (n_pairs,).
+        allowed: Distance that rounding moves a printed position, 95 % of the pairs [m].
+        claim: Distance between robot and controller at other poses over the joints' ranges, 95 % of them [m].
+        turn_claim: The same for orientations [rad].
+        left_out: Distance from what the others predict, RMS over the pairs [m].
+        rms: Distance at the pairs, RMS [m].
+    """
+
+    ratio: float
+    far: FloatArray
+    allowed: float
+    claim: float
+    turn_claim: float
+    left_out: float
+    rms: float
+
+    @property
+    def to_the_digits(self) -> bool:
+        """Whether rounding explains the residuals."""
+        return self.ratio <= _BEYOND
+
+
+def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement:
+    """Compare residuals with rounding.
+
+    Args:
+        fit: To pairs, whose noise is stated as the covariance of rounding.
+        name: Of the instrument that stands for the controller.
+        rounding: L before whitening, (n_pairs, 6, k) [m, rad].
+        seed: Of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
+    scale = whitening.row_scale(fit.scales.groups)[:, None]  # 1 unless residuals contradict the rounding
+    prior, jacobian = fit.rows.prior.rows, fit.rows.jacobian * scale
+    L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
+    w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
+    e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
+    C = _covariance(jacobian, prior)
+    d = (e @ jacobian + rng.standard_normal((_DRAWS, len(prior))) @ prior) @ C
+    residuals = fit.rows.residuals * scale[:, 0]
+    all_r = np.vstack([e - d @ jacobian.T, residuals]).reshape(_DRAWS + 1, n, 6)
+    predicted = _by_the_others(jacobian, C, all_r)
+    lengths = np.linalg.norm(predicted, axis=2)
+    sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
+    own = _by_the_others(fit.rows.jacobian, _covariance(fit.rows.jacobian, prior), (residuals / scale[:, 0])[None])
+    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}) / scale
+    left_out = np.linalg.solve(whiten.reshape(n, 6, 6), own.reshape(n, 6, 1))[:, :3, 0]
+    moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
+    size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
+    errors = _elsewhere(fit, d)
+    return Agreement(
+        float(np.max(sums[:, -1] / np.max(sums[:, :-1], axis=1))),
+        lengths[-1] / np.max(lengths[:-1]),
+        float(np.quantile(moved, 0.95)),
+        size * errors[0],
+        size * errors[1],
+        float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(fit.residuals[name][:, :3] ** 2, axis=1)))),
+    )
+
+
+def _covariance(jacobian: FloatArray, prior: FloatArray) -> FloatArray:
+    return linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
+
+
+def _by_the_others(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
+    """Return r' of the module docstring, (n_draws, n_pairs, 6), of r (n_draws, n_pairs, 6) or (n_draws, 6 n)."""
+    blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
+    others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
+    return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))
+
+
+def _elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
+    """Distance [m] and turn [rad] at 95 % of other poses, in nearly all draws of scaled parameter errors."""
+    robot, index, scales = fit.robot, fit.unknowns.index, fit.unknowns.scales
+    rows = linearise(robot, robot.assemble(other_poses(robot)), turns=True).jacobian[:, 0][..., index] * scales
+    answers = []
+    for part in (rows[:, :3], rows[:, 3:]):
+        moved = np.sqrt(sum((d @ part[:, axis].T) ** 2 for axis in range(3)))
+        answers.append(float(np.quantile(np.quantile(moved, 0.95, axis=1), _SURE)))
+    return answers[0], answers[1]
+
+
+def other_poses(robot: Robot) -> FloatArray:
+    """Return poses over the joints' ranges, one turn at most, (n, n_joints) [m or rad]."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    middle = np.where(np.isfinite(lower + upper), (lower + upper) / 2, 0.0)
+    half = np.minimum(np.where(np.isfinite(upper - lower), (upper - lower) / 2, np.pi), np.pi)
+    q = middle + half * (2 * halton(2 * _POSES + 1, len(lower))[1:] - 1)
+    try:
+        return q[robot.close(q).ok][:_POSES]
+    except CalibrationError:
+        return q[:_POSES]

@@ -1,0 +1,104 @@
+"""Base and tool that carry a robot's poses to those that were printed: T_printed = X T_robot(q) Y.
+
+Rotations first: X and Y maximise the sum of tr(X^T R_i Y^T N_i^T) over the rotations R_i that were printed and N_i of
+the robot. Without the orthogonality this is the first pair of singular vectors of sum R_i (x) N_i (9 x 9); a few
+alternating projections onto rotations follow. Then p_i = X (n_i + N_i t_Y) + t_X is linear in both translations.
+
+Rows that are far off in the answer are left out and the rest aligned again: one row of another program does not hide
+what the others say.
+
+When it fails. Fewer than three different rotations; more than a third of the rows wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.numerics import linalg
+from calib.core.numerics.rigid import nearest_rotation
+
+ARM = 0.3
+"""Length by which a turn counts beside a distance [m]."""
+_ROUNDS = 5
+_FAR = 6.0  # times the median miss, beyond which a row is left out
+_LEAST = 1e-4  # miss that is never left out [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment(ReadOnlyArrays):
+    """Base and tool, and what they leave.
+
+    Attributes:
+        base: X, (4, 4).
+        tool: Y, (4, 4).
+        misses: Distance and, by `ARM`, turn that are left in each row, (n,) [m].
+        kept: Which rows it was made of, (n,).
+    """
+
+    base: FloatArray
+    tool: FloatArray
+    misses: FloatArray
+    kept: BoolArray
+
+    @property
+    def miss(self) -> float:
+        """Root mean square of the misses of the rows that were kept [m]."""
+        return float(np.sqrt(np.mean(self.misses[self.kept] ** 2)))
+
+
+def align(robot: FloatArray, printed: FloatArray) -> Alignment:
+    """Find base and tool.
+
+    Args:
+        robot: T_robot(q), (n, 4, 4) [m].
+        printed: T_printed, (n, 4, 4) [m].
+    """
+    kept = np.ones(len(robot), dtype=bool)
+    for _ in range(_ROUNDS):
+        base, tool = _aligned(robot[kept], printed[kept])
+        misses = distances(base @ robot @ tool, printed)
+        near = misses <= max(_FAR * float(np.median(misses)), _LEAST)
+        if np.array_equal(near, kept) or 3 * np.sum(near) < 2 * len(near):
+            break
+        kept = near
+    return Alignment(base, tool, misses, kept)
+
+
+def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
+    """Return how badly the best X and Y carry rotations N_i to R_i, (n, 3, 3) each, over how far these turn: 0 for
+    exactly, about 1 where they have nothing to do with each other.
+    """
+    turned = max(1.0 - float(np.sum(np.mean(T, axis=0) ** 2)) / 3.0 for T in (robot, printed))
+    missed = 1.0 - float(linalg.singular_values(_product(robot, printed))[0]) / len(robot)
+    return missed / max(turned, 1e-12)
+
+
+def _product(N: FloatArray, R: FloatArray) -> FloatArray:
+    """Sum of R_i (x) N_i, which takes vec(Y) to vec(N Y R^T), row by row, (9, 9)."""
+    outer = N.reshape(-1, 9).T @ R.reshape(-1, 9)
+    return outer.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
+
+
+def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
+    """Return how far poses are from others (n, 4, 4): distance and, by `ARM`, turn, (n,) [m]."""
+    away = np.sum((poses[:, :3, 3] - others[:, :3, 3]) ** 2, axis=1)
+    turned = np.sum((poses[:, :3, :3] - others[:, :3, :3]) ** 2, axis=(1, 2)) / 2.0  # 4 sin^2 of half the angle
+    return np.asarray(np.sqrt(away + ARM**2 * turned))
+
+
+def _aligned(robot: FloatArray, printed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    N, R = robot[:, :3, :3], printed[:, :3, :3]
+    turned = linalg.svd(_product(N, R))[2][0].reshape(3, 3)
+    sign = 1.0 if np.linalg.det(turned) >= 0 else -1.0
+    Y = nearest_rotation(sign * turned)
+    for _ in range(_ROUNDS):
+        X = nearest_rotation(np.einsum("nab,bc,ndc->ad", N, Y, R)).T
+        Y = nearest_rotation(np.einsum("nba,cb,ncd->ad", N, X, R))
+    columns = np.concatenate([np.broadcast_to(np.eye(3), N.shape), X @ N], axis=2).reshape(-1, 6)
+    shifts = linalg.lstsq(columns, (printed[:, :3, 3] - robot[:, :3, 3] @ X.T).ravel())
+    base, tool = np.eye(4), np.eye(4)
+    base[:3, :3], base[:3, 3], tool[:3, :3], tool[:3, 3] = X, shifts[:3], Y, shifts[3:]
+    return base, tool

@@ -1,0 +1,197 @@
+"""The twin of a controller: joint origins with which a robot has the poses that its controller prints.
+
+Order of work: (1) what the columns mean, and where base and tool are (`calib.matching.readings`); (2) a fit of all
+joint origins, with the covariance of rounding as the only noise; base and tool stand where the user says, or, if they
+are near the robot's own frames, there: a base that differs is the same as another first origin; (3) where that leaves
+more than rounding, another tool and pairs of another program are tried, then joint terms, which a controller may
+compute with and a URDF cannot hold; (4) what it is worth (`calib.matching.agreement`).
+
+PASS says that rounding explains the residuals of all pairs, and that what is left open at other poses is of its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import CalibrationError, DataError, InputError
+from calib.core.base.units import millimetres
+from calib.core.base.words import counted, listed
+from calib.core.robots.loading import RobotLike, as_robot
+from calib.core.robots.robot import Robot
+from calib.matching.agreement import Agreement
+from calib.matching.alignment import distances
+from calib.matching.pairs import Pairs, read_pairs
+from calib.matching.readings import Candidate, alike_error, candidates, nominal_poses
+from calib.matching.result import Match
+from calib.matching.twin_fit import TwinFit
+
+_LEAST = 4  # pairs
+_NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
+_ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
+_ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
+_BETTER = 0.5  # residuals with a free tool over those without, below which the tool is another one
+_WRONG = 0.2  # part of the pairs that may be of another program
+_SINGLE = 4.0  # distance of the worst pair from what the others predict, over the median, if it is of another program
+
+
+def match(
+    robot: RobotLike,
+    pairs: Path | str,
+    *,
+    tool: Sequence[float] | None = None,
+    base: Sequence[float] | None = None,
+    terms: bool = True,
+    seed: int = 0,
+) -> Match:
+    """Find the joint origins with which a robot has the poses that its controller prints.
+
+    Args:
+        robot: The stock robot: description, URDF, or a calibration of Universal Robots.
+        pairs: Joint values and poses (`calib.matching.pairs`).
+        tool: Pose of the tool in the robot's last link, as the file writes poses; found if not given.
+        base: Pose of the robot's base in the controller's, likewise.
+        terms: Whether joint terms are tried where joint origins do not explain the poses.
+        seed: Of the draws of rounding.
+
+    Raises:
+        DataError: Too few pairs; no reading of the columns fits, or several do alike; a tool or base that was stated is
+            another one.
+        InputError: The robot has loops.
+    """
+    nominal = as_robot(robot)
+    if nominal.mechanism.loops:
+        raise InputError(f"{nominal.path}: has loops; a controller's pairs are matched to chains of joints")
+    read = read_pairs(pairs, nominal.joint_names)
+    if len(read) < _LEAST:
+        raise DataError(f"{pairs}: {counted(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
+    fits = [_begun(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
+    fit = _decided(fits, nominal, read) if len(fits) > 1 else fits[0]
+    remarks = fit.candidate.reading.mistakes(nominal, read)
+    if not fit.agreed.to_the_digits and fit.tool is not None:
+        free = replace(fit, tool=None)
+        if free.agreed.left_out < _BETTER * fit.agreed.left_out:
+            remarks += ["the tool is another one than the one stated"] if tool is not None else []
+            fit = free
+    fit = _without_others(fit)
+    tried = _with_terms(fit) if terms and not fit.agreed.to_the_digits else None
+    away = _stock_misses(fit)
+    gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
+    places = _places(fit, stated=(base is not None, tool is not None))
+    return Match(fit.plain[0], fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
+
+
+def _begun(
+    robot: Robot,
+    pairs: Pairs,
+    candidate: Candidate,
+    tool: Sequence[float] | None,
+    base: Sequence[float] | None,
+    seed: int,
+) -> TwinFit:
+    """The fit of a reading, with base and tool as stated, or at the robot's frames if they are near."""
+    aligned, places = candidate.aligned, []
+    for what, given, found in (("tool", tool, aligned.tool), ("base", base, aligned.base)):
+        pose = None if given is None else _pose(given, what, pairs, candidate)
+        if pose is not None and _beyond(pose, found, _ELSEWHERE):
+            raise DataError(
+                f"{pairs.path}: the poses are of another {what} than the one stated: {_place(found)}, and not"
+                f" {_place(pose)}"
+            )
+        places.append(_frame_near(found) if pose is None else pose)
+    kept = tuple(int(k) for k in np.flatnonzero(aligned.kept))
+    return TwinFit(robot, pairs, candidate, places[0], places[1], kept, seed)
+
+
+def _decided(fits: list[TwinFit], robot: Robot, pairs: Pairs) -> TwinFit:
+    """The reading that fits best; an error where another one fits alike, and no header says which."""
+    best = min(fit.agreed.left_out for fit in fits)
+    alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
+    said = [fit for fit in alike if not fit.candidate.reading.mistakes(robot, pairs)]
+    if len(alike) > 1 and (len(said) != 1 or not pairs.words):
+        raise alike_error(pairs, [fit.candidate.reading for fit in alike])
+    return said[0] if len(alike) > 1 else alike[0]
+
+
+def _without_others(fit: TwinFit) -> TwinFit:
+    """Without pairs that are of another program, where rounding explains all others."""
+    less = fit
+    for _ in range(int(_WRONG * len(fit.pairs))):
+        far = less.agreed.far
+        if less.agreed.to_the_digits or len(far) <= _LEAST or np.max(far) < _SINGLE * np.median(far):
+            break
+        worst = less.kept[int(np.argmax(far))]
+        less = replace(less, kept=tuple(k for k in less.kept if k != worst))
+    return less if less.agreed.to_the_digits else fit
+
+
+def _with_terms(twin: TwinFit) -> tuple[str, Agreement] | None:
+    """The joint terms that explain more than joint origins, in words, and what they leave."""
+    try:
+        fit, agreed = twin.fitted("auto")
+    except CalibrationError:
+        return None
+    by_term: dict[str, list[str]] = {}
+    for section in fit.robot.description.terms:
+        by_term.setdefault(str(section.term), []).append(str(section.joint))
+    return listed([f"{term} of {listed(joints, shown=7)}" for term, joints in by_term.items()], " and "), agreed
+
+
+def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
+    """Where base and tool are, in words."""
+    description, name = fit.robot.description, fit.robot.target_names[0]
+    said = []
+    for what, frame, known, given, place in (
+        ("base", description.base.frame, fit.base, stated[0], "base"),
+        ("tool", description.targets[name].frame, fit.tool, stated[1], name),
+    ):
+        if known is None:
+            T = fit.found(place)
+            said.append(f"{what}: the controller's differs from {frame}: {_place(T)} (found; not in the URDF)")
+        elif given:
+            said.append(f"{what}: as stated")
+        else:
+            turned = "" if np.allclose(known, np.eye(4)) else f", turned: {_place(known)}"
+            said.append(f"{what}: the controller's is that of {frame}{turned}")
+    return said[0], said[1]
+
+
+def _stock_misses(fit: TwinFit) -> FloatArray:
+    """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
+    reading, aligned = fit.candidate.reading, fit.candidate.aligned
+    joints, positions, rotations = reading.paired(fit.pairs)
+    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(fit.robot, joints)) @ aligned.tool
+    return distances(robot, reading.poses(positions, rotations))
+
+
+def _pose(given: Sequence[float], what: str, pairs: Pairs, candidate: Candidate) -> FloatArray:
+    width = 3 + pairs.rotations.shape[1]
+    if len(given) != width or not np.all(np.isfinite(given)):
+        raise InputError(f"{what}: {counted(width, 'number')}, as the file writes a pose, not {len(given)}")
+    numbers = np.array(given, dtype=float)[None]
+    return replace(candidate.reading, direction="direct").poses(numbers[:, :3], numbers[:, 3:])[0]
+
+
+def _beyond(pose: FloatArray, other: FloatArray, limits: tuple[float, float]) -> bool:
+    turn = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3].T @ other[:3, :3]).magnitude()
+    return bool(np.linalg.norm(pose[:3, 3] - other[:3, 3]) > limits[0] or turn > limits[1])
+
+
+def _frame_near(found: FloatArray) -> FloatArray | None:
+    """The frame itself, turned by quarter turns, if what was found is near it; else None."""
+    quarters = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
+    nearest = quarters[np.argmax(np.einsum("kij,ij->k", quarters, found[:3, :3]))]
+    frame = np.eye(4)
+    frame[:3, :3] = np.round(nearest)
+    return None if _beyond(frame, found, _NEAR) else frame
+
+
+def _place(pose: FloatArray) -> str:
+    xyz = " ".join(f"{millimetres(float(x)):.3f}" for x in pose[:3, 3])
+    rpy = " ".join(f"{a:.4f}" for a in scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3]).as_euler("xyz", True))
+    return f"xyz {xyz} mm, rpy {rpy} deg".replace(" -0.0000", " 0.0000").replace(" -0.000 ", " 0.000 ")

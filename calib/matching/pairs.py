@@ -1,0 +1,190 @@
+"""Pairs of joint values and poses, as a controller prints them: which columns these are, and how far they are rounded.
+
+Columns are found by the words that makers use; where a header says nothing, or there is none, the numbers of a line are
+joint values, x, y, z, and the rotation, in this order. What the numbers mean is another question
+(`calib.matching.readings`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import DataError
+from calib.core.base.files import read_text
+from calib.core.base.words import counted
+from calib.core.data.layouts import is_comment
+from calib.core.data.tables import Table, read_table
+from calib.core.judging.rounded_joint_values import usual_step
+
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_ROTATIONS: dict[str, tuple[str, ...]] = {
+    "qx qy qz qw": ("qx", "qy", "qz", "qw"),
+    "qw qx qy qz": ("qw", "qx", "qy", "qz"),
+    "q1 q2 q3 q4": ("q1", "q2", "q3", "q4"),
+    "w p r": ("w", "p", "r"),
+    "a b c": ("a", "b", "c"),
+    "o a t": ("o", "a", "t"),
+    "roll pitch yaw": ("roll", "pitch", "yaw"),
+    "alpha beta gamma": ("alpha", "beta", "gamma"),
+    "rx ry rz": ("rx", "ry", "rz"),
+    "theta x y z": ("thetax", "thetay", "thetaz"),
+    "matrix": tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+}
+"""Endings of the names of columns that makers give to rotations."""
+_STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
+"""Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
+_WIDTHS = (3, 4, 9)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs(ReadOnlyArrays):
+    """Joint values and poses as a file has them.
+
+    Attributes:
+        path: The file.
+        rows: How to call each row in a message, (n,).
+        joints: (n, n_joints), in units of the file.
+        positions: (n, 3), likewise.
+        rotations: (n, 3, 4 or 9), likewise.
+        units: Of joint values, positions and rotations, where the file states them.
+        steps: Of the last digit of each joint, of positions, and of rotations, in units of the file, (n_joints + 2,).
+        words: Name of the rotation's columns in `_ROTATIONS`; empty where they say nothing.
+    """
+
+    path: str
+    rows: tuple[str, ...]
+    joints: FloatArray
+    positions: FloatArray
+    rotations: FloatArray
+    units: tuple[str | None, str | None, str | None]
+    steps: FloatArray
+    words: str
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+
+def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
+    """Read a file of pairs.
+
+    Args:
+        path: A table with a header, or lines of numbers alone, such as `[j1, ..., j6], p[x, y, z, rx, ry, rz]`.
+        joint_names: Of the robot, in its order.
+
+    Raises:
+        DataError: Columns are missing, or cannot be told apart.
+    """
+    table = _without_header(path) or read_table(path)
+    names = [_plain(name) for name in table.names]
+    joints = _joint_columns(table, names, joint_names)
+    positions = _position_columns(names, joints)
+    rotations, words = _rotation_columns(names, (*joints, *positions))
+    if not (joints and positions and rotations):
+        order = list(range(len(names)))
+        n = len(joint_names)
+        if len(names) - n - 3 not in _WIDTHS:
+            raise DataError(
+                f"{path}: {counted(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in each"
+                f" row; name the columns, such as {joint_names[0]}, x, rx, qw, or leave out all others"
+                f" (found: {', '.join(table.names)})"
+            )
+        joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
+    numbers = {k: table.column(table.names[k], None) if table.units[k] is None else _plain_numbers(table, k)
+               for k in (*joints, *positions, *rotations)}  # fmt: skip
+    units = (_unit(table, joints), _unit(table, positions), _unit(table, rotations))
+    steps = [_step(table, (k,), numbers) for k in joints] + [
+        _step(table, columns, numbers) for columns in (positions, rotations)
+    ]
+    q, p, r = (np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations))
+    rows = tuple(f"line {line}" for line in table.lines)
+    return Pairs(str(path), rows, q, p, r, units, np.array(steps), words)
+
+
+def _without_header(path: Path | str) -> Table | None:
+    """The numbers of each line, where the first line is no header; None for a table."""
+    if not str(path).lower().endswith((".csv", ".txt", ".log", ".dat", ".tsv")):
+        return None
+    lines = list(enumerate(read_text(path, "a file of pairs", DataError).splitlines(), start=1))
+    kept = [(number, line) for number, line in lines if line.strip() and not is_comment(line)]
+    if not kept or re.search(r"[A-DF-OQ-Za-df-oq-z]", kept[0][1]):  # e is of numbers, p of UR's poses
+        return None
+    rows = [(number, tuple(_NUMBER.findall(line))) for number, line in kept]
+    width = len(rows[0][1])
+    odd = next((number for number, cells in rows if len(cells) != width), None)
+    if odd is not None:
+        raise DataError(f"{path}, line {odd}: has another number of numbers than line {rows[0][0]} ({width})")
+    names = tuple(f"number {k + 1}" for k in range(width))
+    cells = tuple(cells for _, cells in rows)
+    return Table(str(path), names, (None,) * width, cells, tuple(number for number, _ in rows), (), ",")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.casefold())
+
+
+def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
+    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
+    if all(name in table.names for name in joint_names):
+        return [table.names.index(name) for name in joint_names]
+    n = len(joint_names)
+    series: dict[str, dict[int, int]] = {}
+    for k, name in enumerate(names):
+        if match := re.fullmatch(r"(.*?)(\d+)(?:deg|rad|pos|position)?", name):
+            series.setdefault(match[1], {})[int(match[2])] = k
+    for stem in sorted(series, key=lambda stem: _STEMS.index(stem) if stem in _STEMS else len(_STEMS)):
+        for first in (1, 0):
+            if all(first + k in series[stem] for k in range(n)):
+                return [series[stem][first + k] for k in range(n)]
+    return []
+
+
+def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
+    rotations = {ending for endings in _ROTATIONS.values() for ending in endings}
+    found = []
+    for axis in "xyz":
+        fitting = [
+            k
+            for k, name in enumerate(names)
+            if k not in taken and name.endswith(axis) and not any(name.endswith(end) for end in rotations)
+        ]
+        found += fitting[:1]
+    return found if len(found) == 3 else []
+
+
+def _rotation_columns(names: list[str], taken: Sequence[int]) -> tuple[list[int], str]:
+    left = [k for k in range(len(names)) if k not in taken]
+    for words, endings in _ROTATIONS.items():
+        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in endings]
+        if -1 not in columns and len(set(columns)) == len(columns):
+            return columns, words
+    after = [k for k in left if k > max(taken, default=-1)]
+    return (after, "") if len(after) in _WIDTHS else ([], "")
+
+
+def _plain_numbers(table: Table, k: int) -> FloatArray:
+    return np.array([float(text) for text in table.text(table.names[k])])
+
+
+def _unit(table: Table, columns: Sequence[int]) -> str | None:
+    units = {table.units[k] for k in columns}
+    if len(units) > 1:
+        names = ", ".join(table.names[k] for k in columns)
+        raise DataError(f"{table.path}: columns {names} have different units; write them in one")
+    return units.pop()
+
+
+def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) -> float:
+    """The last digit of columns: a step in which all numbers stand, else that of half of the cells."""
+    values = np.concatenate([numbers[k] for k in columns])
+    decimals = [
+        len(mantissa.partition(".")[2]) - int(exponent or 0)
+        for k in columns
+        for mantissa, _, exponent in (text.lower().partition("e") for text in table.text(table.names[k]))
+    ]
+    return max(usual_step(values), float(10.0 ** -np.median(decimals)))

@@ -1,0 +1,147 @@
+"""A robot matched to a controller: what was found, what it is worth, and the files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from calib.core.base.files import write_files
+from calib.core.base.units import error_scale, millimetres
+from calib.core.base.words import as_data, counted, plain_text
+from calib.core.judging.verdict import JudgedFit
+from calib.core.results.results import save
+from calib.core.robots.file_formats import formats, robot_for
+from calib.matching.agreement import Agreement
+from calib.matching.pairs import Pairs
+from calib.matching.readings import Candidate
+
+FILES = {"dh": "dh.csv", "mdh": "mdh.csv", "xacro": "origins.xacro", "ur-kinematics": "default_kinematics.yaml"}
+"""What is written beside the URDF, by the format."""
+_WIDTH = 118
+_OF_DIGITS = 2.0  # claim over what rounding does to a printed position, up to which it is of its size
+
+
+@dataclass(frozen=True)
+class Match:
+    """A robot matched to a controller.
+
+    Attributes:
+        fit: Joint origins, and base or tool where these were found.
+        candidate: What the columns mean.
+        pairs: The file.
+        agreed: What the result is worth.
+        left_out: Names of pairs that are of another program, and how far they are off [m].
+        places: Where base and tool are, in words.
+        remarks: What is not as its header, or the user, says.
+        terms: Joint terms with which the controller would agree better, and what these leave; None if not tried.
+    """
+
+    fit: JudgedFit
+    candidate: Candidate
+    pairs: Pairs
+    agreed: Agreement
+    left_out: tuple[tuple[str, float], ...]
+    places: tuple[str, ...]
+    remarks: tuple[str, ...]
+    terms: tuple[str, Agreement] | None
+
+    @property
+    def grade(self) -> Literal["PASS", "CHECK", "FAIL"]:
+        """PASS, CHECK or FAIL."""
+        if not self.agreed.to_the_digits:
+            return "FAIL" if self.fit.verdict.grade == "FAIL" else "CHECK"
+        return "CHECK" if self.left_out or self.agreed.claim > _OF_DIGITS * self.agreed.allowed else "PASS"
+
+    @property
+    def conclusion(self) -> str:
+        """The answer in a sentence or two."""
+        agreed = self.agreed
+        if not agreed.to_the_digits:
+            return (
+                f"the controller knows something that joint origins cannot hold: pairs that were left out in turn are"
+                f" {_mm(agreed.left_out)} off (RMS), where the file's digits allow {_mm(agreed.allowed)};"
+                f" {self._terms_tried()}"
+            )
+        elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"
+        said = f"agrees to {_mm(agreed.rms)} (RMS), which is what the file's digits allow; elsewhere within {elsewhere}"
+        if agreed.claim > _OF_DIGITS * agreed.allowed:
+            return f"{said}: these pairs leave some joints open; add pairs in which all joints turn far"
+        return said
+
+    def _terms_tried(self) -> str:
+        if self.terms is None:
+            return "joint terms were not tried"
+        words, left = self.terms
+        if not words:
+            return "gravity, couplings, gears and other joint terms were tried, and none of them explains it"
+        if left.to_the_digits:
+            return f"with {words} it agrees to the digits; a URDF has no place for that"
+        return f"with {words}, {_mm(left.left_out)} are left; a URDF has no place for that"
+
+    def report(self) -> str:
+        """Return the result as text."""
+        before = self.candidate.aligned
+        lines = [
+            f"{counted(len(self.pairs), 'pair')} of {self.pairs.path}: {self.candidate.reading.words()}",
+            *(f"note: {remark}" for remark in self.remarks),
+            *self.places,
+            f"stock model: {_mm(before.miss)} off (RMS, base and tool placed as well as possible)",
+            *(f"{row} is of another program, tool or base: {_mm(away)} off; left out" for row, away in self.left_out),
+            f"{self.grade}: {self.conclusion}",
+        ]
+        return plain_text([line[0].upper() + line[1:] for line in lines], _WIDTH, wrap=True).rstrip()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result for `--json` and match.json; lengths in mm, angles in mrad."""
+        agreed = self.agreed
+        numbers = {
+            "rms": millimetres(agreed.rms),
+            "left_out_in_turn": millimetres(agreed.left_out),
+            "digits_allow": millimetres(agreed.allowed),
+            "claim": millimetres(agreed.claim) if agreed.to_the_digits else None,
+            "claim_angle": agreed.turn_claim * error_scale("angle") if agreed.to_the_digits else None,
+        }
+        return as_data(
+            {
+                "grade": self.grade,
+                "conclusion": self.conclusion,
+                "pairs": len(self.pairs),
+                "reading": self.candidate.reading.words(),
+                "remarks": self.remarks,
+                "places": self.places,
+                "stock_model": millimetres(self.candidate.aligned.miss),
+                "other_program": [row for row, _ in self.left_out],
+                **numbers,
+            }
+        )
+
+    def save(self, folder: Path | str, *, force: bool = False) -> list[str]:
+        """Write the result folder of the fit, and the robot in the formats that controllers and ROS hold.
+
+        Args:
+            folder: Where to.
+            force: Whether files are replaced that this program did not write.
+
+        Returns:
+            The names of the robot's files.
+        """
+        save(self.fit, folder, force=force or (self.grade != "FAIL"))
+        files = {Path(folder) / "match.json": (json.dumps(self.to_dict(), indent=1) + "\n").encode()}
+        if self.grade != "FAIL" or force:
+            for name, file in FILES.items():
+                each = formats().get(name)
+                if each is not None and each.write is not None and each.fits(self.fit.robot):
+                    content = each.write(robot_for(self.fit.robot, name, force=True), [self.conclusion]).content
+                    files[Path(folder) / file] = content
+        write_files(files, force=force)
+        return sorted(path.name for path in files) + ["calibrated.urdf"] * (Path(folder) / "calibrated.urdf").exists()
+
+
+def _mm(length: float) -> str:
+    return f"{millimetres(length):.2g} mm"
+
+
+def _mrad(angle: float) -> str:
+    return f"{angle * error_scale('angle'):.2g} mrad"

@@ -1,0 +1,143 @@
+"""The fit behind a match: joint origins, and base or tool where they are not known, with rounding as the only noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
+from calib.core.fitting.settings import Settings
+from calib.core.instruments.kind import Readings
+from calib.core.judging.verdict import JudgedFit
+from calib.core.robots.description import checked_description
+from calib.core.robots.loading import build
+from calib.core.robots.parametrisation import default_sections
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.matching.agreement import Agreement, agreement
+from calib.matching.pairs import Pairs
+from calib.matching.readings import Candidate
+
+_CONTROLLER = "controller"  # the instrument that stands for it
+
+
+@dataclass(frozen=True, eq=False)
+class TwinFit:
+    """One reading of pairs, fitted.
+
+    Attributes:
+        robot: Nominal.
+        pairs, candidate: What is fitted, and what its columns mean.
+        tool, base: As the fit knows them; None where it finds them, (4, 4) [m].
+        kept: Which pairs are used.
+        seed: Of the draws of rounding.
+    """
+
+    robot: Robot
+    pairs: Pairs
+    candidate: Candidate
+    tool: FloatArray | None
+    base: FloatArray | None
+    kept: tuple[int, ...]
+    seed: int
+
+    @cached_property
+    def plain(self) -> tuple[JudgedFit, Agreement]:
+        """The fit of joint origins alone, and its agreement."""
+        return self.fitted(None)
+
+    @property
+    def agreed(self) -> Agreement:
+        """What the fit of joint origins is worth."""
+        return self.plain[1]
+
+    def fitted(self, terms: str | None) -> tuple[JudgedFit, Agreement]:
+        """Fit, with joint terms if any are asked for."""
+        model = self._model()
+        data, rounding = self._measured(model)
+        fit = calibrate(model, data, None, Settings(terms=terms))
+        return fit, agreement(fit, _CONTROLLER, rounding, self.seed)
+
+    def found(self, place: str) -> FloatArray:
+        """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""
+        fit = self.plain[0]
+        mechanism = fit.robot.mechanism
+        target = next((each for each in mechanism.targets if each.name == place), None)
+        if target is not None:
+            return np.asarray(mechanism.model.jointPlacements[target.b].homogeneous)
+        base = fit.robot.description.base.frame
+        return np.asarray(fit.robot.forward(np.zeros(len(fit.robot.joint_names)), base))
+
+    def _model(self) -> Robot:
+        """The nominal robot with all joint origins free, and base and tool known, or where the alignment has them.
+
+        Fixed joints behind the last that moves are a part of the tool, and stay.
+        """
+        robot, aligned, tool, base = self.robot, self.candidate.aligned, self.tool, self.base
+        description, name = robot.description, robot.target_names[0]
+        target, state = description.targets[name], "unknown" if tool is None else "known"
+        placed = {"pose": "unknown" if base is None else "known", **_xyz_rpy(aligned.base if base is None else base)}
+        content = {
+            "urdf": Path(robot.urdf.path).name,
+            "name_mot": robot.joint_names,
+            "base": {"frame": description.base.frame, **placed},
+            "targets": {
+                name: {
+                    "frame": target.frame,
+                    "position": state,
+                    "orientation": state,
+                    **_xyz_rpy(aligned.tool if tool is None else tool),
+                }
+            },
+            "instruments": {_CONTROLLER: {"kind": "pose", "target": name}},
+            "parametrisation": default_sections(),
+        }
+        model = build(checked_description(content, robot.urdf.path), robot.urdf, robot.urdf.path)
+        parent = {joint.child: joint for joint in robot.urdf.joints}
+        behind, link = [], target.frame
+        while link in parent and parent[link].name not in robot.joint_names:
+            behind.append(parent[link].name)
+            link = parent[link].parent
+        return model.fix([p.name for p in model.parameters if p.name.rpartition(".")[0] in behind])
+
+    def _measured(self, model: Robot) -> tuple[Measurements, FloatArray]:
+        """The pairs that are kept, with the covariance of rounding, and what each rounded number does, (n, 6, k)."""
+        reading, pairs = self.candidate.reading, self.pairs
+        kept = np.array(self.kept)
+        joints, positions, rotations = (array[kept] for array in reading.paired(pairs))
+        q, T = reading.joints(model, joints), reading.poses(positions, rotations)
+        n, n_joints = q.shape
+        steps = reading.steps(model, pairs)
+        by_joint = linearise(model, model.assemble(q), turns=True, joints=True).by_joint
+        assert by_joint is not None
+        columns = [
+            np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(model, joints + steps[j] * np.eye(n_joints)[j]) - q)
+            for j in range(n_joints)
+        ]
+        columns += [_twist(reading.poses(positions + steps[-2] * axis, rotations), T) for axis in np.eye(3)]
+        axes = np.eye(rotations.shape[1])
+        columns += [_twist(reading.poses(positions, rotations + steps[-1] * axis), T) for axis in axes]
+        rounding = np.stack(columns, axis=2) / np.sqrt(12.0)
+        covariance = rounding @ rounding.swapaxes(1, 2)
+        values = np.hstack([T[:, :3, 3], scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
+        index = np.arange(n)
+        readings = Readings(index, np.zeros(n, dtype=np.intp), values, covariance, np.zeros((n, 0)))
+        names = [pairs.rows[k] for k in kept]
+        return as_measurements(model, q, {_CONTROLLER: readings}, names), rounding
+
+
+def _xyz_rpy(pose: FloatArray) -> dict[str, list[float]]:
+    rpy = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")
+    return {"xyz": pose[:3, 3].tolist(), "rpy": rpy.tolist()}
+
+
+def _twist(moved: FloatArray, T: FloatArray) -> FloatArray:
+    turn = scipy.spatial.transform.Rotation.from_matrix(moved[:, :3, :3] @ T[:, :3, :3].swapaxes(1, 2)).as_rotvec()
+    return np.hstack([moved[:, :3, 3] - T[:, :3, 3], turn])

@@ -1,0 +1,1 @@
+"""From a plan to a robot that moves: shapes, surroundings, sight, ways between poses, programs."""

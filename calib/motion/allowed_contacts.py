@@ -1,0 +1,127 @@
+"""Pairs of shapes that are not looked at, as MoveIt's setup assistant leaves them out.
+
+Links that one joint connects, or a loop: their shapes meet there. Links that touch at home, or nearly always, at many
+poses: nobody can tell them apart. Pairs that an SRDF beside the URDF names. Pairs that never touched at many poses
+stay, other than there: they cost microseconds, and what is rare is what breaks a robot.
+
+Obstacles, and parts of the tool, are excused from nothing but touching always. An obstacle that touches a link that
+moves, wherever it is, is in the wrong place: that is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DataError, DescriptionError, nearest
+from calib.core.base.files import read_text
+from calib.core.base.words import counted
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.links import element_tree
+from calib.motion.scene import Scene, all_shapes, moving_between
+from calib.motion.shapes import moved_frames
+
+_SAMPLES = 400
+_ALWAYS = 0.95  # of the samples
+_SHOWN = 6
+
+
+def build_scene(robot: Robot) -> Scene:
+    """Return the scene of a robot, with the pairs that count.
+
+    Raises:
+        DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
+    """
+    scene = all_shapes(robot)
+    disabled = _disabled(robot)
+    bodies, pairs = scene.bodies, np.array(scene.pairs, dtype=np.intp).reshape(-1, 2)
+    names = [frozenset((bodies[a].name, bodies[b].name)) for a, b in pairs]
+    given = np.array([bodies[a].given or bodies[b].given for a, b in pairs], dtype=bool)
+    count = np.array([name not in disabled for name in names], dtype=bool) & (given | ~_adjacent(scene))
+    scene = scene.with_pairs(tuple(pair for pair, kept in zip(scene.pairs, count, strict=True) if kept))
+    return _told_apart(scene)
+
+
+def _adjacent(scene: Scene) -> BoolArray:
+    """Pairs of links that a joint or a loop connects, (n_pairs,)."""
+    robot = scene.robot
+    frames = np.array([(scene.bodies[a].joint, scene.bodies[b].joint) for a, b in scene.pairs], dtype=np.intp)
+    a, b = frames.reshape(-1, 2).T
+    result = moving_between(robot, a, b) == 1
+    for loop in robot.mechanism.loops:
+        ends = np.full(len(a), loop.a), np.full(len(a), loop.b)
+        for one, other in ((a, b), (b, a)):
+            result |= (moving_between(robot, one, ends[0]) == 0) & (moving_between(robot, other, ends[1]) == 0)
+    return result
+
+
+def _told_apart(scene: Scene) -> Scene:
+    """The scene without pairs that touch at home or nearly always."""
+    if not scene.pairs:
+        return scene
+    touching = scene.distances(scene.configurations(_samples(scene.robot))[0])
+    names = [scene.name(k) for k in range(len(scene.pairs))]
+    given = np.array([scene.bodies[a].given or scene.bodies[b].given for a, b in scene.pairs], dtype=bool)
+    order = np.array([sorted(set(names)).index(name) for name in names])
+    hit = np.stack([np.any(touching[:, order == k] <= 0, axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
+    always = np.mean(hit, axis=0) >= _ALWAYS
+    home = hit[0] & ~given
+    _require_room(scene, touching, always)
+    for reason, out in (("touch at home", home & ~always), ("touch at nearly all poses", always)):
+        left_out = list(dict.fromkeys(np.array(names)[out]))
+        if left_out:
+            more = f" and {counted(len(left_out) - _SHOWN, 'further pair')}" if len(left_out) > _SHOWN else ""
+            scene = scene.with_pairs(
+                scene.pairs, f"not checked, as they {reason}: {', '.join(left_out[:_SHOWN])}{more}"
+            )
+    kept = ~(always | home)
+    return scene.with_pairs(tuple(pair for pair, stays in zip(scene.pairs, kept, strict=True) if stays))
+
+
+def _require_room(scene: Scene, touching: FloatArray, always: BoolArray) -> None:
+    """Raise `DescriptionError` if an obstacle touches a link, not counting clearance, wherever that is."""
+    for k in np.flatnonzero(always & (np.max(touching + scene.margins, axis=0) <= 0)):
+        for body in (scene.bodies[place] for place in scene.pairs[k]):
+            if body.given and not moved_frames(scene.robot)[body.joint]:
+                raise DescriptionError(
+                    f"{scene.robot.path}: obstacle '{body.name}' is in the robot at every pose ({scene.name(int(k))});"
+                    " check its frame, xyz and size"
+                )
+
+
+def _samples(robot: Robot) -> FloatArray:
+    """Home, then poses over the joint limits as far as they can be found, (n, n_actuated)."""
+    try:
+        return np.vstack([robot.home, robot.sample(_SAMPLES, 0)])
+    except DataError:
+        return robot.home[None]
+
+
+def _disabled(robot: Robot) -> set[frozenset[str]]:
+    """Pairs of links that an SRDF of this robot disables."""
+    pairs: set[frozenset[str]] = set()
+    for path in _srdf_files(robot):
+        root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
+        own = path.stem == Path(robot.urdf.path).stem
+        if root.get("name") != robot.urdf.name:
+            if own:
+                raise DescriptionError(
+                    f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
+                )
+            continue
+        for element in root.iterfind("disable_collisions"):
+            names = [str(element.get(key)) for key in ("link1", "link2")]
+            unknown = next((name for name in names if name not in robot.urdf.links), None)
+            if unknown is not None:
+                raise DescriptionError(f"{path}: no link '{unknown}' in the robot{nearest(unknown, robot.urdf.links)}")
+            pairs.add(frozenset(names))
+    return pairs
+
+
+def _srdf_files(robot: Robot) -> Iterator[Path]:
+    folder = Path(robot.urdf.path).resolve().parent
+    for place in (folder, folder.parent / "srdf", folder.parent / "config"):
+        yield from sorted(place.glob("*.srdf"))

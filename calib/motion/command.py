@@ -1,0 +1,184 @@
+"""`calib route`: from chosen poses to a robot that visits them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.files import write_folder
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.words import counted, listed
+from calib.core.commands.common import (
+    Output,
+    different_poses,
+    loaded,
+    placed,
+    shared_options,
+    values_options,
+    with_values,
+)
+from calib.core.data.measurement_files import read_poses
+from calib.core.data.plan_files import read_pose_files
+from calib.core.robots.robot import Robot
+from calib.motion.programs import LANGUAGES, THIRD_JOINT, Motion, table_to_fill_in, write_program
+from calib.motion.route import Route, plan_route
+
+_READINGS = "readings.csv"
+
+
+@click.command("route")
+@click.argument("robot")
+@click.argument("poses")
+@click.option(
+    "--format",
+    "languages",
+    multiple=True,
+    type=click.Choice(tuple(LANGUAGES)),
+    help="Language of the program; may be repeated. csv if not given.",
+)
+@click.option("--start", metavar="FILE", help="Where the robot stands first (CSV, one row); home if not given.")
+@click.option(
+    "--candidates",
+    metavar="FILE",
+    help="Poses (CSV) from which the next best stand in for those that cannot be visited.",
+)
+@click.option("--name", default="calib_route", show_default=True, help="Name of the program.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(1, 100),
+    default=20,
+    show_default=True,
+    metavar="PERCENT",
+    help="Of what the controller allows; URScript, ros2: of 143 deg/s.",
+)
+@click.option(
+    "--dwell",
+    type=click.FloatRange(0),
+    default=1.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="For the arm to settle.",
+)
+@click.option(
+    "--reading",
+    type=click.FloatRange(0),
+    default=1.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long the output is on while the instrument reads.",
+)
+@click.option(
+    "--output-number", type=click.IntRange(min=-1), default=1, show_default=True, help="Digital output; -1: none."
+)
+@click.option("--third-joint", type=click.Choice(THIRD_JOINT), help="FANUC: what the third joint of the URDF is.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+@values_options
+@click.option("-o", "--out", required=True, metavar="DIR", help="Folder to write.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    poses: str,
+    languages: tuple[str, ...],
+    start: str | None,
+    candidates: str | None,
+    name: str,
+    speed: float,
+    dwell: float,
+    reading: float,
+    output_number: int,
+    third_joint: str | None,
+    seed: int,
+    parameters: str | None,
+    result: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Plan a way through POSES (CSV) on which ROBOT hits neither itself nor what the description says is around it.
+
+    Poses are visited in an order of little travel. Every move is checked between the points that are looked at, too.
+    DIR gets a program, a table to fill in (readings.csv), and the route for `calib view ROBOT --data DIR/route.csv`.
+    The first program run is yours: at low speed, with a hand at the stop.
+    """
+    if not re.fullmatch(r"[A-Za-z]\w{0,30}", name, flags=re.ASCII):
+        raise InputError(f"--name {name}: needs a letter, then letters, digits and underscores, 31 in all")
+    if ("fanuc" in languages) != (third_joint is not None):
+        raise InputError(
+            "--format fanuc needs --third-joint, and no other does: j3, or j2+j3 where the robot file counts its third"
+            " joint from link 2 (descriptions of ROS-Industrial: j2+j3)"
+        )
+    model = with_values(loaded(robot, output), parameters, result)
+    visits = different_poses(read_pose_files((poses,), model))
+    spare = None if candidates is None else different_poses(read_pose_files((candidates,), model))
+    model = placed(model, visits)
+    number = None if output_number < 0 else output_number
+    motion = Motion(name, speed / 100, 2.5 * speed / 100, dwell, reading, number, third_joint or THIRD_JOINT[0])
+    written = languages or ("csv",)
+    files = {language: ("route" if language == "csv" else name) + LANGUAGES[language].suffix for language in written}
+    files.setdefault("csv", "route.csv")
+    output.check(folders=(out,), names=(*files.values(), _READINGS))
+    with output.working(f"finding ways to {counted(len(visits), 'pose')}") as progress:
+        route = plan_route(model, visits, start=_start(start, model), candidates=spare, seed=seed, progress=progress)
+    content = {file: write_program(route, language, motion).encode() for language, file in files.items()}
+    write_folder(out, content | {_READINGS: table_to_fill_in(route).encode()}, force=output.force)
+    output.say(_report(route))
+    output.say(f"Written to {out}: {', '.join(sorted(content))}, {_READINGS}")
+    output.say(f"Next: look at it with `calib view {robot} --data {Path(out, 'route.csv')}`, then run it slowly")
+    output.json(_data(route))
+
+
+def _start(path: str | None, robot: Robot) -> FloatArray | None:
+    """The one row of a file of joint values."""
+    if path is None:
+        return None
+    poses = read_poses(path, robot)
+    if len(poses) != 1:
+        raise InputError(f"{path}: has {counted(len(poses), 'row')}; --start needs the one where the robot stands")
+    joints: FloatArray = poses.joints[0]
+    return joints
+
+
+def _report(route: Route) -> str:
+    corners = route.corners()
+    around = sum(len(stop.corners) > 0 for stop in route.stops)
+    travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
+    lines = [
+        f"{counted(len(route.stops), 'stop')}; {around} reached around what is in the way; travel {travel:.0f} deg"
+    ]
+    nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.on_the_way))
+    least = min(nearest.clearance, nearest.on_the_way)
+    if np.isfinite(least):
+        lines.append(f"Smallest clearance {millimetres(least):.1f} mm, at stop {nearest.name} or on the way there")
+    if route.left_out:
+        named = listed([f"{name} ({why})" for name, why in route.left_out.items()], shown=8)
+        lines.append(f"Left out, {counted(len(route.left_out), 'pose')}: {named}")
+    if route.replaced:
+        lines.append(f"In their place: {listed(route.replaced, shown=8)}")
+    lines += [f"Note: {remark}" for remark in route.remarks]
+    return "\n".join(lines)
+
+
+def _data(route: Route) -> dict[str, object]:
+    return {
+        "robot": route.robot.path,
+        "joints": list(route.robot.joint_names),
+        "start": route.start.tolist(),
+        "stops": [
+            {
+                "pose": stop.name,
+                "joints": stop.joints.tolist(),
+                "corners": stop.corners.tolist(),
+                "clearance_mm": millimetres(stop.clearance),
+                "pair": stop.pair,
+                "clearance_on_the_way_mm": millimetres(stop.on_the_way),
+            }
+            for stop in route.stops
+        ],
+        "left_out": route.left_out,
+        "replaced": list(route.replaced),
+        "remarks": list(route.remarks),
+    }

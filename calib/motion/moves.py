@@ -1,0 +1,106 @@
+"""Straight moves of the joints, checked so that nothing is missed between the points that are looked at.
+
+A move is cut in halves. In the middle of a piece every pair is at some distance; the joints move it nearer by at most
+R |dq| on the way to the ends of the piece (`calib.motion.scene`). A pair that is farther apart than that is proven free
+on the whole piece, and is not looked at again there; a piece on which some are not is cut once more. Half of a pair's
+clearance is for what is between: the points that are looked at keep all of it, and every point half.
+
+Passive joints of closed loops do not move straight. How far they move from the middle of a piece to its ends is known
+at these three points; twice the larger counts, and pieces are short from the start. That is a bound for ways that bend
+little between such points, no proof; loops that do not close at a point end the move there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.motion.scene import Scene
+
+_FINEST = 1e-4  # by which pairs come nearer on a piece that is not cut again [m]
+_FIRST_PIECES = 8  # with loops
+_BENDS = 2.0
+
+
+@dataclass(frozen=True)
+class Move:
+    """What a straight move is worth.
+
+    Attributes:
+        hit: The pair that hits first in order of looking, or "".
+        clearance: Smallest distance of any pair at the points looked at [m]; at least that, of meshes far apart.
+        tightest: That pair.
+    """
+
+    hit: str
+    clearance: float
+    tightest: str
+
+
+def check_move(scene: Scene, start: FloatArray, end: FloatArray) -> Move:
+    """Check the straight move between two commands, (n_actuated,) [m or rad] each, whose ends are free."""
+    n = _FIRST_PIECES if scene.robot.mechanism.loops else 1
+    parts = np.linspace(0.0, 1.0, n + 1)
+    ends, ok = scene.configurations(start + parts[:, None] * (end - start))
+    if not np.all(ok):
+        return Move("loops that do not close", 0.0, "")
+    reach = scene.reach(1.1 * np.max(np.abs(ends), axis=0))
+    pieces = _Pieces(parts[:-1], parts[1:], ends[:-1], ends[1:], np.ones((n, len(scene.pairs)), dtype=bool))
+    least, tightest = np.inf, ""
+    while len(pieces):
+        middles, ok = scene.configurations(start + pieces.middle[:, None] * (end - start))
+        if not np.all(ok):
+            return Move("loops that do not close", 0.0, "")
+        nearer = pieces.excursions(middles, scene) @ reach.T - scene.margins / 2
+        apart = scene.distances(middles, pieces.pairs, thorough=False)
+        place = np.unravel_index(np.argmin(apart + scene.margins), apart.shape) if apart.size else ()
+        if apart.size and apart[place] + scene.margins[place[1]] < least:
+            least, tightest = float(apart[place] + scene.margins[place[1]]), scene.name(int(place[1]))
+        if np.any(apart <= 0):
+            return Move(scene.name(int(np.argmin(np.min(apart, axis=0)))), least, tightest)
+        unproven = pieces.pairs & (apart <= nearer)
+        too_short = unproven & (nearer + scene.margins / 2 < _FINEST)
+        if np.any(too_short):
+            return Move(scene.name(int(np.flatnonzero(np.any(too_short, axis=0))[0])), least, tightest)
+        pieces = pieces.cut(middles, unproven)
+    return Move("", least, tightest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of a move: where each begins and ends, 0 to 1; all joints there; pairs that may hit on it."""
+
+    first: FloatArray
+    last: FloatArray
+    at_first: FloatArray
+    at_last: FloatArray
+    pairs: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def middle(self) -> FloatArray:
+        """The middle of each, (n,)."""
+        result: FloatArray = (self.first + self.last) / 2
+        return result
+
+    def excursions(self, middles: FloatArray, scene: Scene) -> FloatArray:
+        """How far joints move on a piece from its middle at most, (n, n_joints) [m or rad]."""
+        moved: FloatArray = np.maximum(np.abs(self.at_first - middles), np.abs(self.at_last - middles))
+        passive = np.any(scene.robot.mechanism.select_passive != 0, axis=1)
+        return np.where(passive, _BENDS, 1.0) * moved
+
+    def cut(self, middles: FloatArray, unproven: BoolArray) -> _Pieces:
+        """Return the halves of those on which something is not proven."""
+        open_ = np.any(unproven, axis=1)
+        middle, at_middle = self.middle[open_], middles[open_]
+        return _Pieces(
+            np.concatenate([self.first[open_], middle]),
+            np.concatenate([middle, self.last[open_]]),
+            np.concatenate([self.at_first[open_], at_middle]),
+            np.concatenate([at_middle, self.at_last[open_]]),
+            np.concatenate([unproven[open_], unproven[open_]]),
+        )

@@ -1,0 +1,94 @@
+"""OMPL's RRT-Connect between two commands, where whole moves are asked about; an extra, loaded only where it is needed.
+
+OMPL draws its random numbers from one seed for each process, so a command gives the same ways each time.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from ompl import base, geometric, util
+
+from calib.core.base.arrays import FloatArray
+
+_STEP = 1.0  # of one joint, from one point of OMPL's trees to the next [m or rad]
+_SEED = 57
+
+util.noOutputHandler()
+util.RNG.setSeed(_SEED)
+
+
+@atexit.register
+def _let_go() -> None:
+    """Leave nothing of OMPL behind at the end: its bindings would write a page about it to standard error."""
+    for name in [name for name in sys.modules if name == "ompl" or name.startswith("ompl.")]:
+        vars(sys.modules.pop(name)).clear()
+    for name in ("Proven", "base", "geometric", "util"):
+        globals().pop(name, None)
+    gc.collect()
+
+
+class Proven(base.MotionValidator):  # type: ignore[misc]
+    """Asks whether a whole move is free."""
+
+    def __init__(self, information: Any, is_free: Callable[[FloatArray, FloatArray], bool], n: int) -> None:
+        super().__init__(information)
+        self._is_free, self._n, self.asked = is_free, n, 0
+
+    def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802
+        """Whether the move between two states is free."""
+        self.asked += 1
+        return self._is_free(_numbers(one, self._n), _numbers(other, self._n))
+
+
+def search(
+    start: FloatArray,
+    end: FloatArray,
+    limits: FloatArray,
+    is_free: Callable[[FloatArray], bool],
+    is_free_move: Callable[[FloatArray, FloatArray], bool],
+    most_asked: int,
+) -> FloatArray | None:
+    """Return the corners of a free way, both ends included, (n, n_actuated); None: none was found.
+
+    Args:
+        start, end: Free commands, (n_actuated,) [m or rad].
+        limits: Of the joints, (n_actuated, 2).
+        is_free: Whether a command is free.
+        is_free_move: Whether the straight move between two is.
+        most_asked: Moves that may be asked about.
+    """
+    n = len(start)
+    space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
+    for k, (low, high) in enumerate(limits):
+        bounds.setLow(k, float(min(low, start[k], end[k])))
+        bounds.setHigh(k, float(max(high, start[k], end[k])))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: is_free(_numbers(state, n)))
+    validator = Proven(information, is_free_move, n)
+    information.setMotionValidator(validator)
+    information.setup()
+    problem, ends = base.ProblemDefinition(information), (space.allocState(), space.allocState())
+    for state, values in zip(ends, (start, end), strict=True):
+        for k in range(n):
+            state[k] = float(values[k])
+    problem.setStartAndGoalStates(*ends)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(_STEP * float(np.sqrt(n)))
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.asked >= most_asked))
+    if not solved or not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    return np.array([_numbers(path.getState(k), n) for k in range(path.getStateCount())])
+
+
+def _numbers(state: Any, n: int) -> FloatArray:
+    return np.array([state[k] for k in range(n)])

@@ -1,0 +1,81 @@
+"""Which poses are free, and which pair hits: the answer to planning, to pages, and to whoever asks (`check_poses`)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, UrdfError
+from calib.core.base.remembered import remembered
+from calib.core.robots.pose_check import PoseCheck
+from calib.core.robots.robot import Robot
+from calib.core.robots.surroundings import UNCHECKED
+from calib.motion.allowed_contacts import build_scene
+from calib.motion.shapes import has_collision_shapes, missing_meshes
+from calib.motion.sight import Sight, build_sight
+
+_SAMPLES = 100  # poses that show what hides a line always
+
+
+def why_unchecked(robot: Robot) -> str:
+    """Return why nothing is checked; "" where it is: the robot file has collision shapes, or the description asks."""
+    description = robot.description
+    if description.obstacles == UNCHECKED:
+        return f"the description says 'obstacles: {UNCHECKED}'"
+    targets = description.targets.values()
+    if description.obstacles is not None or description.sight is not None:
+        return ""
+    if any(target.shape is not None or target.acceptance is not None for target in targets):
+        return ""
+    try:
+        if not has_collision_shapes(robot):
+            return "the robot file has no collision shapes, and the description names no obstacles"
+        missing = missing_meshes(robot)
+    except UrdfError as error:
+        return str(error)
+    return f"mesh '{missing[0]}' of {robot.urdf.path} is not there" if missing else ""
+
+
+@remembered
+def surroundings(robot: Robot) -> Sight:
+    """Return the scene of a robot with its lines of sight, asked for or not.
+
+    Raises:
+        DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
+    """
+    sight = build_sight(build_scene(robot))
+    if not sight.lines:
+        return sight
+    try:
+        q = np.vstack([robot.home, robot.sample(_SAMPLES, 1)])
+    except DataError:
+        q = robot.home[None]
+    joints, ok = sight.scene.configurations(q)
+    sight, remarks = sight.without_ends(joints[ok])
+    return Sight(sight.scene.with_pairs(sight.scene.pairs, *remarks), sight.lines, sight.ignored)
+
+
+def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
+    """Return what hits or hides a target at commands (n, n_actuated) [m or rad], "" where nothing does, (n,).
+
+    Raises:
+        DescriptionError: See `surroundings`.
+    """
+    sight = surroundings(robot)
+    hits = np.array(sight.scene.hits(joints), dtype=object)
+    free = np.flatnonzero(hits == "")
+    if sight.lines and len(free):
+        hits[free] = sight.hidden(sight.scene.configurations(joints[free])[0])
+    return tuple(hits)
+
+
+def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
+    """Return what hits at commands (n, n_actuated) [m or rad]; see `calib.core.robots.pose_check`.
+
+    Raises:
+        DescriptionError: See `surroundings`.
+    """
+    unchecked = why_unchecked(robot)
+    if unchecked:
+        return PoseCheck(("",) * len(joints), (), unchecked)
+    return PoseCheck(what_hits(robot, joints), surroundings(robot).scene.remarks)

@@ -1,0 +1,295 @@
+"""A route as a program for the robot's controller: moves by joint values, at every stop a dwell and a digital output.
+
+Every program asks first, before anything moves: the robot must stand where the route starts. A stop is a move that ends
+at rest, a comment with its pose name and clearance, a dwell for the arm to settle, an output that is on while the
+instrument reads. Corners of ways around are moves without a stop. Numbers are written with digits enough for 1e-7 rad.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.units import PER_SI, millimetres
+from calib.core.data.table_writing import format_table
+from calib.motion.route import Route, Stop
+
+_DEGREES, _MM = PER_SI["angle"]["deg"], PER_SI["length"]["mm"]
+_ROBOT_AXES = 6
+THIRD_JOINT = ("j3", "j2+j3")
+"""What the third joint of a robot file is on a FANUC controller, which counts J3 from the horizontal."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a program moves.
+
+    Attributes:
+        name: Of the program; letters, digits and underscores.
+        speed: Part of what the controller lets joints do, 0 to 1.
+        joint_speed: Of the joint that moves fastest, where the program states it [rad/s or m/s].
+        dwell: At each stop before the instrument reads [s].
+        reading: How long the output is on [s].
+        output: Number of the digital output; None: none is switched.
+        third_joint: Of `THIRD_JOINT`, for FANUC.
+    """
+
+    name: str
+    speed: float = 0.2
+    joint_speed: float = 0.5
+    dwell: float = 1.0
+    reading: float = 1.0
+    output: int | None = 0
+    third_joint: str = "j3"
+
+
+@dataclass(frozen=True)
+class Language:
+    """A language of programs.
+
+    Attributes:
+        suffix: Of its files.
+        write: Writes a route.
+        six_axes: Whether its joint moves have places for six turning joints alone.
+    """
+
+    suffix: str
+    write: Callable[[Route, Motion], str]
+    six_axes: bool = True
+
+
+def write_program(route: Route, language: str, motion: Motion) -> str:
+    """Return a route as a program.
+
+    Raises:
+        InputError: The language has no joint moves for this robot.
+    """
+    turning = all(route.robot.mechanism.dimensions[name] == "angle" for name in route.robot.joint_names)
+    if LANGUAGES[language].six_axes and (len(route.robot.joint_names) != _ROBOT_AXES or not turning):
+        raise InputError(
+            f"--format {language}: its programs move six turning joints, and this robot has"
+            f" {', '.join(route.robot.joint_names)}; write csv or ros2"
+        )
+    return LANGUAGES[language].write(route, motion)
+
+
+def _question(route: Route, start: FloatArray | None = None) -> str:
+    """What is asked before anything moves, in letters that every controller shows.
+
+    Args:
+        route: The route.
+        start: Where it starts as the controller counts joints, if not as the robot file does [rad].
+    """
+    values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
+    return (
+        f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
+    )
+
+
+def _plain(stop: Stop) -> str:
+    return re.sub(r"[^\w .:+-]", "_", stop.name, flags=re.ASCII)
+
+
+def _remark(stop: Stop) -> str:
+    """Pose name and clearance of a stop."""
+    if not np.isfinite(stop.clearance):
+        return f"pose {_plain(stop)}"
+    pair = re.sub(r"[^\w .:+-]", "_", stop.pair, flags=re.ASCII)
+    at_stop, on_the_way = (int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.on_the_way)))
+    return f"pose {_plain(stop)}, clearance {at_stop} mm ({pair}), on the way {on_the_way} mm"
+
+
+def _joined(values: FloatArray, digits: int = 7) -> str:
+    return ", ".join(f"{value + 0.0:.{digits}f}" for value in values)
+
+
+def _urscript(route: Route, motion: Motion) -> str:
+    def lines() -> Iterator[str]:
+        yield f"def {motion.name}():"
+        yield f'  popup("{_question(route)}", title="{motion.name}", blocking=True)'
+        for stop in route.stops:
+            for corner in stop.corners:
+                yield f"  movej([{_joined(corner, 9)}], a=1.0, v={motion.joint_speed:g})"
+            yield f"  # {_remark(stop)}"
+            yield f"  movej([{_joined(stop.joints, 9)}], a=1.0, v={motion.joint_speed:g})"
+            yield f"  sleep({motion.dwell:g})"
+            if motion.output is not None:
+                yield f"  set_standard_digital_out({motion.output}, True)"
+                yield f"  sleep({motion.reading:g})"
+                yield f"  set_standard_digital_out({motion.output}, False)"
+        yield "end"
+
+    return _text(lines())
+
+
+def _rapid(route: Route, motion: Motion) -> str:
+    speed = f"v{max(10, round(1000 * motion.speed / 10) * 10)}" if motion.speed < 1 else "v1000"
+
+    def target(joints: FloatArray) -> str:
+        return f"[[{_joined(_DEGREES * joints)}], [9E9, 9E9, 9E9, 9E9, 9E9, 9E9]]"
+
+    def lines() -> Iterator[str]:
+        yield f"MODULE {motion.name}"
+        yield "  PROC main()"
+        yield f'    TPWrite "{_question(route)[:80]}";'
+        yield f"    ! {_question(route)}"
+        yield "    Stop;"
+        for stop in route.stops:
+            for corner in stop.corners:
+                yield f"    MoveAbsJ {target(corner)}, {speed}, fine, tool0;"
+            yield f"    ! {_remark(stop)}"
+            yield f"    MoveAbsJ {target(stop.joints)}, {speed}, fine, tool0;"
+            yield f"    WaitTime {motion.dwell:g};"
+            if motion.output is not None:
+                yield f"    SetDO do{motion.output}, 1;"
+                yield f"    WaitTime {motion.reading:g};"
+                yield f"    SetDO do{motion.output}, 0;"
+        yield "  ENDPROC"
+        yield "ENDMODULE"
+
+    return _text(lines())
+
+
+def _krl(route: Route, motion: Motion) -> str:
+    def target(joints: FloatArray) -> str:
+        return "{AXIS: " + ", ".join(f"A{k} {v + 0.0:.7f}" for k, v in enumerate(_DEGREES * joints, 1)) + "}"
+
+    def lines() -> Iterator[str]:
+        yield f"DEF {motion.name}()"
+        yield f"; {_question(route)}"
+        yield "HALT"
+        yield "BAS(#INITMOV, 0)"
+        yield f"BAS(#VEL_PTP, {100 * motion.speed:.0f})"
+        for stop in route.stops:
+            for corner in stop.corners:
+                yield f"PTP {target(corner)}"
+            yield f"; {_remark(stop)}"
+            yield f"PTP {target(stop.joints)}"
+            yield f"WAIT SEC {motion.dwell:g}"
+            if motion.output is not None:
+                yield f"$OUT[{motion.output}] = TRUE"
+                yield f"WAIT SEC {motion.reading:g}"
+                yield f"$OUT[{motion.output}] = FALSE"
+        yield "END"
+
+    return _text(lines())
+
+
+def _fanuc(route: Route, motion: Motion) -> str:
+    def counted(joints: FloatArray) -> FloatArray:
+        return joints - joints[1] * (np.arange(len(joints)) == 2) * (motion.third_joint == THIRD_JOINT[1])
+
+    code: list[str] = [f"!{_question(route, counted(route.start))[:100]}", "PAUSE"]
+    points: list[FloatArray] = []
+
+    def move(joints: FloatArray) -> str:
+        points.append(counted(joints))
+        return f"J P[{len(points)}] {max(1, round(100 * motion.speed))}% FINE"
+
+    for stop in route.stops:
+        code += [move(corner) for corner in stop.corners]
+        code += [f"!{_remark(stop)}", move(stop.joints), f"WAIT {motion.dwell:.2f}(sec)"]
+        if motion.output is not None:
+            code += [f"DO[{motion.output}]=ON", f"WAIT {motion.reading:.2f}(sec)", f"DO[{motion.output}]=OFF"]
+    numbered = [f"{number:4d}:  {line} ;" for number, line in enumerate(code, 1)]
+    places = []
+    for number, joints in enumerate(points, 1):
+        values = [f"J{k} = {value + 0.0:.7f} deg" for k, value in enumerate(_DEGREES * joints, 1)]
+        body = ",\n\t".join(", ".join(values[k : k + 3]) for k in (0, 3))
+        places.append(f"P[{number}]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t{body}\n}};")
+    head = f"/PROG  {motion.name.upper()}\n/ATTR\nOWNER = MNEDITOR;\n/APPL\n/MN\n"
+    return head + "\n".join(numbered) + "\n/POS\n" + "\n".join(places) + "\n/END\n"
+
+
+def _ros2(route: Route, motion: Motion) -> str:
+    """A `trajectory_msgs/JointTrajectory`: each stop held for dwell and reading; `stops` says which times they are."""
+    points, stops, time = [{"positions": route.start.tolist(), "time_from_start": _duration(0.0)}], [], 0.0
+    here = route.start
+    for stop in route.stops:
+        for goal in (*stop.corners, stop.joints):
+            time += max(float(np.max(np.abs(goal - here))) / motion.joint_speed, 0.1)
+            points.append({"positions": goal.tolist(), "time_from_start": _duration(time)})
+            here = goal
+        stops.append(
+            {
+                "pose": stop.name,
+                "arrival_s": round(time, 3),
+                "read_s": round(time + motion.dwell, 3),
+                "remark": _remark(stop),
+            }
+        )
+        time += motion.dwell + motion.reading
+        points.append({"positions": here.tolist(), "time_from_start": _duration(time)})
+    zero = [0.0] * len(route.robot.joint_names)
+    for point in points:  # at rest at every point, so that a controller that blends by splines goes straight
+        point |= {"velocities": zero, "accelerations": zero}
+    content = {
+        "confirm": _question(route),
+        "joint_names": list(route.robot.joint_names),
+        "points": points,
+        "stops": stops,
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    nanoseconds = round(seconds * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def _csv(route: Route, motion: Motion) -> str:
+    """Every point in order; corners of ways around are `via` points, without a dwell."""
+    rows = [
+        (stop.name if k == len(stop.corners) else f"{stop.name} via {k + 1}", q, k == len(stop.corners))
+        for stop in route.stops
+        for k, q in enumerate((*stop.corners, stop.joints))
+    ]
+    columns: list[tuple[str, list[object]]] = [("pose", [name for name, *_ in rows])]
+    columns += joint_columns(route, np.array([q for _, q, _ in rows]))
+    columns.append(("dwell [s]", [motion.dwell if last else 0.0 for *_, last in rows]))
+    return format_table(columns, (_question(route),))
+
+
+def table_to_fill_in(route: Route) -> str:
+    """Return the stops as a table, with empty columns for what the instruments read there."""
+    columns: list[tuple[str, list[object]]] = [("pose", [stop.name for stop in route.stops])]
+    columns += joint_columns(route, route.joints)
+    units = {"length": "mm", "angle": "deg"}
+    for instrument in route.robot.instruments:
+        for column in instrument.columns():
+            unit = f" [{units[column.dimension]}]" if column.dimension in units else ""
+            columns.append((f"{column.name}{unit}", [""] * len(route.stops)))
+        columns += [(name, [""] * len(route.stops)) for name in instrument.text_columns()]
+    return format_table(
+        columns, ("fill in what was read at each pose; rows of an instrument's own log join by 'pose'",)
+    )
+
+
+def joint_columns(route: Route, joints: FloatArray) -> list[tuple[str, list[object]]]:
+    """Return joint values (n, n_actuated) as columns, in mm and deg."""
+    columns: list[tuple[str, list[object]]] = []
+    for k, name in enumerate(route.robot.joint_names):
+        turns = route.robot.mechanism.dimensions[name] == "angle"
+        unit, scale = ("deg", _DEGREES) if turns else ("mm", _MM)
+        columns.append((f"{name} [{unit}]", [float(value) for value in np.round(scale * joints[:, k], 9)]))
+    return columns
+
+
+def _text(lines: Iterator[str]) -> str:
+    return "\n".join(lines) + "\n"
+
+
+LANGUAGES = {
+    "urscript": Language(".script", _urscript),
+    "rapid": Language(".mod", _rapid),
+    "krl": Language(".src", _krl),
+    "fanuc": Language(".ls", _fanuc),
+    "ros2": Language(".json", _ros2, six_axes=False),
+    "csv": Language(".csv", _csv, six_axes=False),
+}

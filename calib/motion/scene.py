@@ -1,0 +1,209 @@
+"""The scene: all shapes of a robot and its surroundings, which pairs of them may touch, and how far apart these are.
+
+Distances are those of coal, by Pinocchio's `GeometryModel`, less the clearance that a pair keeps: below zero, it hits.
+
+How far can a pair come nearer while joints move? Joint j, between the links of shapes a and b, turns one of them
+about its axis. No point of that shape is farther from the axis than
+
+    R_j = sum of the lengths of the origins that follow (and of slides) + radius of the shape about its link
+
+so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 where j slides. That holds for any way between two
+configurations on which joint j moves by |dq_j| at most, whatever the others do. `calib.motion.moves` proves moves so.
+
+Reference: schwarzer2005.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.robots.configurations import configured, distances
+from calib.core.robots.robot import Robot
+from calib.motion.shapes import Body, bodies_of, inside
+
+Pairs = tuple[tuple[int, int], ...]
+_ROUGH = 0.005
+"""Where hulls are nearer than that, less the clearance, the triangles in them count [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Shapes and the pairs of them that are looked at.
+
+    Attributes:
+        robot: The robot.
+        bodies: The shapes.
+        pairs: Places of two of them each.
+        remarks: What stands for links, and which pairs are left out.
+    """
+
+    robot: Robot
+    bodies: tuple[Body, ...]
+    pairs: Pairs
+    remarks: tuple[str, ...] = ()
+
+    def with_pairs(self, pairs: Pairs, *remarks: str) -> Scene:
+        """Return the scene in which these pairs are looked at."""
+        return replace(self, pairs=pairs, remarks=self.remarks + remarks)
+
+    def name(self, pair: int) -> str:
+        """Return what a pair is called."""
+        a, b = (self.bodies[k].name for k in self.pairs[pair])
+        return f"{a} - {b}"
+
+    @cached_property
+    def workspace(self) -> tuple[Any, Any, Any]:
+        """Pinocchio's model of the shapes, and what it computes in."""
+        geometry = pin.GeometryModel()
+        for k, body in enumerate(self.bodies):
+            geometry.addGeometryObject(pin.GeometryObject(f"{k}", body.joint, body.placement, body.hull))
+        for a, b in self.pairs:
+            geometry.addCollisionPair(pin.CollisionPair(a, b))
+        data = pin.GeometryData(geometry)
+        for request, rough in zip(data.distanceRequests, self._is_rough, strict=True):
+            request.enable_signed_distance = not rough  # how deep hulls are in each other does not matter
+        return geometry, data, self.robot.mechanism.model.createData()
+
+    @cached_property
+    def margins(self) -> FloatArray:
+        """Clearance of each pair, (n_pairs,) [m]."""
+        return np.array([max(self.bodies[a].clearance, self.bodies[b].clearance) for a, b in self.pairs])
+
+    @cached_property
+    def _is_rough(self) -> BoolArray:
+        """Pairs of which a hull is not the shape, (n_pairs,)."""
+        return np.array([any(self.bodies[k].mesh is not None for k in pair) for pair in self.pairs], dtype=bool)
+
+    def configurations(self, q: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), loops closed; and where they close.
+
+        Near a singularity of the loops, closed in nothing but name, they count as open.
+        """
+        mechanism = self.robot.mechanism
+        if not mechanism.loops and not self.robot.terms:
+            return mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), 0))), np.ones(len(q), dtype=bool)
+        closed = self.robot.close(q)
+        ok = np.array(closed.ok)
+        if mechanism.loops and np.any(ok):
+            good = np.flatnonzero(ok)
+            near = distances(self.robot, configured(self.robot, q[good], closed.at(good)))
+            ok[good[near < self.robot.description.singularity_limit]] = False
+        told = configured(self.robot, q, closed)
+        return mechanism.all_joints(told.actuated, np.where(ok[:, None], told.passive, 0.0)), ok
+
+    def distances(self, joints: FloatArray, asked: BoolArray | None = None, *, thorough: bool = True) -> FloatArray:
+        """Return how far each pair is from touching, its clearance taken off, (n, n_pairs) [m].
+
+        Of meshes that are farther apart than a few millimetres it is that of their hulls, which is not more.
+
+        Args:
+            joints: Configurations, (n, n_joints) [m or rad].
+            asked: Which pairs count in each, (n, n_pairs); the others are infinitely far. None: all.
+            thorough: Whether one mesh inside another counts as touching; no way leads there from outside.
+        """
+        geometry, data, workspace = self.workspace
+        result = np.full((len(joints), len(self.pairs)), np.inf)
+        for k, q in enumerate(joints):
+            pairs = None if asked is None else np.flatnonzero(asked[k])
+            if pairs is None or 2 * len(pairs) > len(self.pairs):
+                pin.computeDistances(self.robot.mechanism.model, workspace, geometry, data, q)
+                result[k] = [each.min_distance for each in data.distanceResults]
+            else:
+                pin.updateGeometryPlacements(self.robot.mechanism.model, workspace, geometry, data, q)
+                for pair in pairs.tolist():
+                    result[k, pair] = pin.computeDistance(geometry, data, pair).min_distance
+            result[k] -= self.margins
+            for pair in np.flatnonzero(self._is_rough & (result[k] <= _ROUGH)).tolist():
+                result[k, pair] = self._exact(pair, result[k, pair], data.oMg, thorough)
+        return result if asked is None else np.where(asked, result, np.inf)
+
+    def _exact(self, pair: int, of_hulls: float, placed: Any, thorough: bool) -> float:
+        """Distance of the triangles of a pair, its clearance taken off [m]."""
+        a, b = self.pairs[pair]
+        one, other = self.bodies[a], self.bodies[b]
+        shapes = [body.hull if body.mesh is None else body.mesh for body in (one, other)]
+        if any(isinstance(body.hull, coal.Halfspace) for body in (one, other)):
+            return of_hulls  # a plane touches a hull where it touches what is in it
+        T = [coal.Transform3s(placed[k].rotation, placed[k].translation) for k in (a, b)]
+        margin = float(self.margins[pair])
+        apart = coal.distance(shapes[0], T[0], shapes[1], T[1], coal.DistanceRequest(), coal.DistanceResult())
+        if thorough and apart > 0 and of_hulls < -margin:
+            for outer, inner, to_outer in (
+                (one, other, placed[a].actInv(placed[b])),
+                (other, one, placed[b].actInv(placed[a])),
+            ):
+                if len(outer.corners) and inside(to_outer.act(_some_point(inner))[None], outer.corners):
+                    return -margin
+        return float(apart) - margin
+
+    def reach(self, slides: FloatArray) -> FloatArray:
+        """Return R of the module docstring, (n_pairs, n_joints) [m, or 1].
+
+        Args:
+            slides: How far out each joint slides at most, (n_joints,) [m]; of those that turn it does not count.
+        """
+        support, pairs = self.robot.mechanism.support, np.array(self.pairs, dtype=np.intp).reshape(-1, 2)
+        lengths = self._lengths + np.where(self._slides, slides, 0.0)
+        follows = support[1:] - np.eye(support.shape[1])  # [k, j]: joint j moves joint k
+        joints = np.array([body.joint for body in self.bodies])
+        radii = np.array([body.radius for body in self.bodies])
+        arms = support[joints] * ((support[joints] * lengths) @ follows + radii[:, None])
+        sides = support[joints[pairs]]  # (n_pairs, 2, n_joints)
+        moved = np.where(sides[:, 0] != sides[:, 1], arms[pairs[:, 0]] + arms[pairs[:, 1]], 0.0)
+        return np.where(self._slides & (moved != 0), 1.0, moved)
+
+    @cached_property
+    def _lengths(self) -> FloatArray:
+        """How long each origin is, (n_joints,) [m]."""
+        return np.linalg.norm(self.robot.mechanism.placements[:, 9:], axis=1)
+
+    @cached_property
+    def _slides(self) -> BoolArray:
+        """Which joints slide, (n_joints,)."""
+        return np.linalg.norm(self.robot.mechanism.axes[:, :3], axis=1) > 0.5
+
+    def hits(self, q: FloatArray) -> tuple[str, ...]:
+        """Return which pair touches most at commands q (n, n_actuated), "" where none does, (n,)."""
+        joints, ok = self.configurations(q)
+        found = np.full(len(q), "", dtype=object)
+        found[~ok] = "loops that do not close"
+        if self.pairs and np.any(ok):
+            apart = self.distances(joints[ok])
+            worst = np.argmin(apart, axis=1)
+            touches = apart[np.arange(len(worst)), worst] <= 0
+            found[ok] = [self.name(int(pair)) if bad else "" for pair, bad in zip(worst, touches, strict=True)]
+        return tuple(found)
+
+
+def _some_point(body: Body) -> FloatArray:
+    """A point of a shape, in its axes, (3,) [m]."""
+    if len(body.corners):
+        return body.corners[0, 0]
+    return np.array(body.hull.points(0)) if hasattr(body.hull, "points") else np.zeros(3)
+
+
+def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
+    """Return how many joints that move there are between the frames a and b (n,), (n,)."""
+    mechanism = robot.mechanism
+    moves = np.any(mechanism.select_moving != 0, axis=1)
+    return np.sum((mechanism.support[a] != mechanism.support[b]) & moves, axis=1)
+
+
+def all_shapes(robot: Robot) -> Scene:
+    """Return all shapes of a robot, with every pair that moves against each other.
+
+    Raises:
+        DescriptionError: See `calib.motion.shapes.bodies_of`.
+    """
+    bodies, remarks = bodies_of(robot)
+    frames = np.array([body.joint for body in bodies], dtype=np.intp)
+    a, b = np.triu_indices(len(bodies), 1)
+    apart = moving_between(robot, frames[a], frames[b]) > 0
+    return Scene(robot, bodies, tuple(zip(a[apart].tolist(), b[apart].tolist(), strict=True)), remarks)

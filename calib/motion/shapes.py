@@ -1,0 +1,277 @@
+"""What collides: shapes of links, tools and obstacles, each fixed to a link.
+
+Collision shapes of the URDF; where the file has none, its visuals; where it has none of these either, capsules from the
+origin of each link to those of its children.
+
+Distances come in two steps. A mesh stands in its convex hull, which coal measures in microseconds: where hulls are
+apart, meshes are. Where hulls are not, the triangles decide, and whether one mesh is inside the other (the surface of a
+box says nothing of what it holds). Visuals are drawn for the eye, often of open surfaces: of these, and of meshes with
+very many triangles, the hull is the shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DescriptionError
+from calib.core.base.words import listed
+from calib.core.robots.mechanism import rigid
+from calib.core.robots.robot_data import RobotData
+from calib.core.robots.surroundings import UNCHECKED, ObstacleSection, ShapeSection
+from calib.core.robots.urdf.links import Shape, find_mesh, read_links
+
+_MOST_TRIANGLES = 20_000
+_THIN = 0.04  # radius of capsules that stand for links, of the robot's characteristic length
+_FLAT = 1e-4  # thickness that a hull of no volume gets [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A shape on a link.
+
+    Attributes:
+        name: Of its link, or of the obstacle.
+        joint: Index of the link's frame in the mechanism.
+        placement: In the link's frame.
+        hull: Convex shape that holds it.
+        mesh: Its triangles where it is not convex, else None.
+        corners: Of these triangles, (n, 3, 3) [m]; empty where it is convex.
+        radius: Distance of its farthest point from the link's origin [m].
+        clearance: Distance that others keep from it [m].
+        given: Whether the description brings it: an obstacle, or a part of the tool.
+    """
+
+    name: str
+    joint: int
+    placement: pin.SE3
+    hull: Any
+    mesh: Any
+    corners: FloatArray
+    radius: float
+    clearance: float
+    given: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Solid:
+    """A shape in its own axes: hull, triangles, and points whose hull it is (of a ball: its middle, and a radius)."""
+
+    hull: Any
+    mesh: Any = None
+    corners: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    points: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    ball: float = 0.0
+
+
+def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+    """Return the shapes of a robot and its surroundings, and what to say about them.
+
+    Raises:
+        DescriptionError: A mesh that is missing or cannot be read, an obstacle on a link that there is not, or a plane
+            on a link that moves.
+        UrdfError: A shape of the URDF is not made of numbers.
+    """
+    links, remarks = _links(robot)
+    return (*links, *_given(robot)), remarks
+
+
+def missing_meshes(robot: RobotData) -> tuple[str, ...]:
+    """Return the meshes that the URDF names for its collision shapes and that are not there."""
+    named = [
+        shape.file for link in read_links(robot.urdf).values() for shape in link.collisions if shape.kind == "mesh"
+    ]
+    return tuple(name for name in dict.fromkeys(named) if find_mesh(name, robot.urdf.path) is None)
+
+
+def has_collision_shapes(robot: RobotData) -> bool:
+    """Whether the URDF says what shapes its links have, for collisions."""
+    return b"<collision" in robot.urdf.source and any(link.collisions for link in read_links(robot.urdf).values())
+
+
+def moved_frames(robot: RobotData) -> BoolArray:
+    """Which frames move in the root link, (n_joints + 1,)."""
+    mechanism = robot.mechanism
+    result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
+    return result
+
+
+def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
+    read, clearance = read_links(robot.urdf), robot.description.self_clearance
+    by_link = {name: link.collisions for name, link in read.items()}
+    exact = any(by_link.values())
+    if not exact:
+        by_link = {name: link.visuals for name, link in read.items()}
+    frames = robot.mechanism.frames
+    bodies = [
+        _body(name, frames[name], shape.placement, _of_urdf(shape, name, robot, exact=exact), clearance)
+        for name, shapes in by_link.items()
+        for shape in shapes
+    ]
+    if not bodies:
+        capsules = [body for name in robot.urdf.links for body in _capsules(robot, name)]
+        return capsules, ("the robot file has no shapes: capsules from joint to joint stand for its links",)
+    remarks = (
+        [] if exact else ["the robot file has no collision shapes: the convex hulls of its visuals stand for them"]
+    )
+    moved = set(np.flatnonzero(moved_frames(robot)).tolist())
+    bare = [
+        joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}
+    ]
+    bare = [name for name in bare if any(np.linalg.norm(j.xyz) > 0 for j in robot.urdf.joints if j.parent == name)]
+    if bare:
+        remarks.append(f"links without any shape, which are not checked: {listed(bare)}")
+    return bodies, tuple(remarks)
+
+
+def _of_urdf(shape: Shape, link: str, robot: RobotData, *, exact: bool) -> _Solid:
+    if shape.kind != "mesh":
+        return _primitive(shape.kind, shape.size)
+    path = find_mesh(shape.file, robot.urdf.path)
+    if path is None:
+        raise DescriptionError(
+            f"{robot.urdf.path}, link '{link}': mesh '{shape.file}' is not there; put it beside the URDF, or write"
+            f" 'obstacles: {UNCHECKED}' into the description to go without"
+        )
+    return _of_mesh(path, np.array(shape.size), exact=exact)
+
+
+def _given(robot: RobotData) -> list[Body]:
+    """Obstacles, parts of the tool, and what stands at targets."""
+    description, mechanism, where = robot.description, robot.mechanism, robot.path
+    bodies = []
+    for name, section in described_obstacles(robot).items():
+        joint = 0 if section.frame is None else _frame(robot, section.frame, f"obstacles.{name}.frame")
+        if section.plane and moved_frames(robot)[joint]:
+            raise DescriptionError(f"{where}: obstacles.{name}: a plane cannot move with '{section.frame}'; give a box")
+        solid = _of_section(section, f"{where}: obstacles.{name}")
+        bodies.append(_body(name, joint, rigid(section.xyz, section.rpy), solid, section.clearance, given=True))
+    for name, target in description.targets.items():
+        if target.shape is not None:
+            place = rigid(target.shape.xyz, target.shape.rpy)
+            solid = _of_section(target.shape, f"{where}: targets.{name}.shape")
+            bodies.append(_body(name, mechanism.places[name], place, solid, description.self_clearance, given=True))
+    return bodies
+
+
+def described_obstacles(robot: RobotData) -> dict[str, ObstacleSection]:
+    """Return the obstacles of a robot's description by name."""
+    obstacles = robot.description.obstacles
+    return obstacles if isinstance(obstacles, dict) else {}
+
+
+def _frame(robot: RobotData, name: str, where: str) -> int:
+    try:
+        return robot.mechanism.joint(name)
+    except DescriptionError as error:
+        raise DescriptionError(f"{robot.path}: {where}: {error}") from None
+
+
+def _of_section(section: ShapeSection, where: str) -> _Solid:
+    if section.kind == "plane":
+        return _Solid(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
+    if section.kind == "mesh":
+        assert section.mesh is not None
+        if not Path(section.mesh).is_file():
+            raise DescriptionError(f"{where}: mesh '{section.mesh}' is not there")
+        return _of_mesh(Path(section.mesh), np.full(3, section.scale), exact=True)
+    size = getattr(section, section.kind)
+    return _primitive(section.kind, size if isinstance(size, tuple) else (size,))
+
+
+def _primitive(kind: str, size: Sequence[float]) -> _Solid:
+    if kind == "sphere":
+        return _Solid(coal.Sphere(float(size[0])), ball=float(size[0]))
+    if kind == "cylinder":
+        radius, length = map(float, size)
+        return _Solid(coal.Cylinder(radius, length), points=np.array([[radius, 0.0, length / 2]]), ball=0.0)
+    return _Solid(coal.Box(*map(float, size)), points=np.array([size]) / 2)
+
+
+def _of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
+    import trimesh
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", ignore_broken=True)
+        vertices, faces = np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces, dtype=np.int64)
+        if not len(faces):
+            raise ValueError("it holds no triangles")
+    except Exception as error:  # the readers of mesh files raise many kinds
+        raise DescriptionError(f"{path}: the mesh cannot be read ({str(error).splitlines()[0]:.80})") from None
+    hull, points = _hull(vertices)
+    whole = trimesh.Trimesh(vertices, faces, process=False)
+    if not exact or len(faces) > _MOST_TRIANGLES or whole.is_convex:
+        return _Solid(hull, points=points)
+    surface = coal.BVHModelOBBRSS()
+    surface.beginModel(len(faces), len(vertices))
+    surface.addVertices(vertices)
+    surface.addTriangles(faces)
+    surface.endModel()
+    return _Solid(hull, surface, vertices[faces], points)
+
+
+def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
+    """Convex hull of points, and its corners; a box around them where they lie in a plane."""
+    import scipy
+
+    try:
+        found = scipy.spatial.ConvexHull(vertices)
+    except (scipy.spatial.QhullError, ValueError):
+        low, high = vertices.min(axis=0) - _FLAT / 2, vertices.max(axis=0) + _FLAT / 2
+        found = scipy.spatial.ConvexHull(np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T)
+    points = found.points[found.vertices]
+    numbers = np.zeros(len(found.points), dtype=np.intp)
+    numbers[found.vertices] = np.arange(len(points))
+    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    corners.extend(list(points))
+    triangles.extend([coal.Triangle(*map(int, face)) for face in _outwards(found, numbers)])
+    return coal.Convex(corners, triangles), points
+
+
+def _outwards(found: Any, numbers: IntArray) -> IntArray:
+    """Triangles of a hull whose corners go round counter-clockwise, seen from outside."""
+    a, b, c = (found.points[found.simplices[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
+    return numbers[np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)]
+
+
+def _body(name: str, joint: int, placement: pin.SE3, solid: _Solid, clearance: float, *, given: bool = False) -> Body:
+    radius = float(np.linalg.norm(placement.translation)) + solid.ball
+    radius += float(np.max(np.linalg.norm(solid.points, axis=1)))
+    return Body(name, joint, placement, solid.hull, solid.mesh, solid.corners, radius, clearance, given)
+
+
+def _capsules(robot: RobotData, link: str) -> list[Body]:
+    """Capsules from a link's origin to those of the joints and targets on it; a ball at the end of a chain."""
+    joint, radius = robot.mechanism.frames[link], _THIN * robot.mechanism.length
+    ends = [np.array(child.xyz) for child in robot.urdf.joints if child.parent == link]
+    ends += [np.array(target.xyz) for target in robot.description.targets.values() if target.frame == link]
+    bodies = []
+    for end in ends or [np.zeros(3)]:
+        length = float(np.linalg.norm(end))
+        if length <= radius and ends:
+            continue
+        place = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end).matrix(), end / 2)
+        solid = _Solid(coal.Capsule(radius, length), points=np.array([[0.0, 0.0, length / 2]]), ball=radius)
+        bodies.append(_body(link, joint, place, solid, robot.description.self_clearance))
+    return bodies
+
+
+def inside(points: FloatArray, corners: FloatArray) -> bool:
+    """Whether the first of points (n, 3) is inside a closed mesh of triangles (m, 3, 3), by their solid angles.
+
+    Reference: oosterom1983.
+    """
+    a, b, c = np.moveaxis(corners - points[0], 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    below = la * lb * lc + lc * np.einsum("ij,ij->i", a, b)
+    below += la * np.einsum("ij,ij->i", b, c) + lb * np.einsum("ij,ij->i", c, a)
+    return bool(abs(np.sum(2.0 * np.arctan2(volume, below))) > 2.0 * np.pi)

@@ -1,0 +1,167 @@
+"""Lines of sight: whether an instrument sees its target, past the robot and what stands around it.
+
+A line runs between the two frames that an instrument looks along: camera and points of a board, socket and ball of a
+ballbar. A tracker's line starts where the description's `sight` says. It is as wide as a beam, and ends short of both
+ends, which stand in shapes of their own. What hides a line at nearly all poses is where the line ends; it does not
+count, and is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.instruments.kind import FrameInstrument
+from calib.core.instruments.pixel import Pixel
+from calib.core.robots.described_instruments import MEASUREMENT_FRAME
+from calib.core.robots.robot import Robot
+from calib.core.robots.surroundings import AcceptanceSection
+from calib.motion.scene import Scene
+
+_SHORT = 0.025  # by which a line ends before what it goes to [m]
+_BEAM = 0.01  # width of a line [m]
+_ALWAYS = 0.95  # of the poses
+_THINNEST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line of sight.
+
+    Attributes:
+        name: The target, and by which instrument where that has a name of its own, such as `board by camera`.
+        ends: Joint indices of the two frames.
+        points: The ends in these frames, (2, 3) [m].
+        width: [m].
+        target: Which shape the line goes to, by its name; it does not hide itself.
+        acceptance: In which directions the target is seen from the first end, if that counts.
+    """
+
+    name: str
+    ends: tuple[int, int]
+    points: FloatArray
+    width: float
+    target: str
+    acceptance: AcceptanceSection | None
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """All lines of sight in a scene.
+
+    Attributes:
+        scene: The shapes.
+        lines: The lines.
+        ignored: Names of a line and of a shape that hides it at nearly all poses.
+    """
+
+    scene: Scene
+    lines: tuple[Line, ...]
+    ignored: frozenset[tuple[str, str]] = frozenset()
+
+    def hidden(self, joints: FloatArray) -> list[str]:
+        """Return what hides a target in configurations (n, n_joints) [m or rad], "" where nothing does."""
+        return [next(self._obscured(q), "") for q in joints]
+
+    def _obscured(self, q: FloatArray) -> Iterator[str]:
+        """What hides a target in a configuration, line by line."""
+        for line, ends, turned in self._placed(q):
+            if turned:
+                yield f"{line.name} turned away"
+            for body in self.in_the_way(line, ends):
+                yield f"{body} in sight of {line.name}"
+
+    def ends(self, q: FloatArray) -> list[FloatArray]:
+        """Return both ends of each line in a configuration, in the root link, (2, 3) [m] each."""
+        return [ends for _, ends, _ in self._placed(q)]
+
+    def _placed(self, q: FloatArray) -> Iterator[tuple[Line, FloatArray, bool]]:
+        """Lines with their ends in the root link, (2, 3) [m], and whether the target is turned away."""
+        model, (geometry, data, workspace) = self.scene.robot.mechanism.model, self.scene.workspace
+        pin.forwardKinematics(model, workspace, q)
+        pin.updateGeometryPlacements(model, workspace, geometry, data)
+        for line in self.lines:
+            frames = [workspace.oMi[k] for k in line.ends]
+            ends = np.array([frame.act(point) for frame, point in zip(frames, line.points, strict=True)])
+            turned = False
+            if line.acceptance is not None:
+                axis, back = frames[1].rotation @ np.array(line.acceptance.axis), ends[0] - ends[1]
+                cosine = axis @ back / max(np.linalg.norm(axis) * np.linalg.norm(back), _THINNEST)
+                turned = bool(cosine < np.cos(line.acceptance.angle))
+            yield line, ends, turned
+
+    def in_the_way(self, line: Line, ends: FloatArray) -> Iterator[str]:
+        """Return the shapes, where they are now, that hide a line between two points (2, 3) [m]."""
+        along = ends[1] - ends[0]
+        length = float(np.linalg.norm(along))
+        free = length - 2 * _SHORT - line.width
+        if free <= 0:
+            return
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
+        beam, place = coal.Capsule(line.width / 2, free), coal.Transform3s(turn, ends.mean(axis=0))
+        data = self.scene.workspace[1]
+        for k, body in enumerate(self.scene.bodies):
+            if body.name == line.target or (line.name, body.name) in self.ignored:
+                continue
+            T = coal.Transform3s(data.oMg[k].rotation, data.oMg[k].translation)
+            if all(_touches(shape, T, beam, place) for shape in (body.hull, body.mesh) if shape is not None):
+                yield body.name
+
+    def without_ends(self, joints: FloatArray) -> tuple[Sight, tuple[str, ...]]:
+        """Return the lines without what hides them in nearly all configurations (n, n_joints), and what to say."""
+        count: dict[tuple[str, str], int] = {}
+        for q in joints:
+            for line, ends, _ in list(self._placed(q)):
+                for body in dict.fromkeys(self.in_the_way(line, ends)):
+                    count[line.name, body] = count.get((line.name, body), 0) + 1
+        ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
+        remarks = tuple(
+            f"{body} is always in sight of {line}, and does not count there" for line, body in sorted(ends_in)
+        )
+        return Sight(self.scene, self.lines, ends_in), remarks
+
+
+def _touches(shape: Any, T: Any, beam: Any, place: Any) -> bool:
+    return float(coal.distance(shape, T, beam, place, coal.DistanceRequest(), coal.DistanceResult())) <= 0
+
+
+def build_sight(scene: Scene) -> Sight:
+    """Return the lines of sight of a robot's instruments."""
+    return Sight(scene, tuple(_lines(scene.robot)))
+
+
+def _lines(robot: Robot) -> Iterator[Line]:
+    mechanism, description = robot.mechanism, robot.description
+    stand = description.sight
+    for instrument in robot.instruments:
+        if not isinstance(instrument, FrameInstrument) or instrument.touches:
+            continue
+        target = description.targets[instrument.target]
+        for a, b in instrument.pairs(MEASUREMENT_FRAME):
+            source, width = np.zeros(3), _BEAM
+            start = mechanism.places[a]
+            if a == MEASUREMENT_FRAME and not instrument.parts[0].is_distance:
+                if stand is None:
+                    continue
+                start = 0 if stand.frame is None else mechanism.joint(stand.frame)
+                source, width = np.array(stand.xyz), stand.width
+            for point in _points_seen(instrument):
+                ends = np.array([source, point])
+                name = b if instrument.name == b else f"{b} by {instrument.name}"
+                yield Line(name, (start, mechanism.places[b]), ends, width, b, target.acceptance)
+
+
+def _points_seen(instrument: FrameInstrument) -> FloatArray:
+    """Points in the target's frame that must be seen: the outermost ones of a board or body, (n, 3) [m]."""
+    if not isinstance(instrument, Pixel):
+        return np.zeros((1, 3))
+    points = np.array(list(instrument.points_of_body.values()))
+    across = points[:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
+    outermost: FloatArray = points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]
+    return outermost

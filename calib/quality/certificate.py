@@ -1,0 +1,195 @@
+"""A calibration certificate of a robot: who, what, with what, how sure; as data and as a document to read."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.core.base.units import millimetres
+from calib.core.base.version import PROGRAM
+from calib.core.base.words import as_data
+from calib.core.data.in_memory import PosesLike
+from calib.core.judging.repeatability import IsoFigure, iso_figures
+from calib.core.results.loaded_result import LoadedResult
+from calib.core.results.saved_fit import SAVED
+from calib.core.robots.traceability import TraceabilitySection
+from calib.quality.documents import Document, Rows
+from calib.quality.uncertainty_budget import PROBABILITY, Budget, LinearFit, budget
+
+LEGAL = (
+    "This certificate was written by software from the data of its user. Only an accredited laboratory, within its"
+    " scope of accreditation, gives a calibration certificate legal force."
+)
+FEW_CYCLES = "ISO 9283 asks for thirty cycles of five poses; even these are few, as the 95 % intervals say."
+MEASURAND = "one coordinate of the tool's position, as the calibrated robot gives it, at poses like those measured"
+_NOT_STATED = "not stated"
+_SHOWN_IN = {
+    "scale": (1e6, "um/m"),
+    "offset": (1e6, "um"),
+    "centring": (1e6, "um"),
+    "diameter": (1e3, "mm"),
+    "calibration": (1.0, "degC"),
+    "use": (1.0, "degC"),
+    "uncertainty": (1.0, "K"),
+    "expansion": (1e6, "um/m/K"),
+    "expansion_uncertainty": (1e6, "um/m/K"),
+}
+"""Factor and unit of numbers of `traceability`, in tables."""
+_SENSITIVITY = {"m": "", "1": "m", "K": "m/K", "1/K": "m K"}
+_LEAST = 1e-4  # um that are shown
+_SIGNED_BY = ("Calibrated by", "Approved by")
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """A certificate.
+
+    Attributes:
+        result: What it is about.
+        stated: Where the measurements come from.
+        linear: Linear model of the fit.
+        budget: Uncertainty of the measurand.
+        figures: Of ISO 9283, AP and RP of repeated poses.
+        identifier: The same for the same result.
+    """
+
+    result: LoadedResult
+    stated: TraceabilitySection
+    linear: LinearFit
+    budget: Budget
+    figures: tuple[IsoFigure, ...]
+    identifier: str
+
+    @staticmethod
+    def of(result: LoadedResult, stated: TraceabilitySection, poses: PosesLike | None = None) -> Certificate:
+        """Return the certificate of a loaded result.
+
+        Args:
+            result: The result.
+            stated: Where its measurements come from.
+            poses: Other poses at which the robot will be used.
+        """
+        fit, linear = result.fit, LinearFit.of(result.fit)
+        figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))
+        digest = hashlib.sha256(Path(result.path, SAVED).read_bytes()).hexdigest()
+        kept = tuple(figure for figure in figures if figure.name in ("AP", "RP"))
+        return Certificate(result, stated, linear, budget(linear, stated, poses), kept, f"calib-{digest[:24]}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it, in SI units."""
+        fit = self.result.fit
+        free = [fit.parameters[name] for name in fit.free_names]
+        content = {
+            "identifier": self.identifier,
+            "robot": self.result.robot.name,
+            "program": PROGRAM,
+            "legal_force": LEGAL,
+            "verdict": self.result.verdict.grade,
+            "traceability": self.stated.model_dump(mode="json", exclude_unset=True),
+            "n_poses": fit.identification.data.n_poses,
+            "measurand": MEASURAND,
+            "expansion_to_correct": self.stated.temperature.expansion * self.stated.temperature.difference,
+            "budget": self.budget.to_dict(),
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "per_si": p.per_si, "value_si": p.value_si, "std_si": p.std_si}
+                for p in free
+            ],
+            "coverage_factor_of_parameters": fit.statistics.coverage_factor,
+            "iso9283": [{"name": f.name, "pose": f.poses, "cycles": f.cycles, **vars(f.figure)} for f in self.figures],
+        }
+        return dict(as_data(content))
+
+
+def document(content: Mapping[str, Any]) -> Document:
+    """Return a certificate, from its data, as a document."""
+    found = content["budget"]
+    answer = (
+        f"U = {_um(found['expanded_uncertainty'])} um (k = {found['coverage_factor']:.2f},"
+        f" {100 * PROBABILITY:.0f} %) for {MEASURAND}. {LEGAL}"
+    )
+    facts = [("identifier", content["identifier"]), ("robot", content["robot"]), ("program", content["program"])]
+    facts += [("verdict of the fit", content["verdict"]), ("poses measured", str(content["n_poses"]))]
+    if content["expansion_to_correct"]:
+        grown = f"{1e6 * content['expansion_to_correct']:.3g} um/m: correct for it, the budget takes it as corrected"
+        facts.append(("lengths in use, from the base", grown))
+    facts += list(_facts(content["traceability"])) or [("traceability", _NOT_STATED)]
+    tables = [Rows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]
+    if "monte_carlo" in content:
+        tables.append(_monte_carlo_table(content["monte_carlo"]))
+    parameters = tuple(
+        (p["name"], f"{p['value_si'] * p['per_si']:.5f}", f"{p['std_si'] * p['per_si']:.2g}", p["unit"])
+        for p in content["parameters"]
+    )
+    tables.append(Rows("Parameters", ("parameter", "value", "standard uncertainty", "unit"), parameters))
+    if content["iso9283"]:
+        figures = tuple(
+            (f["name"], f["pose"], str(f["cycles"]), _um(f["value"]), f"{_um(f['low95'])} to {_um(f['high95'])}")
+            for f in content["iso9283"]
+        )
+        columns = ("figure", "pose", "cycles", "value [um]", "95 % [um]")
+        tables.append(Rows(f"Repeated poses. {FEW_CYCLES}", columns, figures))
+    return Document("Calibration certificate of a robot", answer, tuple(tables), _SIGNED_BY)
+
+
+def _um(length: float) -> str:
+    um = 1e3 * millimetres(length)
+    return f"{um:.4g}" if abs(um) >= _LEAST else "0"
+
+
+def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in entry.items():
+        if isinstance(value, Mapping):
+            yield from _facts(value, f"{where}{key}: ")
+        else:
+            factor, unit = _SHOWN_IN.get(key, (1.0, ""))
+            shown = f"{factor * value:.6g} {unit}".strip() if isinstance(value, float) else str(value)
+            yield f"{where}{key.replace('_', ' ')}", shown
+
+
+def _budget_table(found: Mapping[str, Any]) -> Rows:
+    rows = [
+        (
+            row["quantity"],
+            f"{row['standard_uncertainty']:.3g} {'' if row['unit'] == '1' else row['unit']}",
+            f"{row['sensitivity']:.3g} {_SENSITIVITY.get(row['unit'], 'm/' + row['unit'])}",
+            _um(row["contribution"]) if row["counts"] else f"({_um(row['contribution'])})",
+            _freedom(row["freedom"]),
+            row["type"],
+            row["note"],
+        )
+        for row in found["rows"]
+    ]
+    effective, blank = _freedom(found["effective_degrees_of_freedom"]), ""
+    combined, expanded = _um(found["combined_standard_uncertainty"]), _um(found["expanded_uncertainty"])
+    rows.append(("combined standard uncertainty", blank, blank, combined, effective, blank, "effective (Welch)"))
+    factor = f"coverage factor {found['coverage_factor']:.3f}"
+    rows.append(("expanded uncertainty, 95 %", blank, blank, expanded, blank, blank, factor))
+    columns = (
+        "quantity",
+        "standard uncertainty",
+        "sensitivity coefficient",
+        "contribution [um]",
+        "degrees of freedom",
+        "type",
+        "source",
+    )
+    return Rows("Uncertainty budget (GUM)", columns, tuple(rows))
+
+
+def _freedom(freedom: float | None) -> str:
+    return "infinite" if freedom is None else f"{freedom:.0f}"
+
+
+def _monte_carlo_table(drawn: Mapping[str, Any]) -> Rows:
+    rows = (
+        ("what goes through the fit", _um(drawn["propagated_fitted"]), _um(drawn["fitted"])),
+        ("combined standard uncertainty", _um(drawn["propagated"]), _um(drawn["combined"])),
+    )
+    title = f"Monte Carlo (GUM Supplement 1): {drawn['draws']} draws, difference"
+    title += f" {100 * drawn['relative_difference']:.1f} %"
+    return Rows(title, ("quantity", "propagated [um]", "drawn [um]"), rows)

@@ -1,0 +1,102 @@
+"""`calib certificate`: a calibration certificate with its uncertainty budget."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calib.core.base.errors import InputError, nearest
+from calib.core.base.sections import read_yaml
+from calib.core.base.threads import one_blas_thread
+from calib.core.commands.common import Output, shared_options
+from calib.core.data.measurement_files import read_poses
+from calib.core.results.loaded_result import LoadedResult
+from calib.core.results.result_reading import load_result
+from calib.core.robots.description import checked_description
+from calib.core.robots.traceability import TraceabilitySection
+from calib.quality.certificate import Certificate, document
+from calib.quality.dcc import xml
+from calib.quality.monte_carlo import monte_carlo
+
+_WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
+    ".xml": xml,
+    ".pdf": lambda content: document(content).pdf(),
+    ".html": lambda content: document(content).html().encode(),
+    ".json": lambda content: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode(),
+}
+_COMMENTS = {".pdf": "%"}
+
+
+@click.command("certificate")
+@click.argument("result")
+@click.option("--out", metavar="FILE", required=True, help="File to write: .xml, .pdf, .html or .json.")
+@click.option(
+    "--traceability",
+    metavar="FILE",
+    help="YAML with the key 'traceability', in place of that of the robot description.",
+)
+@click.option("--poses", metavar="FILE", help="Poses (CSV) at which the robot will be used, beside those measured.")
+@click.option(
+    "--draws",
+    type=click.IntRange(min=0),
+    default=300,
+    show_default=True,
+    help="Fits of the Monte Carlo check of the budget; 0 for none.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these.")
+@shared_options(json_output=False)
+def command(
+    result: str, out: str, traceability: str | None, poses: str | None, draws: int, seed: int, output: Output
+) -> None:
+    """Write a calibration certificate of RESULT, a folder of `calib fit`, with its uncertainty budget.
+
+    The budget is by the GUM, from the fit and from `traceability` in the robot description, and is checked by Monte
+    Carlo (Supplement 1). XML is a digital calibration certificate by PTB's schema (DCC 3.2). Only an accredited
+    laboratory gives a certificate legal force.
+    """
+    ending = Path(out).suffix.lower()
+    if ending not in _WRITERS:
+        raise InputError(f"--out {out}: give it an ending of {', '.join(_WRITERS)}{nearest(ending, _WRITERS)}")
+    loaded = load_result(result)
+    stated = _stated(loaded, traceability)
+    if draws and loaded.fit.unknowns.families:  # what sizes add to the covariance is no noise that could be drawn
+        output.note("note: sizes of joint terms were found from the same readings: no Monte Carlo check of these")
+        draws = 0
+    where = None if poses is None else read_poses(poses, loaded.robot)
+    output.check(out)
+    with output.working("checking the budget") as progress:
+        certificate = one_blas_thread(Certificate.of)(loaded, stated, where)
+        content = certificate.to_dict()
+        write = _WRITERS[ending]
+        file = write(content)  # what is missing for the file is said before the draws
+        if draws:
+            drawn = monte_carlo(certificate.linear, certificate.stated, certificate.budget, draws, seed, progress)
+            content["monte_carlo"] = drawn.to_dict()
+            file = write(content)
+    output.write(out, file, _COMMENTS.get(ending, ""))
+    found = certificate.budget
+    output.say(
+        f"U = {1e6 * found.expanded:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of the tool,"
+        f" at poses like the {content['n_poses']} measured"
+    )
+    if draws:
+        difference = f"{100 * drawn.difference:.1f} % from the propagated {1e6 * found.combined:.4g} um"
+        output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
+    if not stated.model_fields_set:
+        output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
+    output.say(f"Written to {out}")
+
+
+def _stated(result: LoadedResult, path: str | None) -> TraceabilitySection:
+    """Return what a file states, or the description of a result."""
+    description = result.nominal.description
+    if path is not None:
+        content = read_yaml(path, "a YAML file with the key 'traceability'")
+        given = content.get("traceability", content) if isinstance(content, dict) else content
+        own = description.model_dump(mode="json", exclude_unset=True)
+        description = checked_description(own | {"traceability": given}, path)
+    return description.traceability or TraceabilitySection()

@@ -1,0 +1,154 @@
+"""The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, the fit is made again, positions deviate.
+
+Each draw has a scale and offsets of the instrument, a temperature and an expansion (a Latin hypercube of normal
+numbers), noise e of the readings that has the sum T^T J^T e which decides the fit, and means of the priors drawn by
+themselves. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`) finds that of the drawn
+readings; positions there, exact and with loops closed, less those of the fit are what the measurand is off. Where the
+base is unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves
+out, extrapolation) is added as normal numbers of its size.
+
+Reference: jcgm101 (GUM Supplement 1), section 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import UnreachablePoseError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Progress
+from calib.core.numerics.least_squares import minimise
+from calib.core.numerics.rigid import best_transform
+from calib.core.robots.traceability import TraceabilitySection
+from calib.core.rows.observed import observe
+from calib.core.rows.rows import Rows
+from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, Budget, LinearFit
+
+_TOLERANCE = 1e-7  # of the cost
+_SEEN = 1e-4  # part of a direction below which only priors tell of it
+_ADDED = (REPEATABILITY, MODEL, ELSEWHERE)
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """What the draws say.
+
+    Attributes:
+        draws: How many could be made.
+        fitted: Standard uncertainty of a coordinate by all that goes through the fit, and temperatures [m].
+        combined: The same with all that counts [m].
+        propagated_fitted, propagated: Both as the budget has them [m].
+    """
+
+    draws: int
+    fitted: float
+    combined: float
+    propagated_fitted: float
+    propagated: float
+
+    @property
+    def difference(self) -> float:
+        """Larger relative difference of both from what was propagated."""
+        pairs = ((self.fitted, self.propagated_fitted), (self.combined, self.propagated))
+        return max((abs(drawn / known - 1.0) for drawn, known in pairs if known > 0), default=0.0)
+
+    def to_dict(self) -> dict[str, float]:
+        """Return it as JSON has it, in SI units."""
+        return {**vars(self), "relative_difference": self.difference}
+
+
+@one_blas_thread
+def monte_carlo(
+    linear: LinearFit,
+    stated: TraceabilitySection,
+    known: Budget,
+    draws: int = 400,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> MonteCarlo:
+    """Check a budget.
+
+    Args:
+        linear: The linear model of the fit.
+        stated: What was stated for the budget.
+        known: The budget.
+        draws: How many.
+        seed: Of all that is drawn.
+        progress: Told of each draw.
+    """
+    rng = np.random.default_rng(seed)
+    instrument, heat = stated.instrument, stated.temperature
+    sizes = np.array([instrument.scale, *[instrument.offset] * 3]) / instrument.divisor
+    uniform = scipy.stats.qmc.LatinHypercube(6, seed=rng).random(draws)
+    scalars = scipy.special.ndtri(uniform) * np.array([*sizes, heat.uncertainty, heat.expansion_uncertainty])
+    values, vectors = np.linalg.eigh(linear.noise)
+    span = linear.fit.weighted_rows.jacobian @ linear.fit.root
+    spread = np.linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    prior, squares = linear.fit.unknowns.prior, []
+    for k, drawn in enumerate(scalars):
+        readings = linear.systematic @ drawn[:4] + spread @ rng.standard_normal(len(values))
+        mean = linear.fit.widened * prior.root @ rng.standard_normal(len(prior.has))
+        try:
+            moved = _deviation(linear, readings, mean)
+        except UnreachablePoseError:
+            continue
+        grown = heat.expansion * drawn[4] + heat.difference * drawn[5] + drawn[4] * drawn[5]
+        squares.append(float(np.mean((moved + grown * linear.lever) ** 2)))
+        if progress is not None:
+            progress(k + 1, draws)
+    added = [row.contribution for row in known.rows if row.counts and row.quantity in _ADDED]
+    drawn_too = rng.standard_normal((len(squares), linear.positions.size, len(added))) @ np.array(added)
+    fitted = float(np.mean(squares))
+    combined = fitted + float(np.mean(drawn_too**2))
+    through = known.combined**2 - float(np.sum(np.square(added)))
+    return MonteCarlo(len(squares), fitted**0.5, combined**0.5, max(through, 0.0) ** 0.5, known.combined)
+
+
+def _deviation(linear: LinearFit, readings: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return how far positions move, (n n_targets 3,) [m], where readings and prior means are drawn.
+
+    Args:
+        linear: The linear model.
+        readings: Change of the whitened readings, (n_rows,).
+        mean: Of the priors, (n_free,).
+    """
+    fit = linear.fit
+    unknowns, data, prior = fit.unknowns, fit.identification.data, fit.unknowns.prior
+    passive, weights = fit.identification.passive, np.sqrt(fit.weights)[fit.rows.layout.reading]
+    weighing = fit.whitening.weighing(fit.scales.ratios)
+
+    @lru_cache(maxsize=4)
+    def rows_at(place: bytes) -> Rows | None:
+        u = np.frombuffer(place)
+        robot = unknowns.moved(fit.robot, u)
+        try:
+            configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
+        except UnreachablePoseError:
+            return None
+        observed = observe(robot, configurations, data.readings)
+        return fit.whitening.rows(observed, fit.scales.groups, unknowns, u).whitened(weighing)
+
+    def residuals(u: FloatArray) -> FloatArray:
+        rows = rows_at(u.tobytes())
+        own = np.full(len(readings), np.nan) if rows is None else weights * rows.residuals - readings
+        return np.concatenate([own, prior.times(u - mean)])
+
+    def jacobian(u: FloatArray) -> FloatArray:
+        rows = rows_at(u.tobytes())
+        assert rows is not None  # asked for only where the residuals were finite
+        return np.vstack([weights[:, None] * rows.jacobian, prior.rows])
+
+    u = minimise(residuals, jacobian, unknowns.deviations(fit.robot.values), tolerance=_TOLERANCE).x
+    robot = unknowns.moved(fit.robot, u)
+    kept = np.setdiff1d(np.arange(len(robot.mechanism.targets)), list(robot.left_out.values()))
+    there = robot.positions(data.joints, data.conditions, passive)[:, kept].reshape(-1, 3)
+    points = linear.positions.reshape(-1, 3)
+    if fit.told_positions.motion is not None:
+        rotation, shift = best_transform(there, points)
+        there = there @ rotation.T + shift
+    return (there - points).ravel()

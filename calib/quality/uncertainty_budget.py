@@ -1,0 +1,273 @@
+"""Uncertainty budget of a calibrated robot by the GUM, in the words of the GUM and of the VIM.
+
+Measurand: one coordinate of the tool's position, as the calibrated robot gives it, root mean square over the poses
+measured and the three axes. Where the base is unknown, positions count beside what moves all of them as one body.
+
+Readings y reach the parameters through the fit's linear model. With the whitened rows J at the solution, W what whitens
+readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
+readings moves parameters by s T T^T J^T W dy, and positions by B times that, B their derivative. So:
+
+    readings        B s T (core - S) T^T s B^T        type A; what is independent from reading to reading
+    prior           B s T S T^T s B^T                 type B; S the share of the priors
+    scale, offset   u . |B s T T^T J^T W dy/dx|       type B; fully correlated: no number of poses makes it smaller
+    temperature     u . expansion . lever             lever: coordinate of the tool from the base
+    robot           repeatability, from repeated poses, and what the model leaves out: the claim's mean square
+                    (`calib.core.judging.claim`) less what rows above have of it
+
+Combined is the root of the sum of squares; effective degrees of freedom are by Welch and Satterthwaite (GUM G.4), the
+coverage factor is Student's t at 95 %.
+
+When it fails. Scatter of repeats and claim hold the noise of single readings too, which nothing tells apart: this errs
+on the wide side. The centring of the target differs from reading to reading, so that the noise as found has it already.
+
+Reference: jcgm100 (GUM), sections 4, 5.2, G.4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import scipy
+
+from calib.core.base.arrays import FloatArray
+from calib.core.data.in_memory import PosesLike
+from calib.core.judging.repeatability import repeatability
+from calib.core.judging.verdict import JudgedFit
+from calib.core.numerics.statistics import prior_shares
+from calib.core.robots.traceability import TraceabilitySection
+from calib.core.rows.prediction import beside_common_motion
+
+PROBABILITY = 0.95
+NOISE, PRIOR = "noise of the readings", "expected deviations of the parameters (priors)"
+SCALE, OFFSET = "scale of the instrument", "offset of the instrument along each axis"
+CENTRING = "centring of the target"
+TEMPERATURE, EXPANSION = "temperature of the robot", "coefficient of expansion of the robot"
+REPEATABILITY, MODEL = "repeatability of the robot", "what the model leaves out"
+ELSEWHERE = "extrapolation to other poses"
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One row of the budget.
+
+    Attributes:
+        quantity: The input quantity.
+        standard_uncertainty: Of it, in `unit`.
+        unit: Unit of the input quantity.
+        sensitivity: Coefficient, m per unit.
+        contribution: To the standard uncertainty of the measurand [m].
+        freedom: Degrees of freedom; infinite where it is taken as known.
+        type: How it was evaluated: A (statistics of observations) or B (other information).
+        counts: Whether it is part of the combined one; not where another row has it already.
+        note: Where it is from.
+    """
+
+    quantity: str
+    standard_uncertainty: float
+    unit: str
+    sensitivity: float
+    contribution: float
+    freedom: float
+    type: str
+    counts: bool
+    note: str
+
+    @staticmethod
+    def direct(quantity: str, contribution: float, freedom: float, note: str) -> Contribution:
+        """Return one of type A that is a length of the measurand itself."""
+        return Contribution(quantity, contribution, "m", 1.0, contribution, freedom, "A", True, note)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The budget; see the module docstring."""
+
+    rows: tuple[Contribution, ...]
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty [m]."""
+        return math.hypot(*(row.contribution for row in self.rows if row.counts))
+
+    @property
+    def freedom(self) -> float:
+        """Effective degrees of freedom."""
+        parts = sum(row.contribution**4 / row.freedom for row in self.rows if row.counts)
+        return self.combined**4 / parts if parts > 0 else math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """Of a coverage interval of 95 %."""
+        return float(scipy.special.stdtrit(min(self.freedom, 1e9), 0.5 + PROBABILITY / 2))
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty [m]."""
+        return self.coverage_factor * self.combined
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as JSON has it, in SI units; null for infinitely many degrees of freedom."""
+        rows = [asdict(row) | {"freedom": _finite(row.freedom)} for row in self.rows]
+        return {
+            "rows": rows,
+            "combined_standard_uncertainty": self.combined,
+            "effective_degrees_of_freedom": _finite(self.freedom),
+            "coverage_factor": self.coverage_factor,
+            "coverage_probability": PROBABILITY,
+            "expanded_uncertainty": self.expanded,
+        }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """What the linear model of a fit makes of errors of its inputs; see the module docstring.
+
+    Attributes:
+        fit: The fit.
+        positions: Of the targets at the poses measured, (n, n_targets, 3) [m].
+        derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
+        noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
+        systematic: Change of the whitened readings by the scale of the instrument, and its offsets, (n_rows, 4) [per 1,
+            per m].
+    """
+
+    fit: JudgedFit
+    positions: FloatArray
+    derivative: FloatArray
+    noise: FloatArray
+    systematic: FloatArray
+
+    @staticmethod
+    def of(fit: JudgedFit) -> LinearFit:
+        """Return that of a fit."""
+        data, passive = fit.identification.data, fit.identification.passive
+        linear = fit.uncertainty.linearised(fit.robot, data.joints, data.conditions, passive, turns=False)
+        kept = np.setdiff1d(np.arange(linear.positions.shape[1]), list(fit.robot.left_out.values()))
+        positions, rows = linear.positions[:, kept], linear.jacobian[:, kept, :, : len(fit.unknowns)]
+        if fit.told_positions.motion is not None:
+            rows = beside_common_motion(positions, rows)
+        derivative = rows.reshape(-1, rows.shape[-1]) * fit.unknowns.scales
+        pinned = np.linalg.pinv(fit.root * fit.unknowns.scales[:, None])
+        core = pinned @ fit.covariance.values @ pinned.T
+        noise = core - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
+        return LinearFit(fit, positions, derivative, noise, _systematic(fit))
+
+    @property
+    def followed(self) -> FloatArray:
+        """Change of the scaled parameters by that of the whitened readings, (n_free, n_rows)."""
+        root = self.fit.root
+        return np.asarray(root @ (self.fit.weighted_rows.jacobian @ root).T)
+
+    @property
+    def lever(self) -> FloatArray:
+        """Positions of the targets from the robot's base, (n n_targets 3,) [m]."""
+        mechanism = self.fit.robot.mechanism
+        base = mechanism.placement(mechanism.origin_names[mechanism.targets[0].a - 1]).inverse().translation
+        return (self.positions - base).ravel()
+
+    def spread(self, core: FloatArray) -> float:
+        """Return what a covariance of T^-1 u, (rank, rank), is of a coordinate (root mean square) [m]."""
+        carried = self.derivative @ self.fit.root
+        return float(np.sqrt(max(np.mean(np.einsum("ij,jk,ik->i", carried, core, carried)), 0.0)))
+
+
+def _systematic(fit: JudgedFit) -> FloatArray:
+    """Return `LinearFit.systematic`."""
+    changes = {name: np.zeros((*r.shape, 4)) for name, r in fit.identification.after.items()}
+    for instrument, part, rows in fit.identification.parts():
+        values = fit.identification.data.readings[instrument.name].values
+        change = changes[instrument.name]
+        points = instrument.points(values) if part.is_position else None
+        if points is not None:
+            change[:, rows, 0] = points
+            change[:, rows, 1 + np.arange(3)] = 1.0
+        elif part.dimension == "length" and values.shape[1] == instrument.n_rows:
+            change[:, rows, 0], change[:, rows, 1] = values[:, rows], 1.0
+    flat = fit.whitening.flatten(changes) / fit.whitening.row_scale(fit.scales.groups)[:, None]
+    weighing = fit.whitening.weighing(fit.scales.ratios)
+    whitened = flat if weighing is None else weighing.whiten(flat)
+    return np.sqrt(fit.weights)[fit.rows.layout.reading, None] * whitened
+
+
+def budget(linear: LinearFit, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:
+    """Return the budget of a fit.
+
+    Args:
+        linear: Its linear model.
+        stated: What is known of instrument, target and temperatures.
+        poses: Other poses at which the robot will be used.
+    """
+    fit = linear.fit
+    shares, freedom = prior_shares(fit.weighted_rows.known, fit.unknowns.prior), fit.statistics.interval_freedom
+    noise, prior, reading = linear.spread(linear.noise), fit.widened * linear.spread(shares), fit.first_noise
+    unit = {"length": "m", "angle": "rad"}.get(reading.group.part.dimension, "px")
+    counted = "scatter of residuals" if fit.widened == 1.0 else "scatter of residuals, and of regions"
+    rows = [
+        Contribution(NOISE, reading.sigma, unit, _over(noise, reading.sigma), noise, freedom, "A", True, counted),
+        Contribution(
+            PRIOR, fit.widened, "1", prior / fit.widened, prior, math.inf, "B", True, "sigma of the description"
+        ),
+        *_from_instrument(linear, stated),
+        *_thermal(linear, stated),
+    ]
+    return Budget((*rows, *_of_robot(fit, noise**2 + prior**2, poses)))
+
+
+def _over(contribution: float, uncertainty: float) -> float:
+    return contribution / uncertainty if uncertainty > 0 else 0.0
+
+
+def _from_instrument(linear: LinearFit, stated: TraceabilitySection) -> list[Contribution]:
+    moved = linear.derivative @ (linear.followed @ linear.systematic)
+    scale, *axes = np.sqrt(np.mean(moved**2, axis=0))
+    instrument, centring, rows = stated.instrument, stated.target.centring, []
+    source = f"certificate {instrument.certificate or 'not stated'}: {instrument.stated}"
+    for name, size, unit, sensitivity in (
+        (SCALE, instrument.scale, "1", float(scale)),
+        (OFFSET, instrument.offset, "m", math.hypot(*axes)),
+    ):
+        u = size / instrument.divisor
+        rows.append(Contribution(name, u, unit, sensitivity, sensitivity * u, math.inf, "B", True, source))
+    read = np.sqrt(np.mean(np.sum((linear.derivative @ linear.followed) ** 2, axis=1)))
+    per_metre = float(read * np.sqrt(np.mean(linear.systematic[:, 1:] ** 2) * 3.0))
+    note = "part of the noise as found: not counted again"
+    rows.append(Contribution(CENTRING, centring, "m", per_metre, per_metre * centring, math.inf, "B", False, note))
+    return rows
+
+
+def _thermal(linear: LinearFit, stated: TraceabilitySection) -> list[Contribution]:
+    heat, lever = stated.temperature, float(np.sqrt(np.mean(linear.lever**2)))
+    by_kelvin, by_ratio = heat.expansion * lever, abs(heat.difference) * lever
+    u, v = heat.uncertainty, heat.expansion_uncertainty
+    return [
+        Contribution(TEMPERATURE, u, "K", by_kelvin, by_kelvin * u, math.inf, "B", True, "expansion times lever"),
+        Contribution(EXPANSION, v, "1/K", by_ratio, by_ratio * v, math.inf, "B", True, "difference times lever"),
+    ]
+
+
+def _of_robot(fit: JudgedFit, known: float, poses: PosesLike | None) -> list[Contribution]:
+    """Rows of the robot itself; `known`: what rows have of the claim's mean square [m^2]."""
+    scatter, freedom = repeatability(fit.identification)
+    rows, claim = [], fit.verdict.claim
+    if freedom:
+        note = "repeated poses; holds the noise of a reading"
+        rows.append(Contribution.direct(REPEATABILITY, scatter, float(freedom), note))
+        known += scatter**2
+    if claim is not None and claim.told.is_position:
+        total, n, note = claim.told.rms**2 / 3.0, claim.told.n_poses, "poses left out in turn; holds the noise there"
+    else:
+        known_positions = fit.identification_uncertainty
+        total, n = float(np.mean(known_positions.located**2)) / 3.0, fit.identification.data.n_poses
+        note = "errors of joints that residuals show"
+    rows.append(Contribution.direct(MODEL, math.sqrt(max(total - known, 0.0)), float(n), note))
+    elsewhere = None if poses is None else fit.claim_at(poses)
+    if elsewhere is not None and claim is not None:
+        more = math.sqrt(max(elsewhere.rms**2 - claim.told.rms**2, 0.0) / 3.0)
+        rows.append(Contribution.direct(ELSEWHERE, more, float(n), "covariance of the parameters at these poses"))
+    return rows

@@ -1,0 +1,375 @@
+"""Scenes, moves and routes: what is free is free by MuJoCo, too, which shares no code with the engine's shapes."""
+
+import csv
+import io
+import itertools
+import json
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+import calib
+from calib.core.base.errors import DescriptionError, InputError
+from calib.core.data.in_memory import as_poses
+from calib.core.data.measurement_files import read_poses
+from calib.core.robots.pose_check import check_poses
+from calib.motion.moves import check_move
+from calib.motion.poses import surroundings
+from calib.motion.programs import LANGUAGES, Motion, write_program
+from calib.motion.route import plan_route
+from calib.programs.languages.languages import read_program
+from tests.six_axis_arm import FREE, URDF, YAML
+
+needs_ompl = pytest.mark.skipif(find_spec("ompl") is None, reason="ways around things need OMPL")
+
+_LINKS = {
+    "l0": ("0.08", "0.4", "0 0 0.2"),
+    "l1": ("0.07", "0.1", "0.02 0 0.05"),
+    "l2": ("0.05", "0.5", "0 0 0.3"),
+    "l3": ("0.05", "0.2", "0.05 0 0.05"),
+    "l4": ("0.04", "0.3", "0.2 0 0"),
+    "l5": ("0.04", "0.08", "0.05 0 0"),
+    "l6": ("0.03", "0.06", "0 0 0"),
+}
+_LYING = ("l4", "l5", "l6")
+_BOXES = {"table": ((0.5, 0.8, 0.05), (0.6, 0.0, 0.3)), "post": ((0.06, 0.06, 1.2), (-0.4, 0.3, 0.6))}
+
+
+def _shaped(boxes=()):
+    """The arm with cylinders; boxes as further links."""
+    text = URDF
+    for name, (radius, length, xyz) in _LINKS.items():
+        turned = 'rpy="0 1.5707963267948966 0"' if name in _LYING else ""
+        shape = f'<collision><origin xyz="{xyz}" {turned}/><geometry><cylinder radius="{radius}" length="{length}"/>'
+        text = text.replace(f'<link name="{name}"/>', f'<link name="{name}">{shape}</geometry></collision></link>')
+    for name, (size, xyz) in dict(boxes).items():
+        size, xyz = (" ".join(map(str, numbers)) for numbers in (size, xyz))
+        shape = f'<collision><origin xyz="{xyz}"/><geometry><box size="{size}"/></geometry></collision>'
+        joint = f'<joint name="{name}_j" type="fixed"><parent link="l0"/><child link="{name}"/></joint>'
+        text = text.replace("</robot>", f'<link name="{name}">{shape}</link>{joint}</robot>')
+    return text
+
+
+def _obstacles(clearance="10 mm", boxes=_BOXES):
+    lines = [
+        f"  {name}: {{box: {list(size)}, xyz: {list(xyz)}, clearance: {clearance}}}"
+        for name, (size, xyz) in boxes.items()
+    ]
+    return "obstacles:\n" + "\n".join(lines) + "\n"
+
+
+def _write(folder, more="", urdf=None):
+    (folder / "arm.urdf").write_text(_shaped() if urdf is None else urdf)
+    (folder / "arm.yaml").write_text(YAML + FREE + "sigma: 0.05 mm\n" + more)
+    return folder / "arm.yaml"
+
+
+class _MuJoCo:
+    """Contacts between links that no joint connects, and with boxes; MuJoCo reads the URDF itself."""
+
+    def __init__(self, boxes):
+        self.model = mujoco.MjModel.from_xml_string(_shaped(boxes))
+        self.data = mujoco.MjData(self.model)
+
+    def touches(self, q):
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        return any(contact.dist < 0 and self._counts(*contact.geom) for contact in self.data.contact)
+
+    def _counts(self, *geoms):
+        bodies = [int(self.model.geom_bodyid[geom]) for geom in geoms]
+        of_world = [geom for geom, body in zip(geoms, bodies, strict=True) if body == 0]
+        if of_world and of_world[0] > 0:  # a box: the base's cylinder comes first
+            return True
+        return abs(bodies[0] - bodies[1]) > 1
+
+
+def test_free_is_what_mujoco_finds_free(tmp_path):
+    robot = calib.load(_write(tmp_path, _obstacles("0 mm") + "self_clearance: 0 mm\n"))
+    q, checker = robot.sample(400, 3), _MuJoCo(_BOXES)
+    theirs, ours = np.array([checker.touches(row) for row in q]), ~check_poses(robot, q).free
+    assert 0.1 < theirs.mean() < 0.9
+    assert np.mean(ours != theirs) <= 0.01  # 1 %: contacts by less than what both round
+
+
+@needs_ompl
+@pytest.mark.amount(4, 60)
+def test_no_contact_anywhere_on_a_route(tmp_path, amount):
+    robot = calib.load(_write(tmp_path, _obstacles()))
+    route = plan_route(robot, calib.sample(robot, amount, 1))
+    checker, reach = _MuJoCo(_BOXES), 1.8  # [m] the arm's, so 4 mm a step: half a clearance is more, on both sides
+    assert len(route.stops) > amount / 2
+    assert set(route.left_out.values()) <= {"no free way leads there"}
+    corners = route.corners()
+    for one, other in itertools.pairwise(corners):
+        for part in np.linspace(0, 1, 2 + int(reach * np.sum(np.abs(other - one)) / 0.004)):
+            assert not checker.touches(one + part * (other - one))
+    assert all(stop.clearance > 0.005 for stop in route.stops)
+
+
+def test_a_plate_between_two_free_poses_is_not_missed(tmp_path):
+    plate = {"plate": ((0.5, 0.001, 0.5), (0.75, 0.0, 1.1))}
+    scene = surroundings(calib.load(_write(tmp_path, _obstacles("1 mm", plate)))).scene
+    one, other = np.array([-0.5, 0, 0, 0, 0, 0]), np.array([0.5, 0, 0, 0, 0, 0])
+    assert scene.hits(np.array([one, other])) == ("", "")
+    assert "plate" in check_move(scene, one, other).hit
+    assert check_move(scene, one, np.array([-0.7, 0, 0, 0, 0, 0])).hit == ""
+
+
+def test_no_pair_comes_nearer_than_the_bound_says(tmp_path):
+    scene = surroundings(calib.load(_write(tmp_path, _obstacles()))).scene
+    generator = np.random.default_rng(0)
+    q = generator.uniform(-2, 2, (40, 6))
+    moved = q + generator.uniform(-0.3, 0.3, q.shape)
+    (before, _), (after, _) = scene.configurations(q), scene.configurations(moved)
+    bound = np.abs(after - before) @ scene.reach(np.zeros(before.shape[1])).T
+    change = np.abs(scene.distances(after) - scene.distances(before))
+    apart = (scene.distances(before) + scene.margins > 0) & (scene.distances(after) + scene.margins > 0)
+    assert np.all((change <= bound + 1e-6)[apart])
+    assert np.max((change / bound)[apart]) > 0.2  # it is no bound that says nothing
+
+
+def test_a_shape_inside_a_hollow_mesh_hits(tmp_path):
+    hollow = trimesh.creation.annulus(0.5, 0.6, 1.0)  # a tube, whose hull has no hole
+    hollow.export(tmp_path / "tube.stl")
+    around = "obstacles:\n  tube: {mesh: tube.stl, frame: l0, xyz: [0.4 m, 0, 1.1 m], clearance: 0 mm}\n"
+    ball = "  bead: {sphere: 20 mm, frame: l6, xyz: [50 mm, 0, 0]}\n"
+    scene = surroundings(calib.load(_write(tmp_path, around + ball))).scene
+    pairs = [scene.name(k) for k in range(len(scene.pairs))]
+    apart = scene.distances(scene.configurations(np.zeros((1, 6)))[0])[0]
+    assert apart[pairs.index("tube - bead")] > 0.05  # in the hole: free
+    trimesh.creation.box((1.0, 1.0, 1.0)).subdivide().export(tmp_path / "tube.stl")
+    solid = surroundings(calib.load(tmp_path / "arm.yaml")).scene
+    apart = solid.distances(solid.configurations(np.zeros((1, 6)))[0])[0]
+    assert apart[[solid.name(k) for k in range(len(solid.pairs))].index("tube - bead")] <= 0
+
+
+@pytest.fixture(scope="module")
+def route(tmp_path_factory):
+    pytest.importorskip("ompl")
+    robot = calib.load(_write(tmp_path_factory.mktemp("route"), _obstacles()))
+    return plan_route(robot, calib.sample(robot, 6, 5))
+
+
+_FIRST_MOVE = {"urscript": "movej", "rapid": "MoveAbsJ", "krl": "PTP {", "fanuc": "J P[1]"}
+_CONFIRM = {"urscript": "popup(", "rapid": "Stop;", "krl": "HALT", "fanuc": "PAUSE"}
+_JOINTS = {
+    "urscript": (r"movej\(\[([^\]]*)\]", 1.0),
+    "rapid": (r"MoveAbsJ \[\[([^\]]*)\]", np.pi / 180),
+    "krl": (r"PTP \{AXIS: ([^}]*)\}", np.pi / 180),
+    "fanuc": (r"UT : 1,([^}]*)\}", np.pi / 180),
+}
+
+
+@pytest.mark.parametrize("language", _FIRST_MOVE)
+def test_programs_hold_the_joint_values_and_ask_before_anything_moves(route, language):
+    text = write_program(route, language, Motion("plan"))
+    pattern, scale = _JOINTS[language]
+    values = [
+        [float(number) for number in re.findall(r"(?<![A-Za-z\d])-?\d+\.\d+", match)]
+        for match in re.findall(pattern, text)
+    ]
+    np.testing.assert_allclose(scale * np.array(values), route.corners()[1:], atol=1e-6)
+    assert 0 < text.index(_CONFIRM[language]) < text.index(_FIRST_MOVE[language])
+    for stop in route.stops:
+        assert f"pose {stop.name}, clearance {int(1e3 * stop.clearance)} mm" in text
+
+
+@pytest.mark.parametrize("language", _FIRST_MOVE)
+def test_programs_of_a_route_are_read_back_by_what_compensates_them(route, language, tmp_path):
+    path = tmp_path / f"plan{LANGUAGES[language].suffix}"
+    path.write_text(write_program(route, language, Motion("plan")))
+    program = read_program(path)
+    assert not program.left_out
+    np.testing.assert_allclose([target.values for target in program.targets], route.corners()[1:], atol=1e-6)
+
+
+def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
+    text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))
+    values = [
+        [float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", match)] for match in re.findall(r"UT : 1,([^}]*)\}", text)
+    ]
+    expected = np.degrees(route.corners()[1:])
+    expected[:, 2] -= expected[:, 1]
+    np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+def test_fanuc_programs_ask_what_the_third_joint_is(tmp_path, run_calib):
+    run = run_calib("route", "robot.yaml", "poses.csv", "--format", "fanuc", "--out", tmp_path / "route")
+    assert run.code == 2
+    assert "--third-joint" in run.err
+
+
+def test_a_trajectory_of_ros_is_at_rest_at_every_stop(route):
+    content = json.loads(write_program(route, "ros2", Motion("plan", dwell=0.5, reading=2.0)))
+    times = [
+        point["time_from_start"]["sec"] + 1e-9 * point["time_from_start"]["nanosec"] for point in content["points"]
+    ]
+    assert content["joint_names"] == list(route.robot.joint_names)
+    assert np.all(np.diff(times) > 0)
+    for stop, planned in zip(content["stops"], route.stops, strict=True):
+        at = [k for k, time in enumerate(times) if abs(time - stop["arrival_s"]) < 1e-3]
+        assert content["points"][at[0]]["positions"] == planned.joints.tolist()
+        assert content["points"][at[0] + 1]["positions"] == planned.joints.tolist()
+        assert times[at[0] + 1] - times[at[0]] == pytest.approx(2.5)
+
+
+def test_robots_that_a_language_has_no_moves_for_are_said(route, tmp_path):
+    (tmp_path / "two.urdf").write_text(
+        "<robot name='two'><link name='a'/><link name='b'/><joint name='j' type='revolute'><parent link='a'/>"
+        "<child link='b'/><axis xyz='0 0 1'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint></robot>"
+    )
+    other = type(route)(calib.load(tmp_path / "two.urdf"), np.zeros(1), route.stops, {}, (), ())
+    with pytest.raises(InputError, match="six turning"):
+        write_program(other, "krl", Motion("plan"))
+    assert set(LANGUAGES) == {"urscript", "rapid", "krl", "fanuc", "ros2", "csv"}
+
+
+def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_calib):
+    yaml = _write(tmp_path, _obstacles())
+    run = run_calib("sample", yaml, "-n", 60, "--out", tmp_path / "s.csv")
+    assert re.search(r"Left out: \d+ of \d+ poses not free \(\d+ ", run.out)
+    robot = calib.load(yaml)
+    sampled = read_poses(tmp_path / "s.csv", robot)
+    assert len(sampled) == 60
+    checker = _MuJoCo(_BOXES)
+    assert not any(checker.touches(q) for q in sampled.joints)
+    every = robot.sample(120, 7)
+    blocked = ~check_poses(robot, every).free
+    chosen = calib.select(robot, every, 20)
+    assert not set(chosen.chosen.tolist()) & set(np.flatnonzero(blocked).tolist())
+    assert 0 < chosen.after["O1"] <= chosen.unobstructed["O1"] * 1.01  # the exchange need not find the very best
+
+
+@needs_ompl
+def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_path, run_calib):
+    yaml = _write(tmp_path, _obstacles())
+    run_calib("sample", yaml, "-n", 5, "--out", tmp_path / "s.csv")
+    run = run_calib("route", yaml, tmp_path / "s.csv", "--format", "krl", "--out", tmp_path / "r")
+    assert run.code == 0, run.err
+    assert {path.name for path in (tmp_path / "r").iterdir()} >= {"calib_route.src", "route.csv", "readings.csv"}
+    lines = [line for line in (tmp_path / "r/readings.csv").read_text().splitlines() if not line.startswith("#")]
+    rows = list(csv.DictReader(io.StringIO("\n".join(lines))))
+    planned = re.findall(r"^; pose (\d+), clearance", (tmp_path / "r/calib_route.src").read_text(), re.MULTILINE)
+    assert [row["pose"] for row in rows] == planned
+    assert 3 <= len(planned) == len(set(planned)) <= 5
+    assert all(row["ball_x [mm]"] == "" for row in rows)
+    check = run_calib("check", yaml, tmp_path / "r/route.csv")
+    assert "not free" not in check.err
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("obstacles:\n  rock: {sphere: 0.7 m, xyz: [0, 0, 0.4 m]}\n", "obstacle 'rock' is in the robot at every pose"),
+        ("obstacles:\n  rock: {sphere: 50 mm, xyz: [0.75 m, 0, 1.15 m]}\n", "collides where it starts"),
+        ("obstacles:\n  rock: {mesh: rock.stl}\n", "rock.stl' is not there"),
+        ("obstacles:\n  rock: {plane: true, frame: l3}\n", "a plane cannot move"),
+        ("obstacles:\n  rock: {sphere: 1 mm, frame: l33}\n", "no link or joint 'l33'"),
+    ],
+)
+def test_scenes_that_cannot_be_are_one_line(tmp_path, run_calib, more, said):
+    yaml = _write(tmp_path, more)
+    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
+    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert said in run.err
+    assert not (tmp_path / "r").exists()
+
+
+def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
+    yaml = _write(tmp_path, _obstacles())
+    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0,2.5,0,0,0,0\nb,0.1,2.5,0,0,0,0\n")
+    run = run_calib("select", yaml, tmp_path / "p.csv", "-n", 1, "--out", tmp_path / "c.csv")
+    assert run.code == 2
+    assert "none of the candidates is free: 2 of 2 poses not free" in run.err
+    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
+    assert run.code == 3
+    assert "none of 2 poses can be visited" in run.err
+    urdf = _shaped().replace('<cylinder radius="0.05" length="0.5"/>', '<mesh filename="upper.stl"/>')
+    _write(tmp_path, _obstacles(), urdf)
+    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert "mesh 'upper.stl' is not there" in run.err
+    _write(tmp_path, "", urdf)
+    run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
+    assert run.code == 0
+    assert "collisions are not checked: mesh 'upper.stl'" in run.err
+    assert not (tmp_path / "r").exists()
+
+
+def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_path):
+    yaml = _write(tmp_path, _obstacles())
+    (tmp_path / "arm.srdf").write_text(
+        "<robot name='six axes'><disable_collisions link1='l2' link2='l4' reason='User'/></robot>"
+    )
+    scene = surroundings(calib.load(yaml)).scene
+    assert "l2 - l4" not in {scene.name(k) for k in range(len(scene.pairs))}
+    assert "l2 - l5" in {scene.name(k) for k in range(len(scene.pairs))}
+    (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
+    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+        surroundings(calib.load(yaml))
+
+
+def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
+    sight = "sight: {xyz: [3 m, 0, 1.1 m]}\nobstacles:\n  wall: {box: [0.05, 1, 1], xyz: [2 m, 0, 1.1 m]}\n"
+    robot = calib.load(_write(tmp_path, sight))
+    up, behind = np.zeros(6), np.array([np.pi / 2, 0, 0, 0, 0, 0])
+    hits = check_poses(robot, np.array([up, behind])).hits
+    assert hits[0] == "wall in sight of ball"
+    text = (
+        (tmp_path / "arm.yaml")
+        .read_text()
+        .replace("wall: {box: [0.05, 1, 1], xyz: [2 m", "wall: {sphere: 1, xyz: [9 m")
+    )
+    (tmp_path / "arm.yaml").write_text(
+        text.replace("100 mm]}", "100 mm], acceptance: {angle: 30 deg, axis: [1, 0, 0]}}")
+    )
+    hits = check_poses(calib.load(tmp_path / "arm.yaml"), np.array([up, behind])).hits
+    assert hits == ("", "ball turned away")
+
+
+@needs_ompl
+@pytest.mark.parametrize(
+    "robot", ["docs/examples/five_bar.yaml", "docs/examples/delta.yaml", "docs/examples/stewart.yaml"]
+)
+def test_closed_loops_are_routed_with_shapes_or_capsules(robot, tmp_path):
+    text = Path(robot).read_text()
+    file = re.search(r'^urdf: "?([^"\n]*)"?', text, re.MULTILINE)
+    text = text.replace(file[0], f"urdf: {Path(robot).resolve().parent / file[1]}")
+    (tmp_path / "robot.yaml").write_text(text + "\nobstacles:\n  far: {sphere: 10 mm, xyz: [5 m, 0, 0]}\n")
+    model = calib.load(tmp_path / "robot.yaml")
+    route = plan_route(model, calib.sample(model, 4, 1))
+    assert len(route.stops) + len(route.left_out) == 4
+    assert any("stand for" in remark for remark in route.remarks)
+    assert np.all(model.close(route.corners()).ok)
+
+
+def test_without_shapes_nothing_is_checked_and_that_is_said(tmp_path, run_calib):
+    yaml = _write(tmp_path, "", URDF)
+    run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
+    assert "collisions are not checked: the robot file has no collision shapes" in run.err
+    check = check_poses(calib.load(yaml), np.zeros((2, 6)))
+    assert check.free.all()
+    assert check.unchecked
+
+
+def test_poses_are_shown_in_red_where_they_collide(tmp_path):
+    from viz.inputs import gather
+    from viz.scene_data import scene_data
+
+    robot = calib.load(_write(tmp_path, _obstacles()))
+    poses = as_poses(robot, np.array([np.zeros(6), [0, 2.5, 0, 0, 0, 0]]), ["home", "low"])
+    scene = gather(robot, data=poses).scene
+    assert scene.poses.group == ("planned", "collides")
+    assert re.fullmatch(r"low: .* - .*", scene.poses.labels[1])
+    assert {"obstacle/table", "obstacle/post"} <= {shape.name for shape in scene.shapes}
+    marks = {group["name"]: group["mark"] for group in scene_data(scene)["groups"]}
+    assert marks["collides"] == "alarm"

@@ -1,0 +1,72 @@
+"""What the description says is around the robot and on it: obstacles, parts of the tool, lines of sight, as shapes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from calib import Robot
+from calib.core.base.errors import DescriptionError
+from calib.core.robots.mechanism import rigid
+from calib.core.robots.surroundings import ObstacleSection, ShapeSection
+from viz.shapes import Colour, Shape, mesh, primitive
+
+_STONE: Colour = (0.72, 0.66, 0.58, 0.55)
+_TOOL: Colour = (0.80, 0.58, 0.20, 0.6)
+_PLANE = 2.5  # edge of a floor that is drawn, of the robot's characteristic length
+
+
+def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
+    """Return obstacles and what stands at targets, on the bodies that carry them.
+
+    Raises:
+        DescriptionError: A mesh cannot be read.
+    """
+    description, mechanism = robot.description, robot.mechanism
+    obstacles = description.obstacles if isinstance(description.obstacles, dict) else {}
+    shapes = [
+        _shape(f"obstacle/{name}", _body(robot, section.frame), section, _STONE, _PLANE * mechanism.length)
+        for name, section in obstacles.items()
+    ]
+    shapes += [
+        _shape(f"{name}/shape", f"({mechanism.origin(name)})", target.shape, _TOOL, 0.0)
+        for name, target in description.targets.items()
+        if target.shape is not None
+    ]
+    return tuple(shapes)
+
+
+def _body(robot: Robot, frame: str | None) -> str:
+    """The link that the picture has for a frame."""
+    joint = 0 if frame is None else robot.mechanism.joint(frame)
+    return next(link for link in robot.urdf.links if robot.mechanism.frames.get(link) == joint)
+
+
+def _shape(name: str, body: str, section: ShapeSection, colour: Colour, plane: float) -> Shape:
+    T = rigid(section.xyz, section.rpy).homogeneous
+    if isinstance(section, ObstacleSection) and section.plane:
+        thick = plane / 500
+        return primitive(name, body, "box", (plane, plane, thick), T @ _lowered(thick / 2), colour)
+    if section.kind == "mesh":
+        return replace(_loaded(name, body, section), T_body_shape=T, colour=colour)
+    size = getattr(section, section.kind)
+    kind = cast(Literal["box", "cylinder", "sphere"], section.kind)
+    return primitive(name, body, kind, size if isinstance(size, tuple) else (size,), T, colour)
+
+
+def _lowered(depth: float) -> Any:
+    T = np.eye(4)
+    T[2, 3] = -depth
+    return T
+
+
+def _loaded(name: str, body: str, section: ShapeSection) -> Shape:
+    import trimesh
+
+    try:
+        read: Any = trimesh.load(section.mesh, force="mesh")
+    except Exception as error:  # the readers of mesh files raise many kinds
+        raise DescriptionError(f"{section.mesh}: the mesh cannot be read ({error})") from None
+    return mesh(name, body, section.scale * np.asarray(read.vertices), np.asarray(read.faces))

@@ -187,6 +187,17 @@ def test_an_old_linear_algebra_library_is_found(monkeypatch):
     assert check.outcome is Outcome.FAIL
 
 
+def test_a_linear_algebra_library_of_another_package_computes_nothing_here(monkeypatch):
+    packages = Path(np.__file__).parent.parent
+    entry = {"user_api": "blas", "internal_api": "openblas", "version": "0.3.7"}
+    loaded = [
+        entry | {"filepath": str(packages / folder / "libopenblas.so")}
+        for folder in ("opencv_python_headless.libs", "numpy.libs")
+    ]
+    monkeypatch.setattr(installation.threadpoolctl, "threadpool_info", lambda: loaded)
+    assert len(list(installation._linear_algebra())) == 1  # NumPy's
+
+
 def test_work_that_ends_in_an_error_is_a_failed_check():
     def broken():
         yield Check.of(Phase.OPERATION, "one", "", "", True)

@@ -22,7 +22,9 @@ from calib.matching.result import FILES
     " given.",
 )
 @click.option(
-    "--base", metavar="POSE", help="Pose of the robot's base in the controller's, likewise; found if not given."
+    "--base",
+    metavar="POSE",
+    help="The robot's base in the controller's, as --tool; found if not given.",
 )
 @click.option(
     "--no-terms",

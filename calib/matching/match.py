@@ -55,7 +55,7 @@ def match(
         robot: The stock robot: description, URDF, or a calibration of Universal Robots.
         pairs: Joint values and poses (`calib.matching.pairs`).
         tool: Pose of the tool in the robot's last link, as the file writes poses; found if not given.
-        base: Pose of the robot's base in the controller's, likewise.
+        base: Pose of the robot's base in the controller's, written as `tool`.
         terms: Whether joint terms are tried where joint origins do not explain the poses.
         seed: Of the draws of rounding.
 

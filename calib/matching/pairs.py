@@ -50,8 +50,8 @@ class Pairs(ReadOnlyArrays):
         path: The file.
         rows: How to call each row in a message, (n,).
         joints: (n, n_joints), in units of the file.
-        positions: (n, 3), likewise.
-        rotations: (n, 3, 4 or 9), likewise.
+        positions: In the units of the file, (n, 3).
+        rotations: In the units of the file, (n, 3, 4 or 9).
         units: Of joint values, positions and rotations, where the file states them.
         steps: Of the last digit of each joint, of positions, and of rotations, in units of the file, (n_joints + 2,).
         words: Name of the rotation's columns in `_ROTATIONS`; empty where they say nothing.

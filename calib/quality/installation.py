@@ -90,10 +90,10 @@ def _digest(path: Path) -> str:
 
 
 def _linear_algebra() -> Iterator[Check]:
-    own = [str(Path(str(distribution(name).locate_file(name))).parent) for name in ("numpy", "scipy")]
+    own = [str(distribution(name).locate_file(name)) for name in ("numpy", "scipy")]  # .../numpy, .../numpy.libs
     for entry in threadpoolctl.threadpool_info():
-        if "filepath" in entry and not any(str(entry["filepath"]).startswith(folder) for folder in own):
-            continue  # of another package, which computes nothing here
+        if "filepath" in entry and not any(str(entry["filepath"]).startswith(package) for package in own):
+            continue  # of another package, such as OpenCV, which computes nothing here
         oldest = _OLDEST_BLAS.get(str(entry["internal_api"]))
         if oldest is not None:
             version = str(entry["version"])

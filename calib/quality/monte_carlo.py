@@ -22,6 +22,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UnreachablePoseError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress
+from calib.core.numerics import linalg
 from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
@@ -86,9 +87,9 @@ def monte_carlo(
     sizes = np.array([instrument.scale, *[instrument.offset] * 3]) / instrument.divisor
     uniform = scipy.stats.qmc.LatinHypercube(6, seed=rng).random(draws)
     scalars = scipy.special.ndtri(uniform) * np.array([*sizes, heat.uncertainty, heat.expansion_uncertainty])
-    values, vectors = np.linalg.eigh(linear.noise)
+    values, vectors = linalg.eigh(linear.noise)
     span = linear.fit.weighted_rows.jacobian @ linear.fit.root
-    spread = np.linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    spread = linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     prior, squares = linear.fit.unknowns.prior, []
     for k, drawn in enumerate(scalars):
         readings = linear.systematic @ drawn[:4] + spread @ rng.standard_normal(len(values))
@@ -110,7 +111,7 @@ def monte_carlo(
 
 
 def _deviation(linear: LinearFit, readings: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return how far positions move, (n n_targets 3,) [m], where readings and prior means are drawn.
+    """Return how far positions move, (n_coordinates,) [m], where readings and prior means are drawn.
 
     Args:
         linear: The linear model.

@@ -35,6 +35,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.verdict import JudgedFit
+from calib.core.numerics import linalg
 from calib.core.numerics.statistics import prior_shares
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.prediction import beside_common_motion
@@ -153,7 +154,7 @@ class LinearFit:
         if fit.told_positions.motion is not None:
             rows = beside_common_motion(positions, rows)
         derivative = rows.reshape(-1, rows.shape[-1]) * fit.unknowns.scales
-        pinned = np.linalg.pinv(fit.root * fit.unknowns.scales[:, None])
+        pinned = linalg.pinv(fit.root * fit.unknowns.scales[:, None])
         core = pinned @ fit.covariance.values @ pinned.T
         noise = core - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
         return LinearFit(fit, positions, derivative, noise, _systematic(fit))
@@ -166,7 +167,7 @@ class LinearFit:
 
     @property
     def lever(self) -> FloatArray:
-        """Positions of the targets from the robot's base, (n n_targets 3,) [m]."""
+        """Positions of the targets from the robot's base, (n_coordinates,) [m]."""
         mechanism = self.fit.robot.mechanism
         base = mechanism.placement(mechanism.origin_names[mechanism.targets[0].a - 1]).inverse().translation
         return (self.positions - base).ravel()

@@ -1,1 +1,0 @@
-"""Priors of models that ship with the program: one URDF and one YAML file a model."""

@@ -6,33 +6,36 @@ show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the 
 are normal with a size that is found by restricted likelihood, together with the noise and with an error of each joint
 that is another one at each pose, which stands for what no kind describes.
 
-What follows from it:
+Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first. A kind
+stays where both are true:
 
-    terms        a family whose likeliest size is not next to zero is fitted, as any robot is, with this sigma
-    undecided    sizes are uncertain, those of the other families too. With coefficients u and covariance C of sizes
-                 that are drawn from what the rows leave open, cov u = mean of C + covariance of u: what that is more
-                 than C of the likeliest sizes stands beside the covariance of the fit
-    expected     how far off poses are that are left out, each predicted by all others: from the same model, with every
-                 kind in it. Errors seen at these poses are few large ones and many small ones, by terms that were sized
-                 by them
+    prediction   blocks of poses left out are predicted better, by more than one standard error over the blocks: boxes
+                 of joint space; where there are several setups, boxes of each. Squares of errors count. Likelihood
+                 trusts the model, and asks for any kind that looks like what no kind describes; poses left out at
+                 random have neighbours that were kept, so that a curve through errors of any cause seems to predict
+    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
+                 that are not there, one looks as if it were
 
-A kind is surely there if its log likelihood is higher by odds of 20 to 1 (kass1995), beside all others; all of them
-together must be, for any to be fitted. A kind of little evidence is fitted, too: shrunk to its size it costs little,
-and left out it would be missed where joints were not measured.
+A kind that was left out is asked again beside those that stay. One that stays is surely there if the log likelihood is
+higher by odds of 20 to 1 with it beside all other kinds, too: of kinds that look alike, one may stay, none is claimed.
 
-A guess. Few poses of a small part of joint space may say that something is there, and not what. Terms are left out
-where they cost more than 3.5 times what they bring, both mean squares of positions, and the log likelihood of a pose is
-not higher with them by 1. They bring what poses left out are nearer, and cost what positions become less sure where
-the joint values measured are combined in other ways, base and tool placed anew.
+What follows:
+
+    terms        kinds that stay are fitted, as any robot is, with the sigma that was found
+    undecided    the other kinds may be there, too, and sizes are uncertain. With coefficients u and covariance C of
+                 sizes of all kinds that are drawn from what the rows leave open, cov u = mean of C + covariance of u:
+                 what that is more than C of the fitted sizes stands beside the covariance of the fit
+    expected     how far off poses are that are left out, each predicted by all others: from the same model
 
 What was measured on real robots (`docs/theory/joint_terms.md`). Weighing the fit itself by the error of joints was no
 better on one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape.
 Time and temperature are no kinds of this model unless they are named: an error that grows with them was worse on every
 part of a file that lay outside their range.
 
-When it fails. Joint errors of many milliradians look curved. Kinds that look alike share what is there.
+When it fails. Joint errors of many milliradians look curved. Blocks of a small part of joint space are neighbours of
+each other: what predicts them need not hold elsewhere. Of kinds that look alike, one stays.
 
-Reference: kass1995; patterson1971.
+Reference: breiman1984; kass1995; patterson1971; roberts2017.
 """
 
 from __future__ import annotations
@@ -42,11 +45,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.threads import one_blas_thread
+from calib.core.data.pose_groups import boxes
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.regions import BLOCKS
 from calib.core.fitting.terms.candidate_terms import TELLS, Candidate, TermChoice, TriedTerm, candidates, missing_terms
 from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
@@ -54,9 +60,8 @@ from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
 from calib.core.numerics.size_search import drawn_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
-from calib.core.rows.jacobian import linearise
 from calib.core.rows.observed import observe
-from calib.core.rows.prediction import UndecidedTerms, beside_common_motion, other_combinations
+from calib.core.rows.prediction import UndecidedTerms
 from calib.core.rows.rows import Scales
 from calib.core.rows.unknowns import Unknowns
 
@@ -64,8 +69,6 @@ LEAST_POSES = 16
 """Different poses below which no sizes are found."""
 _SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows show it
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
-_COSTS = 3.5  # how many times as much as it brings a guess may cost
-_COMBINATIONS = 200
 _POSES = 500  # that tell the sizes
 _DRAWS = 24
 _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
@@ -137,6 +140,8 @@ class _TermModel:
         self._families = [family for family in dict.fromkeys(labels) if family.term]
         numbers = {family: k for k, family in enumerate(self._families)}
         self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
+        self._solved = dict[frozenset[str], SolvedModel]()
+        self._asked = np.array([family in owner.values() for family in self._families], dtype=bool)
 
     @cached_property
     def _read(self) -> IntArray:
@@ -167,63 +172,99 @@ class _TermModel:
         mixed = MixedRows.of(columns, residuals, rows.prior, rows.deviations, self._family, noise, levers[read])
         return likeliest_sizes(MixedModel.of(mixed))
 
+    def _without_families(self, families: BoolArray) -> SolvedModel:
+        """The model without some families, (n_families,), and with the likeliest sizes of the others."""
+        zero = np.arange(len(self._at.logs)) < len(families)
+        zero[: len(families)] = families
+        return likeliest_sizes(self._at.model.without(families), self._at.logs, zero)
+
+    @cached_property
+    def _blocks(self) -> IntArray:
+        """Block of each pose of the model by the module docstring, (n_poses,)."""
+        data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
+        setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
+        layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
+        visits = layout.visit[layout.reading[self._read[[places[0] for places in self._at.model.poses]]]]
+        each = np.unique(setups[visits])
+        for setup in each:
+            there = np.flatnonzero(setups == setup)
+            parts = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
+            for part in parts:
+                block[there[part]], start = start, start + 1
+        return np.unique(block[visits], return_inverse=True)[1]
+
+    def _with(self, kinds: frozenset[str]) -> SolvedModel:
+        """The model with some of the kinds that were asked."""
+        if kinds not in self._solved:
+            self._solved[kinds] = self._without_families(self._asked & ~np.isin(self._terms, list(kinds)))
+        return self._solved[kinds]
+
+    def _squares(self, at: SolvedModel) -> FloatArray:
+        """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
+        bare = self._with(frozenset())
+        rows, left = bare.model.rows, bare.left
+        sums, counts = (np.bincount(rows.group, values, len(rows.stated)) for values in (left**2, np.ones(len(left))))
+        return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
+
+    def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
+        """Whether a kind earns its place among some by the module docstring."""
+        at, without = self._with(kinds | {kind}), self._with(kinds - {kind})
+        fewer = self._squares(without) - self._squares(at)
+        clearly = float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
+        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._every)))
+
+    @cached_property
+    def _every(self) -> frozenset[str]:
+        """Kinds that were asked."""
+        return frozenset(map(str, self._terms[self._asked]))
+
+    @cached_property
+    def _chosen(self) -> SolvedModel:
+        """The model with the kinds that earn their place."""
+        every = kinds = self._every
+        seen = set[frozenset[str]]()
+        while kinds not in seen:
+            seen.add(kinds)
+            idle = next((kind for kind in self._by_freedom(kinds) if not self._earns(kind, kinds)), None)
+            if idle is not None:
+                kinds -= {idle}
+                continue
+            more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
+            kinds |= {min(more, key=lambda kind: self._with(kinds | {kind}).cost)} if more else kinds
+        return self._with(kinds)
+
     @cached_property
     def _least(self) -> FloatArray:
         """Logarithms of sizes that are as good as zero, (n_sizes,)."""
         return least_sizes(self._at.model)
 
-    def _evidence(self, members: IntArray) -> float:
-        """By how much the log likelihood is higher with some families (n,) than without."""
-        without = np.isin(np.arange(len(self._at.logs)), members)
-        if np.all(self._at.logs[without] <= self._least[without]):
-            return 0.0
-        return likeliest_sizes(self._at.model, self._at.logs, without).cost - self._at.cost
+    def _shown(self, k: int) -> bool:
+        """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
+        logs = self._chosen.logs[: len(self._families)]
+        least = logs <= self._least[: len(logs)]
+        if least[k]:
+            return False
+        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen.cost > _SHOWS
 
     @cached_property
     def _there(self) -> BoolArray:
         """Which families are fitted, (n_families,)."""
-        none = np.zeros(len(self._families), dtype=bool)
-        if self._without.cost - self._at.cost <= TELLS or self._is_guess:
-            return none
-        large = np.exp(self._at.logs[: len(none)]) > _SMALL
-        return np.array([some or self._evidence(np.array([k])) > _SHOWS for k, some in enumerate(large)], dtype=bool)
+        large = np.exp(self._chosen.logs[: len(self._families)]) > _SMALL
+        return np.array([some or self._shown(k) for k, some in enumerate(large)], dtype=bool)
 
     @cached_property
-    def _without(self) -> SolvedModel:
-        """The model without any of them."""
-        without = np.arange(len(self._at.logs)) < len(self._families)
-        return likeliest_sizes(self._at.model, self._at.logs, without)
+    def _terms(self) -> NDArray[np.str_]:
+        """Kind of each family, (n_families,)."""
+        return np.array([family.term for family in self._families], dtype=np.str_)
 
-    @property
-    def _is_guess(self) -> bool:
-        """Whether the terms are a guess by the module docstring."""
-        elsewhere, poses = self._elsewhere, len(np.unique(self._at.model.rows.pose))
-        if self._without.cost - self._at.cost > poses or not len(elsewhere):
-            return False
-        known, otherwise = (
-            3.0 * float(np.mean(np.einsum("ij,jk,ik->i", elsewhere, at.covariance, elsewhere)))
-            for at in (self._at, self._without)
-        )
-        brought = self._left_out_rms(self._without) ** 2 - self._left_out_rms(self._at) ** 2
-        return known - otherwise > _COSTS * max(brought, 0.0)
+    def _by_freedom(self, kinds: frozenset[str]) -> list[str]:
+        """Some kinds, that of most coefficients that rows decide first."""
+        at = self._with(kinds)
+        decided = 1.0 - np.diag(at.inverse)
+        return sorted(kinds, key=lambda kind: -np.sum(decided[np.isin(at.model.family, self._members(kind))]))
 
-    @cached_property
-    def _elsewhere(self) -> FloatArray:
-        """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_columns)."""
-        data, robot = self._fit.identification.data, self.robot
-        q = other_combinations(data.joints, _COMBINATIONS)
-        closed = robot.close(q)
-        if self._fit.identification.main_part.dimension != "length" or not np.any(closed.ok):
-            return np.zeros((0, 0))
-        places = np.linspace(0, len(data) - 1, len(q)).astype(np.intp)[closed.ok]
-        at = robot.assemble(q[closed.ok], closed.passive[closed.ok], context=data.conditions.at(places))
-        linear = linearise(robot, at)
-        positions, rows = linear.positions[:, robot.located], linear.jacobian[:, robot.located]
-        columns = beside_common_motion(positions, rows).reshape(-1, rows.shape[-1])[:, self._unknowns.index]
-        return self._at.model.components(columns * self._unknowns.scales)
-
-    def _members(self, term: str) -> IntArray:
-        return np.array([k for k, family in enumerate(self._families) if family.term == term], dtype=np.intp)
+    def _members(self, kind: str) -> IntArray:
+        return np.flatnonzero(self._terms == kind)
 
     def entries(self, candidate: Candidate) -> tuple[TermSection, ...]:
         """Return the entries of a kind that are fitted, with the sigma that was found."""
@@ -231,7 +272,7 @@ class _TermModel:
         terms = candidate.of(self.robot)
         for k in (k for k in self._members(candidate.term) if self._there[k]):
             joints = [term.joint for term in terms if self._families[k].joint in ("", term.joint)]
-            factors |= dict.fromkeys(joints, float(np.exp(self._at.logs[k])))
+            factors |= dict.fromkeys(joints, float(np.exp(self._chosen.logs[k])))
         if any(p.family for term in terms for p in term.parameters):  # the fit finds its size again
             section = candidate.sections[0]
             return tuple(section.model_copy(update={"joint": joint}) for joint in factors)
@@ -241,13 +282,13 @@ class _TermModel:
         """Return what was found about a kind."""
         members = self._members(candidate.term)
         there = [k for k in members if self._there[k]]
-        most = max(members, key=lambda k: self._at.logs[k])
+        most = max(members, key=lambda k: self._chosen.logs[k])
         low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)
         return TriedTerm(
             candidate.term,
             bool(there),
-            self._evidence(members),
-            float(np.exp(self._at.logs[most])),
+            self._with(self._every - {candidate.term}).cost - self._at.cost if there else float("nan"),
+            float(np.exp(self._chosen.logs[most])),
             (float(low), float(high)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
         )
@@ -259,8 +300,8 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        at, model = self._at, self._at.model
-        logs = at.logs.copy()
+        model = self._at.model
+        logs = self._chosen.logs.copy()
         logs[: len(self._families)][~self._there] = self._least[: len(self._families)][~self._there]
         fitted = model.solved(logs)
         more, steps = -fitted.covariance, []
@@ -287,16 +328,12 @@ class _TermModel:
         NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
         what these share is not known, and that of joints may be far from it.
         """
-        layout = self._fit.whitening.layout
-        alone = layout.n_readings == len(np.unique(layout.pose))
-        return self._left_out_rms(self._at) if alone and np.any(self._there) else float("nan")
-
-    def _left_out_rms(self, at: SolvedModel) -> float:
-        """The same by the model with some sizes."""
         fit, layout = self._fit, self._fit.whitening.layout
+        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._there & self._asked):
+            return float("nan")
         weighing = fit.whitening.weighing(fit.scales.ratios)
         std = np.full(layout.n_rows, np.nan)
-        for places, _, covariance in at.left_out():
+        for places, _, covariance in self._chosen.left_out():
             std[self._read[places]] = np.sqrt(np.diag(covariance))
         std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
         scales = Scales(np.ones(len(layout.groups)), np.zeros(len(fit.scales.ratios)))

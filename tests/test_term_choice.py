@@ -5,6 +5,7 @@ further number is the seed.
 """
 
 import argparse
+import re
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -139,6 +140,7 @@ def test_what_is_there_is_added_and_nothing_else():
     report = " ".join(fit.report(verbose=True).split())
     assert "Joint terms added: gain of joint_" in report
     assert "surely there: log evidence +" in report
+    assert re.search(r"Coefficients of gain: joint_\d\.gain [+-]", report)
     assert "The measurements do not say whether there are: " in report
 
 

@@ -47,6 +47,7 @@ def terms_lines(fit: Fit) -> list[str]:
     left = [_found(trial) for trial in tried if not (trial.added or trial.why)]
     refused = [f"{trial.term} ({trial.why})" for trial in tried if trial.why]
     lines = [f"Joint terms added: {listed(added, '; ', count) or _NONE}"]
+    lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
     lines += [f"The measurements do not say whether there are: {listed(left, '; ', count)}"] if left else []
     return lines + ([f"Joint terms that they cannot show: {listed(refused, '; ', count)}"] if refused else [])
 
@@ -60,6 +61,17 @@ def _found(trial: TriedTerm) -> str:
     sure = "surely there" if trial.proven else "probably there"
     size = f"{trial.size:.2g} times what is usual ({low:.2g} to {high:.2g})"
     return f"{trial.term}{of} ({size}, {sure}: log evidence {trial.evidence:+.1f})"
+
+
+def _coefficients(fit: Fit, kind: str) -> list[str]:
+    """Return what the measurements say of each coefficient of a kind that has one for each joint, in a line."""
+    terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
+    found = [fit.parameters[term.parameters[0].name] for term in terms]
+    clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
+    sizes = [f"{c.name} {c.value:+.2g} {c.unit} ({c.low95:+.2g} to {c.high95:+.2g})" for c in clear]
+    open_ = f"{len(found) - len(clear)} more that the measurements do not tell from zero"
+    said = [*sizes, *([open_] if len(clear) < len(found) else [])]
+    return [f"Coefficients of {kind}: {listed(said, '; ', len(said))}"] if found else []
 
 
 def terms_added(fit: Fit) -> list[str]:

@@ -317,7 +317,7 @@ def _(shop):
     off = joints(80).copy()
     off[:, 2] += 5e-4 * np.sin(3 * off[:, 2])
     there = calib.fit(shop.arm, measurements(shop.arm, joints(80), noisy(shop.truth, off, SIGMA, 1).points(shop.arm)))
-    return Situation(there, shop.good, r"residuals are not only noise: .*j3")
+    return Situation(there, shop.good, r"a systematic error remains: .*j3")
 
 
 @situation(Code.OTHER_MINIMUM)

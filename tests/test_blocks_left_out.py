@@ -37,7 +37,7 @@ def test_parameters_that_blocks_disagree_on_are_a_check_and_predictions_count_wh
     q, other = joints(120), joints(400, 5)
     noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
     fit = calib.fit(arm, measurements(arm, q, bent(arm, q) + noise))
-    told = float(re.search(r"parameters change ([\d.]+) times", codes_of(fit).text)[1])
+    told = float(re.search(r"measured, ([\d.]+) times more than noise", codes_of(fit).text)[1])
     assert codes_of(fit).grade == "CHECK"
     assert told > 1.3
     assert too_sure(fit, other, bent(arm, other)) < 1.3
@@ -69,7 +69,7 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
     q[:, :2] += np.where(np.arange(120) < 60, 0.8, -0.8)[:, None]
     twisted = measured(lambda q: arm.positions(q + [[0, 0, 2e-4, 0, 0, 0]] * np.sin(q[:, :1])), "twisted.csv")
     text = codes_of(calib.fit(moving, twisted)).text
-    assert text.startswith("if whole setups are left out in turn")
+    assert text.startswith("the parameters depend on the setup")
     assert codes_of(calib.fit(moving, measured(arm.positions, "good.csv"))) is None
 
 

@@ -147,7 +147,7 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     assert (
         turned(turns[:, 0], expected[:, 0]).max() < 3 * compensation.expected_angle.max()
     )  # most of it about the flange's axis
-    assert "the robot's own base frame" in compensation.frame
+    assert "the nominal robot's base frame" in compensation.frame
 
 
 def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():

@@ -113,7 +113,7 @@ def test_a_robot_that_only_stands_elsewhere_is_laid_exactly(tmp_path):
     for joints in (q[:12], np.zeros((0, 6))):  # measured, or around home
         frame = program_frame(KnownRobot(there, None, joints, nothing_to_correct=False))
         assert np.abs(frame.meant.forward(q) - there.forward(q)).max() < 1e-9
-    assert "own base frame" in frame.words
+    assert "nominal robot's base frame" in frame.words
     assert np.isnan(frame.predict(q).covariance).all()  # nobody says how sure the robot is
 
 
@@ -246,10 +246,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
         assert item.code == 0, item.err
         assert f"the verdict of {folder} is that nothing is to be corrected" in item.out
         assert "is expected to be off by 0.0" in item.out
-        assert (
-            "Errors are in the robot's own base frame, placed where the nominal and the calibrated robot agree"
-            in item.out
-        )
+        assert "Errors are in the nominal robot's base frame (fitted to the calibrated robot" in item.out
     written = (tmp_path / "out_part.gcode").read_text()
     assert written.splitlines()[1:-1] == (tmp_path / "part.gcode").read_text().splitlines()
     table = [line.split(",") for line in (tmp_path / "out_box.csv").read_text().splitlines()[2:-1]]

@@ -113,11 +113,11 @@ def test_medrues_groups_are_the_papers(medrue, groups):
     assert words[:7] == [
         "d31 has no effect",
         "d32 has no effect",
-        "d5 +1 mm, xt -1 mm",
-        "xb +1 mm, dq1 -1 mm",
-        "d41 +1 mm, d42 -1 mm, dq1 +1 mm, xt -1 mm",
-        "A2y +1 mm, A1y +1 mm, C1y +1 mm, C2y +1 mm, yb -1 mm",
-        "A2z +1 mm, A1z +1 mm, C1z +1 mm, C2z +1 mm, zb -1 mm",
+        "d5 from xt",
+        "xb from dq1",
+        "d41 + dq1 from d42 + xt",
+        "A2y + A1y + C1y + C2y from yb",
+        "A2z + A1z + C1z + C2z from zb",
     ]
     assert len(words) == 8
     turn = {NAMES[k] for k in groups[7].members}

@@ -11,7 +11,7 @@ import calib
 from calib.core.data.tables import read_table
 from calib.core.instruments.kind import Readings
 from calib.core.judging import findings
-from calib.core.numerics.losses import Blocks, studentised
+from calib.core.numerics.losses import studentised
 from viz.reading_errors import of_fit
 
 SIGMA = 4e-5
@@ -30,13 +30,21 @@ def with_errors(arm, poses, size, n=80, seed=2):
     return measurements(arm, q, positions)
 
 
+def of_equal_readings(residuals, columns, root, widths, *more, **named):
+    """`studentised` of readings of equally many rows, (n, k) and (n, k, n_free), with weights of 1."""
+    n, k = residuals.shape
+    reading = np.repeat(np.arange(n), k)
+    span = columns.reshape(n * k, -1) @ root
+    return studentised(residuals.ravel(), span, reading, widths, np.ones(n), *more, **named)
+
+
 def test_a_studentised_residual_is_that_of_a_fit_without_the_point():
     # linear model, 20 points of 3 coordinates, 5 parameters; the covariance of a deleted residual is sigma^2 (I - h)^-1
     columns, y = RNG.normal(size=(20, 3, 5)), RNG.normal(size=(20, 3))
     rows, right = columns.reshape(60, 5), y.reshape(60)
     residuals = (right - rows @ np.linalg.lstsq(rows, right, rcond=None)[0]).reshape(20, 3)
     root = np.linalg.inv(np.linalg.qr(rows, mode="r"))
-    test = studentised([Blocks(residuals, columns, np.full(20, 3), np.ones(20))], root, 55.0, scale=1.0)
+    test = of_equal_readings(residuals, columns, root, np.full(20, 3), 55.0, scale=1.0)
     kept = np.arange(60) // 3 != 4
     without = np.linalg.lstsq(rows[kept], right[kept], rcond=None)[0]
     deleted = y[4] - columns[4] @ without
@@ -47,17 +55,15 @@ def test_a_studentised_residual_is_that_of_a_fit_without_the_point():
 
 def test_readings_of_unequal_rows_raise_equally_few_false_alarms():
     # normal readings of 1, 3 and 6 rows: their ratios over the median of chi(k) are one scale, and none is an outlier
-    widths = [1, 3, 6]
-    blocks = [
-        Blocks(RNG.normal(size=(3000, k)), np.zeros((3000, k, 2)), np.full(3000, k), np.ones(3000)) for k in widths
-    ]
-    test = studentised(blocks, np.eye(2), 30000.0)
+    widths = np.repeat([1, 3, 6], 3000)
+    reading = np.repeat(np.arange(9000), widths)
+    residuals, rest = RNG.normal(size=len(reading)), (np.zeros((len(reading), 2)), reading, widths, np.ones(9000), 3e4)
+    test = studentised(residuals, *rest)
     assert test.scale == pytest.approx(1.0, rel=0.02)
     assert len(test.outliers) == 0
-    far = [Blocks(block.residuals.copy(), block.columns, block.widths, block.weights) for block in blocks]
-    for block, row in zip(far, (5, 6, 7), strict=True):
-        block.residuals[row] = 8.0 / np.sqrt(block.residuals.shape[1])
-    assert sorted(studentised(far, np.eye(2), 30000.0).outliers) == [5, 3006, 6007]
+    for far in (5, 3006, 6007):
+        residuals[reading == far] = 8.0 / np.sqrt(widths[far])
+    assert sorted(studentised(residuals, *rest).outliers) == [5, 3006, 6007]
 
 
 def test_a_row_that_was_not_read_says_nothing_about_its_reading():
@@ -66,7 +72,7 @@ def test_a_row_that_was_not_read_says_nothing_about_its_reading():
     widths = np.full(30, 3)
     widths[7] = 2
     root = np.linalg.inv(np.linalg.qr(columns.reshape(-1, 4), mode="r"))
-    test = studentised([Blocks(residuals, columns, widths, np.ones(30))], root, 85.0, scale=1.0)
+    test = of_equal_readings(residuals, columns, root, widths, 85.0, scale=1.0)
     h = columns[7][[0, 2]] @ root @ root.T @ columns[7][[0, 2]].T
     r = residuals[7][[0, 2]]
     assert test.ratio[7] ** 2 == pytest.approx(r @ np.linalg.solve(np.eye(2) - h, r))
@@ -119,7 +125,7 @@ def test_a_point_that_decides_its_own_prediction_is_no_outlier():
     residuals = RNG.normal(size=(15, 3))
     residuals[6] = 1e-9
     root = np.linalg.inv(np.linalg.qr(columns.reshape(45, 3), mode="r"))
-    test = studentised([Blocks(residuals, columns, np.full(15, 3), np.ones(15))], root, 42.0)
+    test = of_equal_readings(residuals, columns, root, np.full(15, 3), 42.0)
     assert test.leverage[6] > 0.99
     assert test.p_value[6] == 1.0
 

@@ -124,7 +124,7 @@ def test_a_joint_that_slipped_while_measuring_is_found(arm):
     q[40:, 2] += 4e-4
     patterns = significant(fitted(arm, q))
     assert (patterns[0].kind, patterns[0].name) == ("zero", "j3")
-    assert "joint j3 that changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
+    assert "joint j3 changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
 
 
 def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
@@ -341,11 +341,11 @@ def test_every_kind_says_its_own_sentence():
         Kind.SLIP: "slide, target turn sits 0.3 mm elsewhere on its link (0.02 mm RMS)",
         Kind.LINK: "target turn moves with joint slide, as if it sat on the link behind it, 0.3 mm from where the model"
         " has it (0.02 mm RMS)",
-        Kind.JOINT: "an error that follows joint turn (0.02 mm RMS)",
+        Kind.JOINT: "it follows joint turn (0.02 mm RMS)",
         Kind.COUPLING: "joint turn is off by +0.3 mrad for each m of joint slide (0.02 mm RMS)",
-        Kind.WAVE: "an error of joint turn with slide, amplitude 0.017 deg (0.02 mm RMS)",
+        Kind.WAVE: "it follows joint turn with slide, amplitude 0.017 deg (0.02 mm RMS)",
         Kind.APPROACH: "joint turn differs by 0.034 deg with the direction of approach (0.02 mm RMS)",
-        Kind.ZERO: "an error of joint turn that changes in the course of the measurement (0.02 mm RMS)",
+        Kind.ZERO: "joint turn changes in the course of the measurement (0.02 mm RMS)",
     }
     assert {kind.family for kind in Kind} == set(Family)
 

@@ -8,7 +8,7 @@ import pytest
 from calib.core.numerics import tall as tall_matrices
 from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import AbovePrior, Multiplied, Span, Tall, in_parts, squares_of_rows
+from calib.core.numerics.tall import Span, Tall, in_parts, squares_of_rows
 
 
 @pytest.fixture
@@ -44,8 +44,9 @@ def test_rows_above_a_prior_are_those_of_both(matrix):
     prior = Prior(np.array([True, False, True, True]), np.array([2, 3]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     whole, right = np.vstack([matrix, prior.rows]), np.random.default_rng(1).standard_normal(53)
     both = np.column_stack([whole, right])
-    known = Multiplied(cut(matrix), lambda: (matrix.T @ matrix, matrix.T @ right[:50]))
-    for tall in (AbovePrior(rows, prior) for rows in (cut(matrix), Tall.of(matrix), known)):
+    products = cut(matrix).with_known(products=lambda: (matrix.T @ matrix, matrix.T @ right[:50]))
+    factored = cut(matrix).with_known(lambda: reduced(matrix, right[:50]))
+    for tall in (rows.above(prior) for rows in (cut(matrix), Tall.of(matrix), products, factored)):
         np.testing.assert_array_equal(tall.whole(), whole)
         np.testing.assert_allclose(tall.times(right[:4]), whole @ right[:4], atol=1e-12)
         np.testing.assert_allclose(tall.pulled(right), whole.T @ right, atol=1e-12)

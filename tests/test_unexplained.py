@@ -182,8 +182,8 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     rng, n = np.random.default_rng(9), 40
     group, pose = np.zeros(3 * n, dtype=int), np.repeat(np.arange(n), 3)
     layout = Layout(
-        ("tool",), np.array([0, n]), np.array([0, 3 * n]), pose, np.arange(n), np.arange(n), np.full(n, 3), group,
-        (Group("tool", POSITION, stated=False, typical=1.0),),
+        group, np.array([3 * n]), ("tool",), np.array([0, n]), np.array([0, 3 * n]), pose, np.arange(n), np.arange(n),
+        np.full(n, 3), (Group("tool", POSITION, stated=False, typical=1.0),),
     )  # fmt: skip
     columns, errors = np.tile(np.eye(3), (n, 1)), 1e-4 * rng.standard_normal(3 * n)
     rows = Rows(errors - errors.mean(), columns, Prior(np.zeros(3, dtype=bool)), np.zeros(3), layout)
@@ -198,7 +198,7 @@ def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib):
     fit, _ = fitted(robot, "rough", 5)
     fit.save(tmp_path / "out")
     assert load_result(tmp_path / "out").uncertainty.joint_error == fit.joint_error
-    said = f"counting {1e3 * fit.joint_error:.2g} mrad a joint for what the model leaves out"
+    said = "counting what the model leaves out"
     assert said in " ".join(fit.report(verbose=True).split())
     assert said in (tmp_path / "out" / "report.html").read_text()
     (tmp_path / "poses.csv").write_text(",".join(robot.joint_names) + "\n" + ",".join(["0.3"] * 6) + "\n")

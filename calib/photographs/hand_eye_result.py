@@ -132,7 +132,7 @@ def report(result: HandEye, frames: Frames) -> str:
         ]
         lines.append(
             f"Points left out, which do not fit the others of their image: {len(named)} of"
-            f" {len(named) + len(scene.pixels)}: {listed(named, '; ')}"
+            f" {len(named) + len(scene.pixels)}: {listed(named, '; ', 2)}"
         )
     lines.append(_shares(result, judgement.grade != "FAIL"))
     worst = np.argsort(-by_image)[:3]

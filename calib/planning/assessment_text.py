@@ -122,7 +122,7 @@ def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
     """What moves together unseen: all of it, or so many lines at most."""
     if not a.groups:
         return ["Every combination of the parameters shows in the readings."]
-    lines = ["Changes that no reading shows:"]
+    lines = ["These poses cannot tell apart:"]
     lines += _in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     names = ", ".join(dropped) if most is None else listed(dropped, shown=_SHOWN)
@@ -160,7 +160,7 @@ def _doubts(a: Assessment, most: int) -> list[str]:
     names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
     return [
         f"Correlations above {CORRELATION_LIMIT:g}: {listed(correlated, shown=most) if correlated else 'none'}",
-        f"Hardly better known than before (more than {100 * HARDLY:.0f} % of the expected error is left):"
+        f"Hardly improved by these poses (more than {100 * HARDLY:.0f} % of the expected error is left):"
         f" {listed(names, shown=most) if names else 'none'}",
     ]
 

@@ -152,10 +152,12 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
 def _summary(s: Selection, poses: Poses) -> list[str]:
     lines = [f"{_counted(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
-        limit = f"{_shown(s.index, s.bound):.5g}" + (" mm" if s.index == TASK else "")
-        word = "goes below" if s.index == TASK else "exceeds"
+        reached, bound = (f"{_shown(s.index, value):.5g}" for value in (s.on_grid[s.index], s.bound))
+        least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
-            f"Efficiency {100 * s.efficiency:.3f} %, certified: no choice of {len(s)} candidates {word} {limit}"
+            f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
+            if s.index == TASK
+            else f"{s.index} = {reached}: at least {least:.1f} % of the best possible choice (certified)"
         )
     if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
         lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")

@@ -21,12 +21,10 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.outliers import blocks
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, solve_from, uncertainty_at
 from calib.core.instruments.kind import View
-from calib.core.numerics.losses import studentised
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import seen_by
 from calib.core.rows.whitening import Whitening
@@ -117,8 +115,7 @@ class Repeated(ReadOnlyArrays):
         weighing = whitening.weighing(first.scales.ratios)
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(first.scales.groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
-        root, pull = rows.known.root, rows.jacobian.T @ whitened + rows.prior.pull(rows.deviations)
-        return first.unknowns.moved(robot, rows.deviations - root @ (root.T @ pull))
+        return first.unknowns.moved(robot, rows.deviations + rows.step(whitened))
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, problem.evaluate(start), self.settings)
@@ -127,7 +124,7 @@ class Repeated(ReadOnlyArrays):
         typical = [group.typical for group in rows.layout.groups]
         sigma = statistics.factors.values * problem.whitening.totals(scales) * typical
         convergence = convergence_at(solved, rows, statistics.std)
-        test = studentised(blocks(rows, weights), rows.weighted(weights).known.root, statistics.freedom)
+        test = rows.studentised(rows.weighted(weights).known.root, weights, statistics.freedom)
         return Estimate(
             solved.at.robot.values[self.first.unknowns.index],
             statistics.covariance,

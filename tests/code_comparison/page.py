@@ -107,17 +107,12 @@ def _best(own: dict[str, Row]) -> Row:
 def _standing(rows: Sequence[Row]) -> str:
     pairs = [(ours, _best(own)) for told, own in _splits(rows) if (ours := _own(told, own)) and len(own) > 1]
     even = sum(best["code"] == ours["code"] or best.get("compared") == "tie" for ours, best in pairs)
-    far = [(ours, best) for ours, best in pairs if ours["rms"] > BEHIND * best["rms"]]
-    ties = sum(best.get("compared") == "tie" for _, best in far)
-    words = "It is nowhere more than 3 % behind the best."
-    if far:
-        most = max(ours["rms"] / best["rms"] - 1 for ours, best in far)
-        words = (
-            f"On {len(far)} it is more than 3 % behind the best ({ties} ties among them), by up to {100 * most:.0f} %."
-        )
+    behind = [ours["rms"] / best["rms"] - 1 for ours, best in pairs if best["code"] != ours["code"]
+              and best.get("compared") != "tie"]  # fmt: skip
+    words = f"; on the other {len(behind)} another code is better, by up to {100 * max(behind):.0f} %" if behind else ""
     return (
-        f"On {even} of {len(pairs)} splits this project predicts unseen rows best, or in a tie with the best (arms:"
-        f" with `--terms auto`). {words}"
+        f"On {even} of {len(pairs)} splits this project predicts unseen rows best, or so well that chance explains the"
+        f" difference (arms: with `--terms auto`){words}."
     )
 
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.clusters import LeftOut
 from calib.core.numerics.prior_sizes import FamilyModel, found_with_families
-from calib.core.numerics.variance_components import LinearModel, found_components, found_scales
-from calib.core.rows.rows import Rows
+from calib.core.numerics.variance_components import found_components, found_scales
 
 
 def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -27,46 +25,22 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     Returns:
         Scales of the groups (n_groups,), factors of the families (n_families,).
     """
-    ones = np.ones(len(groups))
-    if problem.unknowns.families:
+    ones, unknowns = np.ones(len(groups)), problem.unknowns
+    if unknowns.families:
         return found_with_families(_with_families(problem, evaluation, ones), groups)
     in_batches = len(evaluation.batches) > 1 and problem.weighing is None
-    model = _condensed(problem, evaluation, ones) if in_batches else _model(problem, problem.rows(evaluation, ones))
-    return found_scales(model, groups).scales, np.ones(0)
-
-
-def _model(problem: Problem, rows: Rows) -> LinearModel:
-    """What rows whitened by what is stated say of the noise."""
-    layout = problem.whitening.layout
-    unknowns = problem.unknowns
-    return LinearModel(
-        rows.residuals,
-        rows.jacobian,
-        rows.prior,
-        rows.deviations,
-        layout.group,
-        problem.noise_found,
-        unknowns.family,
-        len(unknowns.families),
-    )
-
-
-def _condensed(problem: Problem, evaluation: Evaluation, ones: FloatArray) -> LinearModel:
-    """The same of very many rows, by a few that are worth as much."""
-    unknowns, group, n = problem.unknowns, problem.whitening.layout.group, len(problem.unknowns)
-    rows, numbers = problem.condensed(evaluation, ones, unknowns)
-    families = unknowns.family, len(unknowns.families)
-    counts, u = np.bincount(group[group >= 0], minlength=len(ones)), unknowns.deviations(evaluation.robot.values)
-    return LinearModel(rows[:, n], rows[:, :n], unknowns.prior, u, numbers, problem.noise_found, *families, counts)
+    model = problem.condensed(evaluation, ones, unknowns) if in_batches else problem.rows(evaluation, ones)
+    return found_scales(model, groups, problem.noise_found).scales, np.ones(0)
 
 
 def _with_families(problem: Problem, evaluation: Evaluation, ones: FloatArray) -> FamilyModel:
     """What rows whitened by what is stated say of the noise and of families."""
+    unknowns = problem.unknowns
+    rest = problem.noise_found, unknowns.family, len(unknowns.families)
     if problem.weighing is not None:
-        return FamilyModel.of(_model(problem, problem.rows(evaluation, ones)))
-    unknowns, products = problem.unknowns, problem.products(evaluation, ones)
-    u, families = unknowns.deviations(evaluation.robot.values), (unknowns.family, len(unknowns.families))
-    return FamilyModel(products, unknowns.prior, u, problem.noise_found, *families)
+        return FamilyModel.of(problem.rows(evaluation, ones), *rest)
+    deviations = unknowns.deviations(evaluation.robot.values)
+    return FamilyModel(problem.products(evaluation, ones), unknowns.prior, deviations, *rest)
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
@@ -82,10 +56,8 @@ def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     if not np.any(tried):
         return problem.ratios
     known = problem.ratios * whitening.offset_scale(groups)
-    rows = problem.plain_rows(evaluation, np.ones(len(groups)))
-    components = found_components(
-        _model(problem, rows), groups, whitening.offset_columns * tried, whitening.layout.pose_of_row, known
-    )
+    rows, offsets = problem.plain_rows(evaluation, np.ones(len(groups))), whitening.offset_columns * tried
+    components = found_components(rows, groups, problem.noise_found, offsets, whitening.layout.pose_of_row, known)
     ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)
     return ratios
 
@@ -103,7 +75,7 @@ def left_out(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> Fl
     """
     layout, rows = problem.whitening.layout, problem.rows(evaluation, groups)
     pose = layout.pose_of_row
-    errors = LeftOut(rows.span, pose).foretold(rows.residuals)
+    errors: FloatArray = rows.residuals + rows.left_out(pose).moved(rows.residuals)[0]
     errors = errors if problem.weighing is None else problem.weighing.unwhiten(errors)
     squares = (errors * problem.whitening.row_scale(groups)) ** 2
     means = []

@@ -18,8 +18,8 @@ from calib.core.base.units import quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.numerics.losses import Blocks, Studentised
-from calib.core.rows.rows import Layout, Rows
+from calib.core.numerics.losses import Studentised
+from calib.core.rows.rows import Layout
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,6 @@ class Outlier:
 
 class Outliers(tuple[Outlier, ...]):
     """Outliers, worst first."""
-
-
-def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:
-    """Return the readings of each instrument, with these weights (n_readings,), as blocks of equally many rows."""
-    layout, result = rows.layout, []
-    for name in layout.instruments:
-        part, readings = layout.rows_of(name), layout.readings_of(name)
-        n = readings.stop - readings.start
-        residuals = rows.residuals[part].reshape(n, -1)
-        columns = rows.jacobian[part].reshape(n, residuals.shape[1], -1)
-        result.append(Blocks(residuals, columns, layout.width[readings], weights[readings]))
-    return result
 
 
 def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:

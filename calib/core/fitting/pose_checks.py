@@ -183,7 +183,7 @@ def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> Float
     whitening, groups = problem.whitening, problem.whitening.start()
     if len(evaluation.batches) > 1:
         unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
-        return problem.condensed(evaluation, groups, unknowns)[0][:, :-1] / unknowns.scales
+        return problem.condensed(evaluation, groups, unknowns).jacobian / unknowns.scales
     (_, observed), *_ = evaluation.observed(index)
     columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, in_place=True)
     return columns / whitening.row_scale(groups)[:, None]

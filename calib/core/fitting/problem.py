@@ -24,10 +24,11 @@ from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.identifiability import reduced_with
 from calib.core.numerics.least_squares import TOLERANCE, Solution, minimise
+from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior_sizes import Products
-from calib.core.numerics.tall import AbovePrior, Factored, Multiplied, Tall
+from calib.core.numerics.tall import Tall
 from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.configurations import Configurations, close, configured, describe_open
 from calib.core.robots.joint_errors import term_columns
@@ -181,8 +182,7 @@ class Problem(ReadOnlyArrays):
             scales: As found, where what is stated is 1, (n_groups,).
             efficiency: Of how they were found, over that of least squares.
         """
-        group = self.whitening.layout.group
-        counts = np.bincount(group[group >= 0], minlength=len(scales))
+        counts = self.whitening.layout.counts
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
         chance = scipy.special.chdtrc(freedom, freedom * scales**2)
@@ -242,7 +242,7 @@ class Problem(ReadOnlyArrays):
         chosen = self.unknowns if unknowns is None else unknowns
         rows = self.plain_rows(evaluation, groups, chosen)
         if self.weighing is None and any(known.has(chosen) for known, _ in evaluation.factors):
-            rows.remember(reduced(self.condensed(evaluation, groups, chosen)[0]))
+            rows.remember(self.condensed(evaluation, groups, chosen).factor)
         return rows.whitened(self.weighing)
 
     def plain_rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
@@ -252,10 +252,8 @@ class Problem(ReadOnlyArrays):
             evaluation, groups, unknowns: As of `rows`.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        jacobian, deviations = (
-            self.derivative(evaluation, groups, chosen).whole(),
-            chosen.deviations(evaluation.robot.values),
-        )
+        jacobian = self.derivative(evaluation, groups, chosen).whole()
+        deviations = chosen.deviations(evaluation.robot.values)
         return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
 
     def residuals(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
@@ -295,8 +293,8 @@ class Problem(ReadOnlyArrays):
 
     def condensed(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, *, alone: bool = False
-    ) -> tuple[FloatArray, IntArray]:
-        """Return a few rows [J r] that have the products of all, (n_few, n + 1), and the group of each, (n_few,).
+    ) -> LinearModel:
+        """Return a model of a few rows that have the products of all.
 
         They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
         an evaluation, by all parameters that belong to no family.
@@ -314,7 +312,11 @@ class Problem(ReadOnlyArrays):
         chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
         sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
         rows = np.vstack([factor[:, chosen] * (sizes / scale) for factor, scale in zip(factors, groups, strict=True)])
-        return rows, np.repeat(np.arange(len(groups)), [len(factor) for factor in factors])
+        few = RowGroups(
+            np.repeat(np.arange(len(groups)), [len(factor) for factor in factors]), self.whitening.layout.counts
+        )
+        deviations = unknowns.deviations(evaluation.robot.values)
+        return LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
 
     def _factors(self, evaluation: Evaluation, unknowns: Unknowns) -> list[FloatArray]:
         """Triangular factors of [J r] of the rows of each group, as stated, (at most n + 1, n + 1)."""
@@ -395,10 +397,6 @@ class _Way:
         self.begin, self.current = unknowns.deviations(start.robot.values), start
         self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
         self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
-        self._last: tuple[Evaluation, Rows] | None = None
-        self._in_batches = len(start.batches) > 1 and problem.weighing is None
-        plain = weights is None and problem.weighing is None
-        self._is_of_families = plain and unknowns is problem.unknowns and bool(unknowns.families)
         self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
 
     def _evaluation(self, u: FloatArray) -> Evaluation | None:
@@ -409,23 +407,16 @@ class _Way:
         self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
         return evaluation
 
-    def _rows(self, evaluation: Evaluation) -> Rows:
-        if self._last is None or self._last[0] is not evaluation:
-            rows = self._problem.rows(evaluation, self._groups, self._unknowns)
-            self._last = evaluation, rows if self._weights is None else rows.weighted(self._weights)
-        return self._last[1]
-
     def residuals(self, u: FloatArray) -> FloatArray:
         """Return all residuals at u (n_unknowns,), the priors' last, (n_rows,); NaN where a loop opens."""
         evaluation = self._evaluation(u)
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
-        if self._in_batches:
-            residuals = self._problem.residuals(evaluation, self._groups)
-            if self._weights is not None:
-                residuals *= np.sqrt(self._weights)[self._problem.whitening.layout.reading]
-        else:
-            residuals = self._rows(evaluation).residuals
+        problem, residuals = self._problem, self._problem.residuals(evaluation, self._groups)
+        if problem.weighing is not None:
+            residuals = problem.weighing.whiten(residuals)
+        if self._weights is not None:
+            residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
         return np.concatenate([residuals, self._unknowns.prior.times(u)])
 
     def jacobian(self, u: FloatArray) -> Tall:
@@ -433,18 +424,16 @@ class _Way:
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        plain = (
-            self._problem.derivative(evaluation, self._groups, self._unknowns, self._weights)
-            if self._in_batches
-            else Tall.of(self._rows(evaluation).jacobian)
-        )
-        self.current, self._looked_at, self._last = evaluation, [(u, evaluation)], None  # the others take memory
-        problem, groups, unknowns, rows = self._problem, self._groups, self._unknowns, plain
-        if self._is_of_families:
-            rows = Multiplied(plain, lambda: problem.products(evaluation, groups, plain).weighed(groups))
-        elif self._in_batches and self._weights is None and not np.any(unknowns.family >= 0):
-            rows = Factored(plain, lambda: reduced(problem.condensed(evaluation, groups, unknowns, alone=True)[0]))
-        return AbovePrior(rows, self._unknowns.prior)
+        self.current, self._looked_at = evaluation, [(u, evaluation)]  # the others take memory
+        problem, groups, unknowns = self._problem, self._groups, self._unknowns
+        rows = plain = problem.derivative(evaluation, groups, unknowns, self._weights)
+        if problem.weighing is not None:
+            rows = Tall.of(problem.weighing.whiten(plain.whole()))
+        elif self._weights is None and unknowns is problem.unknowns and unknowns.families:
+            rows = plain.with_known(products=lambda: problem.products(evaluation, groups, plain).weighed(groups))
+        elif self._weights is None and plain.is_cut and not np.any(unknowns.family >= 0):
+            rows = plain.with_known(lambda: problem.condensed(evaluation, groups, unknowns, alone=True).factor)
+        return rows.above(unknowns.prior)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:

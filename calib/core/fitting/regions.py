@@ -33,12 +33,12 @@ class Regions:
     """How parameters move where regions are left out in turn.
 
     Attributes:
-        cut: What was left out, in the plural.
+        where: On what the parameters depend, in words.
         ratio: How many times as much as noise explains they move.
         surely: Whether chance does not explain it.
     """
 
-    cut: str
+    where: str
     ratio: float
     surely: bool
 
@@ -55,9 +55,9 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):
         block[visits] = k
-    cuts = {"boxes of joint space": block}
+    cuts = {"where in joint space was measured": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
-        cuts["whole setups"] = data.setups
+        cuts["the setup"] = data.setups
     ratios = {name: left_out(rows, statistics, blocks) for name, blocks in cuts.items()}
     apart = [
         Regions(name, ratio, chance < UNLIKELY / len(cuts))

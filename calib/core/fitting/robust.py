@@ -107,7 +107,7 @@ def solve_robust(solved: Solved, loss: Loss) -> Solved:
     known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
     n_effective = effective_parameters(known, final.prior)
     pooled = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
-    n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
+    n_rows = layout.counts
     ones = np.ones(len(n_rows))
     factors = Factors(
         pooled.values * ones, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * ones, pooled.slope

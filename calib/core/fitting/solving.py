@@ -130,7 +130,7 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     """
     unknowns, groups = problem.unknowns, problem.whitening.start()
     if len(placed.batches) > 1 and not unknowns.families:
-        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns)[0][:, :-1], axis=0)
+        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns).jacobian, axis=0)
     else:
         lengths = problem.derivative(placed, groups, unknowns).lengths()
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
@@ -344,9 +344,7 @@ def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
-    pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
-    root, unknowns = weighted.known.root, solved.problem.unknowns
-    away = np.abs(root @ (root.T @ pull))
+    away, unknowns = np.abs(weighted.step()), solved.problem.unknowns
     left = unknowns.scales * away / (std + ROUNDING)
     largest = int(np.argmax(left))
     name, step, message = unknowns.names[largest], float(left[largest]), solved.solution.message

@@ -44,7 +44,6 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
-from calib.core.numerics.clusters import moved_without
 from calib.core.numerics.tall import Span
 from calib.core.robots.held import Accuracy, SeenAt
 from calib.core.rows.rows import Rows
@@ -104,8 +103,8 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     if rows is fit.rows:
         moved, decided = _moved(rows)
     else:
-        seen, n_poses = Span(fit.rows.jacobian, fit.root), int(rows.layout.pose.max()) + 1
-        moved, decided = moved_without(rows.span, rows.residuals, rows.layout.pose_of_row, n_poses, seen)
+        seen = Span(fit.rows.jacobian, fit.root)
+        moved, decided = rows.left_out(rows.layout.pose_of_row).moved(rows.residuals, seen=seen, alone=_DECIDES)
     read = fit.whitening.read(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     foretold = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
@@ -115,9 +114,8 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
 
 @remembered
 def _moved(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """`moved_without` of each pose; what is known of a fit is known of its copies, which hold the same rows."""
-    layout = rows.layout
-    return moved_without(rows.span, rows.residuals, layout.pose_of_row, int(layout.pose.max()) + 1, rows.span)
+    """What `LeftOut.moved` says of poses; what is known of a fit is known of its copies, which hold the same rows."""
+    return rows.left_out(rows.layout.pose_of_row).moved(rows.residuals, alone=_DECIDES)
 
 
 def moved_left_out(fit: Fit) -> float:

@@ -148,7 +148,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     data = as_measurements(promise.robot, data)
     system = System.of(promise, data, same_setup)
     system, left_out = without_outliers(system)
-    outliers = tuple(data.labels[system.visit[k]] for k in left_out)
+    outliers = tuple(data.labels[system.rows.layout.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
         system = System.of(promise, data.of_readings(system.numbers_without(left_out)), same_setup)
     tests = _Tests.of(system)

@@ -46,7 +46,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
     if made > NO_MATTER * findings.linear(fit).factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
-        yield f"no known length was measured: a scale error{below} (of the instrument, or from heat) does not show"
+        yield f"a scale error{below}, of the instrument or from heat (no known length was measured)"
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
@@ -60,9 +60,8 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
         predicted = float(np.mean(known.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
-            "the noise of the instrument was not stated, so that scatter of the robot (play, changing loads) looks the"
-            f" same as this noise. If the robot makes all of it, single positions are known to {single:.2g} mm RMS."
-            " State the noise of the instrument (--sigma-mm)"
+            "scatter of the robot (play, changing loads): it looks like noise of the instrument, which was not stated"
+            f" (--sigma-mm). If the robot makes all of it, single positions are known to {single:.2g} mm RMS"
         )
 
 

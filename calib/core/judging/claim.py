@@ -155,16 +155,13 @@ class Claim:
         told = self.told
         subject = "The tool is" if told.is_position else f"{told.readings.capitalize()} are"
         if np.isfinite(told.limit95):
-            off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
-            off += f" RMS {told.shown(told.rms)}"
+            off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}"
         else:
             off = f"off by {told.shown(told.rms)} RMS, {self.region}"
-        if np.isfinite(told.before):
-            off += f"{'; before' if np.isfinite(told.limit95) else '. Before'}: {told.shown(told.before)}"
         shown = "".join(
-            f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}"
-            + (f", {kept.shown(kept.rms)} without outliers." if kept else ".")
+            f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}, {kept.shown(kept.rms)} without outliers."
             for accuracy, kept in zip(self.shown, self.but_for, strict=True)
+            if kept
         )
         narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
         return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"

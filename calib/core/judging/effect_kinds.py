@@ -77,7 +77,7 @@ class Kind(StrEnum):
         Trait.MISPLACED,
         Trait.BY_THE_DOZEN,
     )
-    JOINT = "joint", Family.SHIFTS, "an error that follows {words.joint} ({words.size})", Trait.FOLLOWS_JOINTS
+    JOINT = "joint", Family.SHIFTS, "it follows {words.joint} ({words.size})", Trait.FOLLOWS_JOINTS
     COUPLING = (
         "coupling",
         Family.SHIFTS,
@@ -87,7 +87,7 @@ class Kind(StrEnum):
     WAVE = (
         "wave",
         Family.WAVES,
-        "an error of {words.joint} with {pattern.detail}, amplitude {words.height} ({words.size})",
+        "it follows {words.joint} with {pattern.detail}, amplitude {words.height} ({words.size})",
         Trait.BY_THE_DOZEN,
     )
     APPROACH = (
@@ -98,7 +98,7 @@ class Kind(StrEnum):
     ZERO = (
         "zero",
         Family.SHIFTS,
-        "an error of {words.joint} that changes in the course of the measurement ({words.size})",
+        "{words.joint} changes in the course of the measurement ({words.size})",
         Trait.IN_COURSE,
     )
 

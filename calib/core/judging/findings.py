@@ -15,13 +15,13 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.outliers import Outlier, blocks, left_out_with, outliers_of
+from calib.core.fitting.outliers import Outlier, left_out_with, outliers_of
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Trait
 from calib.core.judging.effects import Effect, EffectSetting, effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget
 from calib.core.judging.residual_patterns import LinearFit, Pattern
-from calib.core.numerics import linalg, losses
+from calib.core.numerics import linalg
 from calib.core.numerics.losses import Studentised
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
@@ -35,7 +35,7 @@ def studentised(fit: Fit) -> Studentised:
     relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
     rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
-    return losses.studentised(blocks(rows, fit.weights), fit.root, fit.statistics.freedom)
+    return rows.studentised(fit.root, fit.weights, fit.statistics.freedom)
 
 
 @remembered
@@ -48,7 +48,7 @@ def validation_studentised(fit: Fit) -> Studentised | None:
     values, vectors = linalg.eigh(known)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scale = studentised(fit).scale / _factor(fit)
-    return losses.studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, fit.statistics.freedom, scale)
+    return rows.studentised(root, np.zeros(rows.layout.n_readings), fit.statistics.freedom, scale)
 
 
 def _factor(fit: Fit) -> float:

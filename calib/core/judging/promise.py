@@ -25,16 +25,19 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.clusters import of_equal_length
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
+from calib.core.numerics.prior import Prior
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
-from calib.core.rows.rows import Layout
+from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 POWER = 0.9
 """Chance with which a change is to be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
+_DETERMINED = 1e-6  # part of a direction of a reading that the others leave open
 _PARALLEL = 1.0 - 1e-6  # cosine of columns that are one
 _JOINT_STEP = 1e-3  # unit in which joint zeros are looked at [rad, or characteristic lengths]
 
@@ -199,21 +202,15 @@ class System:
 
     Attributes:
         promise: What is judged.
-        columns: Of the known unknowns J L and of the places P, whitened, (n_rows, k) and (n_rows, p).
+        rows: The linear model: r by the known unknowns J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
-        residuals: r, (n_rows,).
-        layout: Which row is what.
-        counts: Which rows were read, (n_rows,).
         errors: As of `Acceptance`.
         expected: Of the distances between measured and predicted positions.
     """
 
     promise: Promise
-    columns: tuple[FloatArray, FloatArray]
+    rows: Rows
     candidate_columns: FloatArray
-    residuals: FloatArray
-    layout: Layout
-    counts: BoolArray
     errors: ErrorSet = field(repr=False)
     expected: Expected
 
@@ -238,34 +235,21 @@ class System:
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
         values, vectors = linalg.eigh(covariance[np.ix_(kept, kept)])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        known = np.asarray(rows.jacobian[:, kept] @ root)
+        columns = np.hstack([rows.jacobian[:, kept] @ root, unit_columns(rows.jacobian[:, ~kept])[0]])
+        prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
         candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
-        layout = whitening.layout
         errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
-            (known, rows.jacobian[:, ~kept]),
+            replace(rows, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
             candidate_columns,
-            rows.residuals,
-            layout,
-            layout.group >= 0,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
             _expected(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
         ).checked(data)
 
-    @property
-    def reading(self) -> IntArray:
-        """Reading of each row, (n_rows,)."""
-        return self.layout.reading
-
-    @property
-    def visit(self) -> IntArray:
-        """Visit of each reading, (n_readings,)."""
-        return self.layout.visit
-
     def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
         """Return which readings of each instrument are not among some, (n_own,)."""
-        return numbers_by_instrument(np.setdiff1d(np.arange(self.layout.n_readings), readings), self.layout)
+        return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
 
     def checked(self, data: Measurements) -> System:
         """Return it; with nothing left to judge by, raise `DataError`."""
@@ -276,73 +260,61 @@ class System:
             )
         if self.freedom < 1:
             raise DataError(
-                f"{data.path}: {int(np.sum(self.counts))} measured coordinates are only enough to place base and"
+                f"{data.path}: {self.n_rows} measured coordinates are only enough to place base and"
                 " targets; measure more poses"
             )
         return self
 
     def without(self, readings: IntArray) -> System:
         """Return it without some readings, (n,)."""
-        kept = ~np.isin(self.reading, readings)
-        return System(
-            self.promise,
-            (self.columns[0] * kept[:, None], self.columns[1] * kept[:, None]),
-            self.candidate_columns * kept[:, None],
-            self.residuals * kept,
-            self.layout,
-            self.counts & kept,
-            self.errors,
-            self.expected,
-        )
-
-    @cached_property
-    def _basis(self) -> tuple[FloatArray, int]:
-        """Orthonormal columns that span X, and the rank of what the places add."""
-        known, places = self.columns
-        k = known.shape[1]
-        unit = unit_columns(places)[0] if places.shape[1] else places
-        spanned = np.vstack([np.hstack([known, unit]), np.hstack([np.eye(k), np.zeros((k, unit.shape[1]))])])
-        left, values, _ = linalg.svd(spanned / np.maximum(np.linalg.norm(spanned, axis=0), 1e-300), full_matrices=False)
-        rank = int(np.sum(values > RANK_TOLERANCE * values[0])) if len(values) else 0
-        return left[:, :rank], rank - k
+        weights = 1.0 * ~np.isin(np.arange(self.rows.layout.n_readings), readings)
+        of_rows = weights[self.rows.layout.reading]
+        layout = replace(self.rows.layout, group=np.where(of_rows > 0, self.rows.layout.group, -1))
+        rows = replace(self.rows.weighted(weights), layout=layout)
+        return replace(self, rows=rows, candidate_columns=self.candidate_columns * of_rows[:, None])
 
     def _left(self, rows: FloatArray) -> FloatArray:
         """What of [rows; 0] is orthogonal to X, (n_rows + k, ...)."""
-        basis, _ = self._basis
-        padded = np.concatenate([rows, np.zeros((len(basis) - len(rows), *rows.shape[1:]))])
-        return np.asarray(padded - basis @ (basis.T @ padded))
+        root, jacobian = self.rows.known.root, self.rows.jacobian
+        step = root @ (root.T @ (jacobian.T @ rows))
+        return np.concatenate([rows - jacobian @ step, -self.rows.prior.times(step)])
+
+    @property
+    def n_rows(self) -> int:
+        """How many rows count."""
+        return int(np.sum(self.rows.layout.group >= 0))
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom m."""
-        return int(np.sum(self.counts)) - self.placed
+        return self.n_rows - self.placed
 
     @property
     def placed(self) -> int:
         """Rank of the columns of the places beside the known unknowns."""
-        return self._basis[1]
+        return self.rows.known.root.shape[1] - int(np.sum(self.rows.prior.has))
 
     @cached_property
     def square(self) -> float:
         """Q, the sum of squares that is chi-square with `freedom`."""
-        return float(np.sum(self._left(self.residuals) ** 2))
+        return float(np.sum(self._left(self.rows.residuals) ** 2))
 
     def worst(self) -> tuple[int, float]:
         """Return the reading that lies furthest off, and the chance of that among so many."""
-        basis, left = self._basis[0], self._left(self.residuals)
-        best, smallest = -1, 1.0
-        order = np.flatnonzero(self.counts)
-        for reading in np.unique(self.reading[order]):
-            rows = order[self.reading[order] == reading]
-            spread = np.eye(len(rows)) - basis[rows] @ basis[rows].T
-            values, vectors = linalg.eigh(spread)
-            determined = values > 1e-6
-            square = float(np.sum((vectors.T @ left[rows])[determined] ** 2 / values[determined]))
-            n = int(np.sum(determined))
-            chance = float(scipy.special.fdtrc(n, self.promise.freedom, square / n)) if n else 1.0
-            if chance < smallest:
-                best, smallest = int(reading), chance
-        return best, min(1.0, smallest * len(np.unique(self.reading[order])))
+        layout, left = self.rows.layout, self._left(self.rows.residuals)
+        best, smallest, read = -1, 1.0, layout.group >= 0
+        for rows in of_equal_length(np.where(read, layout.reading, -1)):
+            own = self.rows.span[rows]
+            values, vectors = linalg.eigh(np.eye(rows.shape[1]) - np.matmul(own, own.transpose(0, 2, 1)))
+            squares, n = np.matmul(left[rows][:, None], vectors)[:, 0] ** 2, np.sum(values > _DETERMINED, axis=1)
+            square = np.sum(np.where(values > _DETERMINED, squares / np.maximum(values, _DETERMINED), 0.0), axis=1)
+            chance = np.where(
+                n > 0, scipy.special.fdtrc(np.maximum(n, 1), self.promise.freedom, square / np.maximum(n, 1)), 1.0
+            )
+            k = int(np.argmin(chance))
+            if chance[k] < smallest:
+                best, smallest = int(layout.reading[rows[k, 0]]), float(chance[k])
+        return best, min(1.0, smallest * len(np.unique(layout.reading[read])))
 
     @cached_property
     def unlike(self) -> bool:
@@ -355,7 +327,7 @@ class System:
         Args:
             data, same_setup: Of which it was made.
         """
-        return System.of(self.promise.elsewhere(int(np.sum(self.counts))), data, same_setup)
+        return System.of(self.promise.elsewhere(self.n_rows), data, same_setup)
 
     def changes(self) -> tuple[Change, ...]:
         """Return candidates that the readings see, those with the largest z first."""
@@ -369,7 +341,7 @@ class System:
         for j in range(len(visible)):
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
-        z, spread = unit[: len(self.residuals)].T @ self.residuals, self.promise.shared
+        z, spread = unit[: len(self.rows.residuals)].T @ self.rows.residuals, self.promise.shared
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
         changes = [
             Change(
@@ -406,7 +378,7 @@ def six_digits(value: float) -> float:
 def without_outliers(system: System) -> tuple[System, list[int]]:
     """Leave out readings that lie further off than noise explains, one by one, as long as they are few."""
     left_out: list[int] = []
-    most = int(_OUTLIERS * len(system.visit))
+    most = int(_OUTLIERS * system.rows.layout.n_readings)
     complete = system
     while len(left_out) < most:
         reading, chance = system.worst()

@@ -149,14 +149,9 @@ class LinearFit:
         return sizes, deviations
 
     @cached_property
-    def pose(self) -> IntArray:
-        """Number of the pose of each row, from 0 on, (n_rows,)."""
-        return np.unique(self.rows.layout.pose_of_row, return_inverse=True)[1]
-
-    @cached_property
     def without_poses(self) -> LeftOut:
         """The fit with poses left out in turn."""
-        return LeftOut(self.span, self.pose)
+        return LeftOut(self.span, self.rows.layout.pose_of_row)
 
     @cached_property
     def square(self) -> float:
@@ -470,11 +465,11 @@ def _chance(residuals: LinearFit, tested: _Tested, effect: Effect, explained: Fl
     if not np.isfinite(residuals.pose_freedom):
         return tested.p_value
     basis = linalg.orth(effect.columns - residuals.span.times(tested.effect.absorbed), rcond=np.sqrt(_ABSORBED))
-    k = tested.freedom[0]
+    k, pose = tested.freedom[0], residuals.rows.layout.pose_of_row
     left_over = max(residuals.pose_freedom - k, 1.0)
 
     def chance(left: FloatArray) -> float:
-        scores = [np.bincount(residuals.pose, direction * left) for direction in basis.T]
+        scores = [np.bincount(pose, direction * left) for direction in basis.T]
         inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
         return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
 
@@ -482,7 +477,7 @@ def _chance(residuals: LinearFit, tested: _Tested, effect: Effect, explained: Fl
     result = chance(left)
     if result >= limit:
         return result
-    return chance(residuals.without_poses.foretold(left, basis))
+    return chance(left + residuals.without_poses.moved(left, beside=basis)[0])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
 from calib.core.fitting.moved_frame import moved_frame
-from calib.core.fitting.outliers import Outlier, blocks, outliers_in_words
+from calib.core.fitting.outliers import Outlier, outliers_in_words
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.copied_readings import copied_visits, reading_keys
@@ -23,7 +23,7 @@ from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import beyond_repeatability
 from calib.core.judging.rounded_joint_values import rounding
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
-from calib.core.numerics.losses import HIGH_LEVERAGE, studentised
+from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
@@ -90,8 +90,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: {rows} measured coordinates determine {used:.1f} parameters and leave"
-            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many poses",
+            f"too few poses: {rows} measured coordinates for {used:.0f} parameters. Measure several times as many",
             counted=fit.statistics.freedom >= FEW and fit.validation is not None,
         )
 
@@ -137,7 +136,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         if outlying and not (where and moved_frame(fit)):
             rows = fit.validation_rows if where else fit.rows
             n = rows.layout.n_readings if rows else 0
-            words = listed(outliers_in_words(outlying), "; ")
+            words = listed(outliers_in_words(outlying), "; ", 2)
             yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
@@ -266,9 +265,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
     if np.any(deciding) and not np.all(lasting):
         rows = fit.rows.only(lasting)
         root = rows.weighted(fit.weights).known.root
-        deciding &= (
-            studentised(blocks(rows, fit.weights), root, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
-        )
+        deciding &= rows.studentised(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
     high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
         yield Code.LEVERAGE.says(

@@ -339,8 +339,8 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             if kinds is not staying:
                 in_claim &= worst.size < AT_END * left and (kinds is misplaced or grows < AFTER * left)
             yield Code.SYSTEMATIC.says(
-                f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}; the model leaves this out, and"
-                f" intervals of parameters do not include it{advice}",
+                f"a systematic error remains: {listed(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
+                f" include it{advice}",
                 answer=Answer.CORRECT if moved or kinds is misplaced else None,
                 counted=in_claim,
             )

@@ -49,9 +49,9 @@ def noise(fit: Fit) -> Iterator[Reason]:
     sigma, spread = fit.sigma, _spread(fit)
     if sigma > LARGE_NOISE * spread:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
-            f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
-            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and whether joint"
-            " values and positions of each row belong together",
+            f"no fit: residuals of {millimetres(sigma):.4g} mm per axis, where the positions spread over"
+            f" {millimetres(spread):.4g} mm. Check units, axes, joint order and signs, and whether joint values and"
+            " positions of each row belong together",
             answer=_first_answer(fit),
         )
     elif fit.computed:

@@ -178,9 +178,9 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     apart = fit.regions
     if apart is not None and apart.surely:
         yield Code.BLOCKS_DISAGREE.says(
-            f"if {apart.cut} are left out in turn, parameters change {apart.ratio:.2g} times as much as noise explains:"
-            " the model leaves out something that differs from place to place. Intervals and the"
-            " uncertainty of positions include it; in places unlike those measured, errors may be larger"
+            f"the parameters depend on {apart.where}, {apart.ratio:.2g} times more than noise explains: the model"
+            " leaves something out. Intervals and the uncertainty of positions include it; at places unlike those"
+            " measured, errors may be larger"
         )
 
 

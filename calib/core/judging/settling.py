@@ -62,8 +62,9 @@ def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
     """Numbers of the poses (n, n_actuated) that tell most of a change, best first."""
     system = _system(promise, joints)
     number = [known.name for known in candidates(promise.robot)].index(change.name)
-    columns = unit_columns(np.column_stack([system.columns[1], system.candidate_columns[:, number]]))[0]
-    visit = system.visit[system.reading]
+    places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout
+    columns = unit_columns(np.column_stack([places, system.candidate_columns[:, number]]))[0]
+    visit = layout.visit[layout.reading]
     rows = [columns[visit == k] for k in range(len(joints))]
     information, chosen = _NOTHING * np.eye(columns.shape[1]), list[int]()
     for _ in range(min(_COUNTS[-1], len(rows))):

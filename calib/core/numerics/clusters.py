@@ -164,48 +164,19 @@ def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Flo
     return values, errors, size[..., None] * turned
 
 
-def moved_without(
-    span: FloatArray | Span, residuals: FloatArray, block: IntArray, n_blocks: int, seen: FloatArray | Span
-) -> tuple[FloatArray, FloatArray]:
-    """Return how far rows move where their own block is left out, (n_rows,), and the largest w of it, (n_blocks,).
-
-    Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on. Where w is nearly
-    1, a direction rests on that block alone, and c_b is not a number to rely on.
-
-    Args:
-        span: U = J T of whitened rows, (n_rows, k).
-        residuals: r, whitened, (n_rows,).
-        block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none, which do not move.
-        n_blocks: Number of blocks, some of which may have no rows.
-        seen: The same as `span` without the weights of a robust loss, (n_rows, k): the rows that move.
-    """
-    moved, largest = np.zeros(len(residuals)), np.zeros(n_blocks)
-    for rows in of_equal_length(block):
-        own, numbers = span[rows], block[rows[:, 0]]
-        if seen is span and rows.shape[1] <= span.shape[1]:  # U_b c_b = H_b (1 - H_b)^-1 r_b
-            values, vectors = linalg.eigh(np.matmul(own, own.transpose(0, 2, 1)))
-            values = np.clip(values, 0.0, 1.0)
-            along = np.matmul(residuals[rows][:, None], vectors) * (values / np.maximum(1.0 - values, _NONE))[:, None]
-            moved[rows] = np.matmul(along, vectors.transpose(0, 2, 1))[:, 0]
-            largest[numbers] = values[:, -1]
-            continue
-        values, errors, turned = directions(own, residuals[rows])
-        largest[numbers] = np.max(values, axis=1, initial=0.0)
-        pulls = np.einsum("nd,ndk->nk", errors / np.maximum(1.0 - values, _NONE), turned)
-        moved[rows] = np.matmul(own if seen is span else seen[rows], pulls[:, :, None])[:, :, 0]
-    return moved, largest
-
-
 class LeftOut:
     """Blocks left out in turn, of a fit and of others that have further parameters each.
 
+    Without block b, the solution in the coordinates of T is c_b = U_b^T (1 - H_b)^-1 r_b further on, r_b being its
+    residuals, and those by the fit of all others (1 - H_b)^-1 r_b.
+
     Args:
         span: U = J T of whitened rows of the fit, (n_rows, k).
-        block: Block of each row, (n_rows,).
+        block: Block of each row, (n_rows,); -1 for rows that belong to none, which do not move.
     """
 
     def __init__(self, span: FloatArray | Span, block: IntArray) -> None:
-        self._span = span
+        self._span, self._block = span, block
         self._hats = [(rows, self._hat(rows)) for rows in of_equal_length(block)]
 
     def _hat(self, rows: IntArray) -> FloatArray | None:
@@ -215,30 +186,42 @@ class LeftOut:
         own = self._span[rows]
         return np.matmul(own, own.transpose(0, 2, 1))
 
-    def foretold(self, residuals: FloatArray, beside: FloatArray | None = None) -> FloatArray:
-        """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
-
-        Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
+    def moved(
+        self,
+        residuals: FloatArray,
+        *,
+        beside: FloatArray | None = None,
+        seen: FloatArray | Span | None = None,
+        alone: float = _OWN,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how far rows move where their own block is left out, (n_rows,), and the largest w of it, (n_blocks,).
 
         Args:
             residuals: r, whitened, (n_rows,).
             beside: Further columns of U, (n_rows, n_further); none if not given.
+            seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
+            alone: Part of a direction that a block decides, from which nothing moves along it.
         """
-        result = residuals.copy()
+        moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
         for rows, hat in self._hats:
-            errors, further = residuals[rows][:, :, None], None if beside is None else beside[rows]
-            if hat is not None:
-                if further is not None:
-                    hat = hat + np.matmul(further, further.transpose(0, 2, 1))
-                values, vectors = linalg.eigh(hat)
-                gain = np.where(values < _OWN, values / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
-                added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
-            else:
+            across: FloatArray | None = None
+            left, further = residuals[rows][:, :, None], None if beside is None else beside[rows]
+            if hat is None or seen is not None:
                 own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
                 across = own.transpose(0, 2, 1)
-                values, vectors = linalg.eigh(np.matmul(across, own))
-                gain = np.where(values < _OWN, 1.0 / np.maximum(1.0 - values, 1.0 - _OWN), 0.0)
-                pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
-                added = np.matmul(own, np.matmul(vectors, gain[:, :, None] * pulled))
-            result[rows] += added[:, :, 0]
-        return result
+            if hat is None:
+                assert across is not None
+                small, left = np.matmul(across, own), np.matmul(across, left)
+            else:
+                small = hat if further is None else hat + np.matmul(further, further.transpose(0, 2, 1))
+            values, vectors = linalg.eigh(small)
+            values = np.clip(values, 0.0, 1.0)
+            gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)
+            if across is None:  # U_b c_b = H_b (1 - H_b)^-1 r_b
+                gain *= values
+            further_on = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), left))
+            if across is not None:
+                further_on = further_on if hat is None else np.matmul(across, further_on)
+                further_on = np.matmul(own if seen is None else seen[rows], further_on)
+            moved[rows], largest[self._block[rows[:, 0]]] = further_on[:, :, 0], values[:, -1]
+        return moved, largest

@@ -65,8 +65,9 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.clusters import of_equal_length
 from calib.core.numerics.statistics import Factors
-from calib.core.numerics.tall import ROWS_AT_ONCE, in_parts
+from calib.core.numerics.tall import Span
 from calib.core.numerics.variance_components import require_freedom
 
 Loss = Literal["none", "huber", "cauchy", "tukey"]
@@ -251,59 +252,43 @@ class Studentised(ReadOnlyArrays):
         return outliers[np.argsort(-self.ratio[outliers], kind="stable")]
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Readings of equally many rows.
-
-    Attributes:
-        residuals: Whitened, (n, k); zero for rows that were not read.
-        columns: Whitened scaled Jacobian, (n, k, n_free).
-        widths: Rows that were read, (n,).
-        weights: w of the module docstring, (n,).
-    """
-
-    residuals: FloatArray
-    columns: FloatArray
-    widths: IntArray
-    weights: FloatArray
-
-
-def _leverage(columns: FloatArray, root: FloatArray) -> FloatArray:
-    """Return h of each reading, (n, k, k), from its columns (n, k, n_free) and T (n_free, rank)."""
-    n, width, n_free = columns.shape
-    leverage = np.empty((n, width, width))
-    for part in in_parts(n, max(ROWS_AT_ONCE // width, 1)):
-        pulled = (columns[part].reshape(-1, n_free) @ root).reshape(-1, width, root.shape[1])  # T is read once
-        leverage[part] = pulled @ pulled.transpose(0, 2, 1)
-    return leverage
-
-
-def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: float | None = None) -> Studentised:
+def studentised(
+    residuals: FloatArray,
+    span: FloatArray | Span,
+    reading: IntArray,
+    widths: IntArray,
+    weights: FloatArray,
+    freedom: float,
+    scale: float | None = None,
+) -> Studentised:
     """Judge every reading.
 
     Args:
-        blocks: Readings, in order.
-        root: T of `calib.core.numerics.observability`, (n_free, rank).
+        residuals: Whitened, (n_rows,); zero for rows that were not read.
+        span: J T of the rows, with T of `calib.core.numerics.observability`, (n_rows, rank).
+        reading: Reading of each row, (n_rows,).
+        widths: Rows that were read, (n_readings,).
+        weights: w of the module docstring, (n_readings,).
         freedom: Degrees of freedom of the fit.
         scale: Scale of T, if it is known from other readings.
     """
-    sizes, leverages, largest = [], [], []
-    for block in blocks:
-        leverage = _leverage(block.columns, root)
+    size, leverages, largest = np.empty((3, len(widths)))
+    for rows in of_equal_length(reading):
+        own, number = span[rows], reading[rows[:, 0]]
+        leverage = np.matmul(own, own.transpose(0, 2, 1))
         values, vectors = linalg.eigh(
-            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * leverage
+            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * weights[number])[:, None, None] * leverage
         )
-        turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
+        turned = np.matmul(vectors.transpose(0, 2, 1), residuals[rows][:, :, None])[:, :, 0]
         squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
-        sizes.append(np.sqrt(np.sum(squares, axis=1)))
-        leverages.append(np.trace(leverage, axis1=1, axis2=2) / block.widths)
-        largest.append(linalg.eigvalsh(leverage)[:, -1])
-    size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
+        size[number] = np.sqrt(np.sum(squares, axis=1))
+        leverages[number] = np.trace(leverage, axis1=1, axis2=2) / widths[number]
+        largest[number] = linalg.eigvalsh(leverage)[:, -1]
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
     chance = _chance(ratio, widths, freedom)
-    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), chance, scale)
+    return Studentised(ratio, leverages, largest, chance, scale)
 
 
 def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:

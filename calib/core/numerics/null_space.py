@@ -85,7 +85,7 @@ def null_groups(
 
 
 def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
-    """Return a group in words, such as `xb +1 mm, dq1 -1 mm`.
+    """Return in words which changes look alike, such as `d41 + dq1 from d42 + xt`, or `1 deg of dq2 from 3 mm of yb`.
 
     Args:
         group: Of `null_groups`.
@@ -94,7 +94,14 @@ def describe_group(group: UnseenGroup, parameters: Sequence[Parameter]) -> str:
     first = parameters[group.members[0]]
     if len(group.members) == 1:
         return f"{first.name} has no effect"
-    return ", ".join(f"{name} {amount:+.4g} {unit}" for name, amount, unit in natural_coefficients(group, parameters))
+    members = natural_coefficients(group, parameters)
+    equal = all(unit == first.unit and np.isclose(abs(amount), 1.0) for _, amount, unit in members)
+    words = [name if equal else f"{abs(amount):.4g} {unit} of {name}" for name, amount, unit in members]
+    up = [text for text, (_, amount, _) in zip(words, members, strict=True) if amount > 0]
+    down = [text for text, (_, amount, _) in zip(words, members, strict=True) if amount <= 0]
+    if not down:
+        up, down = up[:1], [f"-{text}" for text in up[1:]]
+    return f"{' + '.join(up)} from {' + '.join(down)}"
 
 
 def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:

@@ -36,9 +36,9 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import inverse_of_triangle
+from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Tall
-from calib.core.numerics.variance_components import LinearModel
 
 _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
@@ -128,11 +128,14 @@ class Products:
 
 @dataclass(frozen=True, eq=False)
 class FamilyModel:
-    """Products of rows with the priors beside them; see `LinearModel`.
+    """Products of rows with the priors beside them.
 
     Attributes:
         products: Of the rows, whitened by what is stated.
-        prior, deviations, unstated, family, n_families: As there.
+        prior, deviations: As of `LinearModel`.
+        unstated: Which groups' scales are to be found, (n_groups,).
+        family: Family of each parameter, -1 for none, (n_free,).
+        n_families: Number of families.
     """
 
     products: Products
@@ -143,11 +146,11 @@ class FamilyModel:
     n_families: int
 
     @staticmethod
-    def of(model: LinearModel) -> FamilyModel:
+    def of(model: LinearModel, unstated: BoolArray, family: IntArray, n_families: int) -> FamilyModel:
         """Return that of rows."""
-        products = Products.of(model.jacobian, model.residuals, model.group, len(model.unstated))
-        products = replace(products, count=model.n_rows)
-        return FamilyModel(products, model.prior, model.deviations, model.unstated, model.family, model.n_families)
+        products = Products.of(model.jacobian, model.residuals, model.layout.group, len(unstated))
+        products = replace(products, count=model.layout.counts)
+        return FamilyModel(products, model.prior, model.deviations, unstated, family, n_families)
 
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
         """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""

@@ -36,8 +36,7 @@ from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import reduced
-from calib.core.numerics.observability import Information, information
-from calib.core.numerics.prior import Prior
+from calib.core.numerics.linear_model import LinearModel
 
 _ROUNDS = 60
 _SETTLED = 1e-4
@@ -49,8 +48,8 @@ def require_freedom(freedom: float, n_rows: int) -> None:
     """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
     if freedom < 1 - 1e-9:
         raise NotIdentifiableError(
-            f"{n_rows} measured coordinates leave {max(freedom, 0.0):.1f} degrees of freedom; without at"
-            " least one, no uncertainty can be stated: measure more poses"
+            f"{n_rows} measured coordinates for {n_rows - max(freedom, 0.0):.0f} parameters: too few to say how sure"
+            " the result is. Measure more poses"
         )
 
 
@@ -140,85 +139,63 @@ class Components:
     log_likelihood: float
 
 
-@dataclass(frozen=True, eq=False)
-class LinearModel:
-    """Rows around a solution, whitened by what is stated.
-
-    Attributes:
-        residuals: y there, (n_rows,).
-        jacobian: By the scaled parameters, (n_rows, n_free).
-        prior: Of these.
-        deviations: u there, (n_free,).
-        group: Of each row, -1 for one that was not read, (n_rows,).
-        unstated: Which groups' scales are to be found, (n_groups,).
-        family: Family of each parameter, -1 for none, (n_free,); empty where there are none.
-        n_families: Number of families.
-        counts: Number of rows of each group, (n_groups,), where the rows here are their triangular factors.
-    """
-
-    residuals: FloatArray
-    jacobian: FloatArray
-    prior: Prior
-    deviations: FloatArray
-    group: IntArray
-    unstated: BoolArray
-    family: IntArray
-    n_families: int = 0
-    counts: IntArray | None = None
-
-    @property
-    def n_rows(self) -> IntArray:
-        """Number of rows of each group, (n_groups,)."""
-        counted = np.bincount(self.group[self.group >= 0], minlength=len(self.unstated))
-        return counted if self.counts is None else self.counts
-
-
-def found_scales(model: LinearModel, start: FloatArray) -> Components:
+def found_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Components:
     """Find the scales without a shared error.
 
     Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
 
     Args:
-        model: The rows.
+        model: The rows, whitened by what is stated.
         start: Scales to start from, (n_groups,).
+        sought: Which are to be found, (n_groups,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    members, counts = [model.group == g for g in range(len(start))], model.n_rows
+    members, counts = [model.layout.group == g for g in range(len(start))], model.layout.counts
     parts = [slice(None) if np.all(rows) else rows for rows in members]  # a slice copies nothing
     factors = [reduced(model.jacobian[rows], model.residuals[rows]) for rows in parts]
     scales = start.copy()
-    step: FloatArray = np.zeros(model.jacobian.shape[1])
-    for _ in range(_ROUNDS):
+
+    def scaled() -> LinearModel:
         stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
-        known, step = _solved(model, stacked)
+        return replace(model, residuals=stacked[:, -1], jacobian=stacked[:, :-1])
+
+    for _ in range(_ROUNDS):
+        now = scaled()
+        known, step = now.known, now.step()
         change = np.ones(len(start))
-        for g in map(int, np.flatnonzero(model.unstated & (counts > 0))):
+        for g in map(int, np.flatnonzero(sought & (counts > 0))):
             factor = factors[g] / scales[g]
             left = factor[:, :-1] @ step + factor[:, -1]
             freedom = counts[g] - float(np.sum((factor[:, :-1] @ known.root) ** 2))
             change[g] = np.sqrt(float(left @ left) / max(freedom, 0.5))
         scales = np.maximum(scales * change, EXACT / 10)
-        if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~model.unstated):
+        if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~sought):
             break
     freedom_left = int(np.sum(counts)) - known.root.shape[1] + float(np.sum(model.prior.times(known.root) ** 2))
     require_freedom(freedom_left, int(np.sum(counts)))
-    stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
-    known, step = _solved(model, stacked)
-    cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
+    now = scaled()
+    step = now.step()
+    cost = float(np.sum((now.jacobian @ step + now.residuals) ** 2)) + _prior_cost(model, step)
     determinant = 2.0 * float(np.sum(counts * np.log(scales)))
-    return Components(scales, np.zeros(0), -0.5 * (determinant + known.log_determinant + cost))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + now.known.log_determinant + cost))
 
 
 def found_components(
-    model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray, known: FloatArray | None = None
+    model: LinearModel,
+    start: FloatArray,
+    sought: BoolArray,
+    columns: FloatArray,
+    block: IntArray,
+    known: FloatArray | None = None,
 ) -> Components:
     """Find the scales and, where they earn their place, errors shared by the rows of each block.
 
     Args:
-        model: The rows.
+        model: The rows, whitened by what is stated.
         start: Scales to start from, (n_groups,).
+        sought: Which are to be found, (n_groups,).
         columns: H0: derivative of the rows by the errors, whitened by what is stated, (n_rows, n_columns).
         block: Of each row, (n_rows,).
         known: About the sizes of errors that have earned their place already, 0 for the others, (n_columns,).
@@ -228,12 +205,12 @@ def found_components(
     """
     known = np.zeros(columns.shape[1]) if known is None else known
     if np.any(known > 0):
-        without = _with_shared(model, start, known, columns, block)
+        without = _with_shared(model, start, sought, known, columns, block)
     else:
-        without = replace(found_scales(model, start), shared=known)
-    if np.all(without.scales[model.unstated] < EXACT) and np.any(model.unstated):
+        without = replace(found_scales(model, start, sought), shared=known)
+    if np.all(without.scales[sought] < EXACT) and np.any(sought):
         return without
-    read = model.group >= 0
+    read = model.layout.group >= 0
     sizes = np.sqrt(np.mean(columns[read] ** 2, axis=0))
     level = float(np.sqrt(np.mean(model.residuals[read] ** 2)))
     new = (sizes > 0) & (known == 0)
@@ -241,9 +218,9 @@ def found_components(
     if not np.any(new) or level == 0 or _rise(model, without, columns, new, block) < 0.5 * needed:
         return without
     guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))
-    tried = _with_shared(model, without.scales, np.where(new, guess, without.shared), columns, block)
+    tried = _with_shared(model, without.scales, sought, np.where(new, guess, without.shared), columns, block)
     earned = 2.0 * (tried.log_likelihood - without.log_likelihood) > needed
-    exact = np.any(tried.scales[model.unstated] < EXACT)  # the same reading several times shares all it has
+    exact = np.any(tried.scales[sought] < EXACT)  # the same reading several times shares all it has
     return tried if earned and not exact else without
 
 
@@ -252,8 +229,8 @@ def _rise(model: LinearModel, components: Components, columns: FloatArray, new: 
 
     The score of tau_j^2 at zero is half of (h_j^T Q y)^2 - trace(Q h_j h_j^T); correlations of scores are not negative.
     """
-    read = model.group >= 0
-    divisor = np.where(read, components.scales[np.where(read, model.group, 0)], 1.0)
+    read = model.layout.group >= 0
+    divisor = np.where(read, components.scales[np.where(read, model.layout.group, 0)], 1.0)
     shared = SharedError(columns * components.shared / divisor[:, None], block)
     n_free = model.jacobian.shape[1]
     white = shared.whiten(np.hstack([model.jacobian, model.residuals[:, None], columns[:, new]]) / divisor[:, None])
@@ -267,10 +244,10 @@ def _rise(model: LinearModel, components: Components, columns: FloatArray, new: 
 
 
 def _with_shared(
-    model: LinearModel, start: FloatArray, tau: FloatArray, columns: FloatArray, block: IntArray
+    model: LinearModel, start: FloatArray, sought: BoolArray, tau: FloatArray, columns: FloatArray, block: IntArray
 ) -> Components:
-    read = model.group >= 0
-    number = np.where(read, model.group, 0)
+    read = model.layout.group >= 0
+    number = np.where(read, model.layout.group, 0)
     n_groups = len(start)
     scales, likelihood = start.copy(), -np.inf
     for _ in range(_ROUNDS):
@@ -286,7 +263,7 @@ def _with_shared(
         pulled = shared.whiten(white[:, :-1]) @ known.root
         squares = np.bincount(number[read], left[read] ** 2, n_groups)
         freedom = np.bincount(number[read], (shared.diagonal() - np.sum(pulled**2, axis=1))[read], n_groups)
-        change = np.where(model.unstated & (freedom > 0.5), np.sqrt(squares / np.maximum(freedom, 0.5)), 1.0)
+        change = np.where(sought & (freedom > 0.5), np.sqrt(squares / np.maximum(freedom, 0.5)), 1.0)
         traced = shared.traces() - np.sum(shared.felt(pulled) ** 2, axis=(0, 2))
         felt = np.sum(shared.felt(left[:, None]) ** 2, axis=(0, 2))
         growth = np.where((tau > 0) & (traced > 0), np.sqrt(felt / np.maximum(traced, 1e-300)), 1.0)
@@ -307,19 +284,12 @@ class _Root:
 
 
 def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
-    """The same as `_solved` by Cholesky's factors, which do for finding noise and cost a tenth."""
+    """What rows [J y] and the priors determine, by Cholesky's factors, which do for finding noise, and the step."""
     matrix = model.prior.added_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
     pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
     return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
-
-
-def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
-    """What whitened rows [J y] and the priors determine, and the step to their minimum."""
-    known = information(rows[:, :-1], model.prior.rows)
-    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
-    return known, -known.root @ (known.root.T @ pull)
 
 
 def _prior_cost(model: LinearModel, step: FloatArray) -> float:

@@ -130,8 +130,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
     """What was measured beside what was expected: the ratio that decides, and the same in millimetres."""
     lines = [
         f"Residuals are {acceptance.ratio:.3f} times as large as expected, each direction weighted by its uncertainty."
-        f" An unchanged robot gives {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases"
-        f" ({acceptance.freedom} degrees of freedom, p = {acceptance.p_value:.3g})"
+        f" If the robot is unchanged, that is between {acceptance.low95:.2f} and {acceptance.high95:.2f} in 95 of 100"
+        f" cases (p = {acceptance.p_value:.2g})"
     ]
     if acceptance.p_value > 1.0 - FALSE_ALARM / 2:
         lines.append(

@@ -12,7 +12,7 @@ from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import accuracy_text, change_text
 from calib.core.results.sections.budget import budget_grid
 from calib.core.results.sections.details import details
-from calib.core.results.sections.files_held import files_grid, files_lines
+from calib.core.results.sections.files_held import files_grid
 from calib.core.results.sections.outliers import outliers_left_out
 from calib.core.results.sections.parameters import changed_most, parameter_grid
 from calib.core.results.sections.terms import terms_added, terms_not_shown
@@ -39,15 +39,19 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
         tables = [*accuracy_text(fit), *(grid.as_text() for grid in grids if grid is not None)]
         parts = [title, *verdict_lines(verdict), *tables, *details(fit)]
     else:
-        told = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit), *files_lines(fit)]
-        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", change_text(fit), *told, *changed_most(fit)]
+        errors, files = change_text(fit, verdict.claim), files_grid(fit)
+        remarks = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit)]
+        worth: list[str | Table] = ["", files.as_text(plain=True)] if files is not None else []
+        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", errors, *remarks, *worth, *changed_most(fit)]
     return plain_text(parts, width, wrap=True)
 
 
 def summary(fit: Fit) -> str:
     """Return verdict and errors before and after: the beginning of `text_report`."""
     head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", change_text(fit)], _WIDTH, wrap=True)
+    verdict = judge(fit)
+    lines = verdict_lines(verdict, _MOST_REASONS)
+    return plain_text([head, *lines, "", change_text(fit, verdict.claim)], _WIDTH, wrap=True)
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
@@ -62,8 +66,7 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
     reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
     not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
     if most is not None:
-        hidden, errors = max(len(reasons) - most, 0), len(not_covered)
-        more = [counted(hidden, "more reason")] if hidden else []
-        more += [counted(errors, "possible error") + " that this verdict does not cover"] if errors else []
-        reasons, not_covered = reasons[:most], [f"  --verbose prints {', and '.join(more)}"] if more else []
+        hidden = max(len(reasons) - most, 0)
+        reasons, more = reasons[:most], [f"  --verbose prints {counted(hidden, 'more reason')}"] if hidden else []
+        not_covered += more
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]

@@ -55,13 +55,13 @@ class Determination(ReadOnlyArrays):
         """Return what poses and priors determine of the free parameters, as a clause."""
         poses, n_free = self.free.rank, self.free.n_columns
         if poses == n_free:
-            return f"these poses determine all {n_free} free parameters"
-        text = f"these poses determine {poses} combinations of the {n_free} free parameters"
+            return f"all {n_free} free parameters can be found from these poses"
+        text = f"{poses} of {n_free} free parameters can be found from these poses"
         more = self.together.rank - poses
         if self.missing == 0:
-            return f"{text}; priors hold the other {more}"
+            return f"{text}; the other {more} stay near nominal"
         are = "is" if self.missing == 1 else "are"
-        return f"{text}{f', priors {more} more' if more else ''}; {self.missing} {are} NOT determined"
+        return f"{text}{f', {more} more stay near nominal' if more else ''}; {self.missing} {are} NOT determined"
 
 
 def determination(columns: FloatArray, parameters: Sequence[Parameter], free: BoolArray) -> Determination:

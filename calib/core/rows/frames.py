@@ -149,8 +149,8 @@ def program_frame(known: KnownRobot) -> Frame:
     if loose.base:
         motion = _laid(nominal, robot, loose, known)
         poses = f"over {counted(len(motion.joints), 'measured pose')}" if len(known.joints) else "around home"
-        words = f"in the robot's own base frame, placed where the nominal and the calibrated robot agree best {poses}"
-        words += "; the tool is placed on its link in the same way" if loose.points or loose.frames else ""
+        tool = ", and so is its tool" if loose.points or loose.frames else ""
+        words = f"in the nominal robot's base frame (fitted to the calibrated robot {poses}{tool})"
         return Frame(
             known, robot, motion.robot, nominal, words, np.ones_like(of_robot), motion if motion.basis.size else None
         )

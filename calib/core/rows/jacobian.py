@@ -252,17 +252,11 @@ def _fill_motion(
     kinematics.origin_derivative(swept, mapping, (through, maps), along, result)
 
 
-def parameter_twists(robot: Robot, values: FloatArray | None = None) -> FloatArray:
-    """Return twists of all origins per parameter that is no coefficient of a joint term, (6 n_joints, k).
-
-    Args:
-        robot: The robot.
-        values: Of all parameters, (n_parameters,); those of the robot if not given.
-    """
+def parameter_twists(robot: Robot) -> FloatArray:
+    """Return twists of all origins per parameter that is no coefficient of a joint term, (6 n_joints, k)."""
     mechanism = robot.mechanism
     matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    own = (robot.values if values is None else values)[: robot.n_origin_parameters]
-    for name, twist in robot.parametrisation.twists(own).items():
+    for name, twist in robot.parametrisation.twists(robot.values[: robot.n_origin_parameters]).items():
         row = 6 * mechanism.origin_names.index(name)
         matrix[row : row + 6, : robot.n_origin_parameters] = twist
     return matrix

@@ -325,7 +325,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Say of positions whether they count what the model leaves out."""
         if self.joint_error == 0.0:
             return "without what the model leaves out"
-        return f"counting {1e3 * self.joint_error:.2g} mrad a joint for what the model leaves out"
+        return "counting what the model leaves out"
 
     def lasting(self, robot: Robot) -> BoolArray:
         """Return what of all that is uncertain is the same at every pose, (n_uncertain,)."""

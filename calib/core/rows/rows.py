@@ -28,15 +28,13 @@ A component that was not read has a row of zeros, which says nothing; it is not 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.instruments.kind import Part
-from calib.core.numerics.identifiability import reduced
-from calib.core.numerics.observability import Information, information
-from calib.core.numerics.prior import Prior
+from calib.core.numerics.linear_model import LinearModel, RowGroups
+from calib.core.numerics.losses import Studentised, studentised
 from calib.core.numerics.tall import Span
 from calib.core.numerics.variance_components import SharedError
 
@@ -72,7 +70,7 @@ class Scales(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Layout(ReadOnlyArrays):
+class Layout(RowGroups):
     """Which row is what: instrument by instrument, reading by reading.
 
     Attributes:
@@ -83,8 +81,7 @@ class Layout(ReadOnlyArrays):
         visit: Visit of each reading, (n_readings,).
         pose: Pose of each reading; visits that repeat a pose share it, (n_readings,).
         width: Components that each reading really has, (n_readings,).
-        group: Group of each row; -1 for a component that was not read, (n_rows,).
-        groups: The groups.
+        groups: The groups of rows.
     """
 
     instruments: tuple[str, ...]
@@ -94,7 +91,6 @@ class Layout(ReadOnlyArrays):
     visit: IntArray
     pose: IntArray
     width: IntArray
-    group: IntArray
     groups: tuple[Group, ...]
 
     @property
@@ -141,78 +137,41 @@ class Layout(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Whitened rows.
+class Rows(LinearModel):
+    """Whitened rows of readings.
 
     Attributes:
-        residuals: (n_rows,).
-        jacobian: By the scaled free parameters, (n_rows, n_free).
-        prior: Of these.
-        deviations: u = (p - p_expected) / s of these, (n_free,).
         layout: Which row is what.
     """
 
-    residuals: FloatArray
-    jacobian: FloatArray
-    prior: Prior
-    deviations: FloatArray
     layout: Layout
-
-    @cached_property
-    def factor(self) -> FloatArray:
-        """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
-        return reduced(self.jacobian, self.residuals)
-
-    def remember(self, factor: FloatArray) -> None:
-        """Take over `factor` (n_free + 1, n_free + 1), where it is known."""
-        vars(self)["factor"] = factor
-
-    @property
-    def _triangle(self) -> FloatArray:
-        """That of J, (n_free, n_free) or fewer rows."""
-        return self.factor[: self.jacobian.shape[1], :-1]
-
-    @cached_property
-    def known(self) -> Information:
-        """What these rows and the priors determine."""
-        return information(self._triangle, self.prior.rows)
-
-    @cached_property
-    def span(self) -> Span:
-        """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
-        return Span(self.jacobian, self.known.root)
-
-    @cached_property
-    def alone(self) -> Information:
-        """What these rows determine without priors."""
-        return information(self._triangle)
-
-    @property
-    def cost(self) -> float:
-        """Sum of the squares of residuals and priors."""
-        return float(self.residuals @ self.residuals) + self.prior.cost(self.deviations)
-
-    def only(self, chosen: BoolArray) -> Rows:
-        """Return the rows by some of the parameters, (n_free,)."""
-        return replace(
-            self,
-            jacobian=self.jacobian[:, chosen],
-            prior=self.prior.only(chosen),
-            deviations=self.deviations[chosen],
-        )
 
     def weighted(self, weights: FloatArray) -> Rows:
         """Return the rows with these weights of the readings, (n_readings,); themselves where all are 1."""
         if np.all(weights == 1.0):
             return self
         root = np.sqrt(weights)[self.layout.reading]
-        return Rows(root * self.residuals, root[:, None] * self.jacobian, self.prior, self.deviations, self.layout)
+        return replace(self, residuals=root * self.residuals, jacobian=root[:, None] * self.jacobian)
 
     def whitened(self, shared: SharedError | None) -> Rows:
         """Return the rows whitened for errors that the rows of a pose share; as they are without any."""
         if shared is None:
             return self
         return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
+
+    def studentised(
+        self, root: FloatArray, weights: FloatArray, freedom: float, scale: float | None = None
+    ) -> Studentised:
+        """Judge every reading.
+
+        Args:
+            root: T of `calib.core.numerics.observability`, (n_free, rank).
+            weights: Of each reading in the fit, (n_readings,); 0 for those that had no part in it.
+            freedom: Degrees of freedom of the fit.
+            scale: See `calib.core.numerics.losses`; from these readings if not given.
+        """
+        layout, span = self.layout, Span(self.jacobian, root)
+        return studentised(self.residuals, span, layout.reading, layout.width, weights, freedom, scale)
 
     def distances(self) -> FloatArray:
         """Return the length of each reading's whitened residual, (n_readings,)."""

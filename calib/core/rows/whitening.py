@@ -97,9 +97,7 @@ class Whitening:
             parts.append(self.whitened(name, array, chosen, in_place=in_place).reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def whitened(
-        self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False, across: bool = False
-    ) -> FloatArray:
+    def whitened(self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False) -> FloatArray:
         """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
 
         Args:
@@ -107,11 +105,8 @@ class Whitening:
             array: What they have.
             chosen: Which readings, (n,).
             in_place: Whether the array may be used up.
-            across: Whether to multiply by the transposed of what whitens.
         """
         inverse = self._inverse[name][chosen]
-        if across and inverse.ndim == 3:
-            inverse = inverse.transpose(0, 2, 1)
         if inverse.ndim == 2:  # no correlations: divide
             scale = inverse if array.ndim == 2 else inverse[:, :, None]
             return np.multiply(array, scale, out=array if in_place else None)
@@ -332,7 +327,10 @@ def _layout(
     counts = np.array([len(data.readings[name]) for name in names], dtype=np.intp)
     per_reading = np.array([robot.instrument(name).n_rows for name in names], dtype=np.intp)
     visit = np.concatenate([data.readings[name].visits for name in names])
+    group = np.concatenate(numbers)
     return Layout(
+        group,
+        np.bincount(group[group >= 0], minlength=len(groups)),
         names,
         np.concatenate([[0], np.cumsum(counts)]),
         np.concatenate([[0], np.cumsum(counts * per_reading)]),
@@ -340,6 +338,5 @@ def _layout(
         visit,
         data.pose_numbers[visit],
         np.concatenate(widths),
-        np.concatenate(numbers),
         groups,
     )

@@ -135,8 +135,7 @@ def command(
     solve`, in the measurement frame of the description. The written table has the joint values to command, and for
     each row how far the tool is off before and after. For poses it also has the poses to send to a controller that
     computes joints with the nominal model. The tool is where the description has it. If the base is unknown, the
-    program is meant in the robot's own base frame, placed where the nominal and the calibrated robot agree best over
-    the measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
+    program is meant in the nominal robot's base frame, fitted to the calibrated robot over the measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
     inclinometers measure joints, each row also has the columns of these joints or of their sensors.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the

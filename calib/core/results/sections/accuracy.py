@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
 from rich.table import Table
 
-from calib.core.base.units import ERROR_UNIT
+from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.base.words import text_table
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table, format_error
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Part
+from calib.core.judging.claim import Claim
 
 NAMES = {"cross_validation": "left out in turn"}
 """Sets of poses that people know by another name."""
@@ -84,8 +86,8 @@ def accuracy_text(fit: Fit) -> list[Table]:
     return tables
 
 
-def change_text(fit: Fit) -> Table:
-    """Return errors before and after, one line for each part of each set of poses."""
+def change_text(fit: Fit, claim: Claim | None) -> Table:
+    """Return errors before and after: a line for each part of each set of poses, and what the fit claims."""
     heading = "error before -> after"
     table = text_table((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
@@ -99,4 +101,9 @@ def change_text(fit: Fit) -> Table:
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
+    if claim is not None and np.isfinite(claim.told.limit95):
+        told, scale = claim.told, error_scale(claim.told.dimension)
+        before = f"{scale * told.before:.4f} -> " if np.isfinite(told.before) else ""
+        name = f"{told.part} [{ERROR_UNIT[told.dimension]}], expected"
+        table.add_row(name, "", "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
     return table

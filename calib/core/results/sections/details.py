@@ -35,7 +35,7 @@ def details(fit: Fit, *, brief: bool = False) -> list[str]:
 def _size(fit: Fit) -> list[str]:
     data, statistics = fit.identification.data, fit.statistics
     return [
-        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.1f} degrees of"
+        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.0f} degrees of"
         f" freedom, {fit.seconds:.3f} s"
     ]
 

@@ -13,8 +13,6 @@ from calib.core.robots.held import Accuracy, FileRobot, Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by
 
-_WITHHELD = "withheld: "
-
 
 def files_of(fit: Fit) -> dict[Holds, FileRobot]:
     """Return the robots that files of a fit get, as far as there are such files of this robot."""
@@ -43,7 +41,7 @@ def _worth(fit: Fit) -> tuple[Accuracy, list[Line]] | None:
     for holds in reversed(Holds):
         if holds in files:
             accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
-            withheld = _WITHHELD if formats and files[holds].withheld else ""
+            withheld = "withheld: " if formats and files[holds].withheld else ""
             words = withheld + ", ".join(formats)
             if holds is Holds.EVERYTHING:
                 words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
@@ -67,19 +65,6 @@ def files_grid(fit: Fit) -> Grid | None:
         tuple((holds, GridNumber(rms), GridNumber(limit), formats) for holds, rms, limit, formats in lines),
         last_counts=True,
     )
-
-
-def files_lines(fit: Fit) -> list[str]:
-    """Return what files are worth, in a line, where some hold less than the whole model."""
-    worth = _worth(fit)
-    if worth is None:
-        return []
-    whole, lines = worth
-    texts = [
-        f"{holds} {rms:.4f}{' (withheld)' if formats.startswith(_WITHHELD) else ''}" for holds, rms, _, formats in lines
-    ]
-    unit = ERROR_UNIT[whole.dimension]
-    return [f"What files are worth, {unit} RMS ({whole.part} error, {whole.where}): {'; '.join(texts)}"]
 
 
 def file_entries(fit: Fit) -> list[dict[str, object]]:

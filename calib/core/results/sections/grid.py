@@ -67,11 +67,12 @@ class Grid:
     rows: tuple[tuple[str | GridNumber, ...], ...]
     last_counts: bool = False
 
-    def as_text(self) -> Table:
-        """Return the table for a terminal."""
+    def as_text(self, *, plain: bool = False) -> Table:
+        """Return the table for a terminal, without lines if `plain`."""
         shown = [k for k, column in enumerate(self.columns) if not column.only_page]
         heads = [self.columns[k].head for k in shown]
-        table = text_table(heads, [self.columns[k].head for k in shown if self.columns[k].words], self.title)
+        words = [self.columns[k].head for k in shown if self.columns[k].words]
+        table = text_table(heads, words, self.title, plain=plain)
         for row in self.rows:
             table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in (row[k] for k in shown)))
         return table

@@ -148,6 +148,6 @@ def outliers_left_out(fit: Fit) -> list[str]:
     several = layout.n_readings > len(np.unique(layout.visit))
     count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""
     return [
-        f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ')}. With them: RMS"
+        f"Outliers left out{count}: {listed(outliers_in_words(fit.excluded), '; ', 2)}. With them: RMS"
         f" {before:.4f} {unit}, noise {noise}; without: RMS {after:.4f} {unit}"
     ]

@@ -1,0 +1,111 @@
+"""The linear model of a fit: residuals r + J d of whitened rows around a point, and what is known of d before them.
+
+Unknowns are scaled, u = (p - p_expected) / s; d is their change from where they are. The rows are those of all readings
+(`calib.core.rows.rows`), or a few that have the same products. What is asked of it:
+
+    factor       the triangular factor of [J r], from which all sums over rows follow
+    known        what rows and priors determine, with T T^T = (J^T J + P^T P)^-1
+    span         U = J T, of which leverages are the squares
+    left_out     the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.numerics.clusters import LeftOut
+from calib.core.numerics.identifiability import reduced
+from calib.core.numerics.observability import Information, information
+from calib.core.numerics.prior import Prior
+from calib.core.numerics.tall import Span
+
+
+@dataclass(frozen=True, eq=False)
+class RowGroups(ReadOnlyArrays):
+    """Which rows have noise of one scale.
+
+    Attributes:
+        group: Group of each row; -1 for one that was not read, (n_rows,).
+        counts: Rows of each group, (n_groups,): of all that were read where few stand for them.
+    """
+
+    group: IntArray
+    counts: IntArray
+
+    @staticmethod
+    def of(group: IntArray, n_groups: int) -> RowGroups:
+        """Return that of rows (n_rows,) which stand for themselves."""
+        return RowGroups(group, np.bincount(group[group >= 0], minlength=n_groups))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Whitened rows around a point, with a prior.
+
+    Attributes:
+        residuals: r, (n_rows,).
+        jacobian: J, by the scaled free parameters, (n_rows, n_free).
+        prior: Of these.
+        deviations: u there, (n_free,).
+        layout: Which row is of which group.
+    """
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    prior: Prior
+    deviations: FloatArray
+    layout: RowGroups
+
+    @cached_property
+    def factor(self) -> FloatArray:
+        """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
+        return reduced(self.jacobian, self.residuals)
+
+    def remember(self, factor: FloatArray) -> None:
+        """Take over `factor` (n_free + 1, n_free + 1), where it is known."""
+        vars(self)["factor"] = factor
+
+    @property
+    def _triangle(self) -> FloatArray:
+        """That of J, (n_free, n_free) or fewer rows."""
+        return self.factor[: self.jacobian.shape[1], :-1]
+
+    @cached_property
+    def known(self) -> Information:
+        """What these rows and the priors determine."""
+        return information(self._triangle, self.prior.rows)
+
+    @cached_property
+    def alone(self) -> Information:
+        """What these rows determine without priors."""
+        return information(self._triangle)
+
+    @cached_property
+    def span(self) -> Span:
+        """U = J T of these rows, with T of what they and the priors determine, (n_rows, rank)."""
+        return Span(self.jacobian, self.known.root)
+
+    def step(self, residuals: FloatArray | None = None) -> FloatArray:
+        """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""
+        right = self.residuals if residuals is None else residuals
+        root, pull = self.known.root, self.jacobian.T @ right + self.prior.pull(self.deviations)
+        return -root @ (root.T @ pull)
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squares of residuals and priors."""
+        return float(self.residuals @ self.residuals) + self.prior.cost(self.deviations)
+
+    def only(self, chosen: BoolArray) -> Self:
+        """Return the rows by some of the parameters, (n_free,)."""
+        jacobian, deviations = self.jacobian[:, chosen], self.deviations[chosen]
+        return replace(self, jacobian=jacobian, prior=self.prior.only(chosen), deviations=deviations)
+
+    def left_out(self, block: IntArray) -> LeftOut:
+        """Return the model with blocks of rows (n_rows,) left out in turn."""
+        return LeftOut(self.span, block)

@@ -353,7 +353,7 @@ def _(shop):
 def _(shop):
     there = calib.fit(shop.arm, noisy(shop.truth, joints(80), 2.0, 1))
     spread = 1e3 * np.sqrt(np.mean(np.var(there.identification.data.points(shop.arm)[:, 0], axis=0)))
-    return Situation(there, shop.good, r"noise found: ([\d.]+) mm .* spread over ([\d.]+) mm", (2000.0, spread), 0.1)
+    return Situation(there, shop.good, r"residuals of ([\d.]+) mm .* spread over ([\d.]+) mm", (2000.0, spread), 0.1)
 
 
 @situation(Code.NO_NOISE, "CHECK")
@@ -420,7 +420,7 @@ def _(shop):
 def _(shop):
     there = calib.fit(shop.arm, noisy(shop.truth, joints(11), SIGMA, 1))
     n = int(np.sum(shop.arm.is_free))
-    return Situation(there, shop.good, r"(\d+) measured .* ([\d.]+) parameters and leave ([\d.]+)", (33, n, 33 - n))
+    return Situation(there, shop.good, r"(\d+) measured coordinates for (\d+) parameters", (33, n))
 
 
 @situation(Code.MOVES_AS_ONE)
@@ -716,7 +716,7 @@ def _(shop):
     bent[:, 0] += 2e-4 * np.sin(q[:, 1]) * np.cos(2.0 * q[:, 2])
     noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
     fits = [calib.fit(shop.prior, measurements(shop.prior, q, shop.prior.positions(off) + noise)) for off in (bent, q)]
-    return Situation(*fits, r"parameters change ([\d.]+) times", (fits[0].widened,), 0.05)
+    return Situation(*fits, r", ([\d.]+) times more than noise", (fits[0].widened,), 0.05)
 
 
 @situation(Code.TERMS_UNTESTED)

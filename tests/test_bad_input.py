@@ -148,7 +148,7 @@ LINK = '<link name="upper"/>'
 BAD_URDFS = {  # more in tests/test_urdf_text.py
     "broken XML": (ARM_URDF.replace("</robot>", ""), "arm.urdf, line 20: not valid XML (no element found)"),
     "UTF-16": (ARM_URDF.encode("utf-16"), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
-    "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: is an SDF file of Gazebo"),
+    "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: it has no model with links"),
     "unknown link": (ARM_URDF.replace('parent link="upper"', 'parent link="uper"'), "did you mean 'upper'?"),
     "text in an origin": (ARM_URDF.replace("0.25 0 0", "0.25 0 O"), "joint 'slide', xyz: 'O' is not a number"),
     "entity of a file": (

@@ -11,17 +11,23 @@ from lxml import etree
 
 import calib
 from calib.core.data.in_memory import as_measurements
+from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.monte_carlo import monte_carlo
+from calib.quality.signature import signer, verify
 from calib.quality.uncertainty_budget import (
     CENTRING,
     ELSEWHERE,
+    FOCAL_LENGTH,
     MODEL,
     NOISE,
     OFFSET,
+    OFFSET_ANGLE,
+    PRINCIPAL_POINT,
     PRIOR,
     REPEATABILITY,
     SCALE,
+    SIZES,
     TEMPERATURE,
     Budget,
     Contribution,
@@ -243,7 +249,7 @@ def test_pages_say_that_software_gives_no_legal_force(folder, statement, tmp_pat
         assert run_calib("certificate", folder, "--traceability", statement, "--out", out, "--draws", 5).code == 0
     page = (tmp_path / "c.html").read_text()
     assert "Only an accredited laboratory" in page
-    assert "24 um/m: correct for it" in page  # 12 um/m/K times 2 K
+    assert "24 um/m: apply this correction" in page  # 12 um/m/K times 2 K
     assert (tmp_path / "c.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -283,3 +289,114 @@ def test_what_is_stated_wrongly_is_one_line(folder, tmp_path, run_calib, stated,
 
 def test_another_ending_is_one_line(folder, tmp_path, run_calib):
     assert "give it an ending" in run_calib("certificate", folder, "--out", tmp_path / "c.docx").refusal()
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    """Files of a private key, of its public one, and of another public one."""
+    serialization = pytest.importorskip("cryptography.hazmat.primitives.serialization")
+    ed25519 = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ed25519")
+    folder, pem = tmp_path_factory.mktemp("keys"), serialization.Encoding.PEM
+    key, other = ed25519.Ed25519PrivateKey.generate(), ed25519.Ed25519PrivateKey.generate()
+    plain = serialization.NoEncryption(), serialization.BestAvailableEncryption(b"secret")
+    for name, encryption in zip(("private", "locked"), plain, strict=True):
+        text = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, encryption)
+        (folder / f"{name}.pem").write_bytes(text)
+    for name, public in (("public", key.public_key()), ("other", other.public_key())):
+        text = public.public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
+        (folder / f"{name}.pem").write_bytes(text)
+    return folder
+
+
+def test_a_changed_byte_of_a_signed_certificate_is_found(folder, statement, keys, tmp_path, run_calib):
+    out, public = tmp_path / "c.xml", keys / "public.pem"
+    options = ("--traceability", statement, "--draws", 0, "--sign", keys / "private.pem")
+    assert run_calib("certificate", folder, "--out", out, *options).code == 0
+    run = run_calib("certificate", out, "--verify", public)
+    assert (run.code, "signed it" in run.out) == (0, True)
+    content, rng, found = out.read_bytes(), np.random.default_rng(1), 0
+    for place in rng.integers(0, len(content), 100):
+        out.write_bytes(content[:place] + bytes([content[place] ^ int(rng.integers(1, 256))]) + content[place + 1 :])
+        with pytest.raises(calib.ComputationError, match="was changed, or another key signed"):
+            verify(str(out), str(public))
+        found += 1
+    assert found == 100
+    assert run_calib("certificate", out, "--verify", public).code == 3
+    out.write_bytes(content)
+    assert run_calib("certificate", out, "--verify", keys / "other.pem").code == 3
+
+
+def test_keys_that_are_none_are_one_line_and_nothing_is_written(folder, keys, tmp_path, run_calib):
+    out = tmp_path / "c.json"
+    for key in (keys / "public.pem", folder / "result.json"):
+        run = run_calib("certificate", folder, "--out", out, "--draws", 0, "--sign", key)
+        assert "is no private Ed25519 key (PEM)" in run.refusal()
+    assert not out.exists()
+    assert signer(str(keys / "locked.pem"), lambda: "secret")(b"x") == signer(str(keys / "private.pem"), str)(b"x")
+    with pytest.raises(calib.InputError, match="or has another password"):
+        signer(str(keys / "locked.pem"), lambda: "wrong")
+    (tmp_path / "c.json.sig").write_text("")
+    out.write_text("{}")
+    with pytest.raises(calib.InputError, match="is no public Ed25519 key"):
+        verify(str(out), str(keys / "private.pem"))
+
+
+CAMERA = (
+    "{kind: pixel, target: reflector, sigma: 0.05, intrinsics: {fx: 4000, fy: 4000, cx: 2000, cy: 1500},"
+    " camera: {frame: base_link, xyz: [0.5, 0, 2.5], rpy: [180 deg, 0 deg, 0 deg]},"
+    " points: {p: [0, 0, 0], x: [0.1, 0, 0], y: [0, 0.1, 0], z: [0, 0, 0.1]}}"
+)
+INCLINOMETER = "{kind: orientation, target: reflector, axes: gravity, sigma: 0.02 mrad}"
+AXES = np.eye(2)
+POINTER = "{kind: position, target: reflector, sigma: 0.02 mm}"
+
+
+@pytest.mark.parametrize(
+    ("instruments", "quantity", "stated", "changes"),
+    [
+        ({"eye": CAMERA}, FOCAL_LENGTH, {"focal_length": "20 ppm"}, [lambda v: v + 1e-5 * (v - [2000, 1500])]),
+        (
+            {"eye": CAMERA},
+            PRINCIPAL_POINT,
+            {"principal_point": "0.02 px"},
+            [lambda v: v + AXES[0] / 100, lambda v: v + AXES[1] / 100],
+        ),
+        (
+            {"level": INCLINOMETER, "ball": POINTER},
+            OFFSET_ANGLE,
+            {"offset_angle": "0.02 mrad"},
+            [lambda v: v + 1e-5 * AXES[0], lambda v: v + 1e-5 * AXES[1]],
+        ),
+    ],
+)
+def test_what_a_camera_or_an_inclinometer_is_off_reaches_the_tool_as_a_fit_of_such_readings_says(
+    tmp_path, instruments, quantity, stated, changes
+):
+    lines = "".join(f"  {name}: {text}\n" for name, text in instruments.items())
+    text = (EXAMPLES / "arm.yaml").read_text().replace("pose: unknown", "pose: known")
+    text = text.replace("urdf: arm.urdf", f"urdf: {EXAMPLES / 'arm.urdf'}") + f"instruments:\n{lines}"
+    (tmp_path / "arm.yaml").write_text(text)
+    robot = calib.load(tmp_path / "arm.yaml")
+    data = calib.simulate(robot, robot.sample(60, seed=1), seed=1)
+    fit, first = calib.fit(robot, data), next(iter(instruments))
+    squares = 0.0
+    for change in changes:
+        read = data.readings[first]
+        moved = replace(data, readings=data.readings | {first: replace(read, values=change(read.values))})
+        again, before = (one.robot.positions(data.joints)[:, 0] for one in (calib.fit(robot, moved), fit))
+        if fit.told_positions.motion is not None:  # positions count beside what moves all of them as one body
+            rotation, shift = best_transform(again, before)
+            again = again @ rotation.T + shift
+        squares += np.mean((again - before) ** 2)
+    known = TraceabilitySection.model_validate({"instrument": stated})
+    found = contributions(budget(LinearFit.of(fit), known))
+    assert found[quantity] == pytest.approx(math.sqrt(squares), rel=0.05)
+    assert SCALE not in found or "ball" in instruments
+
+
+def test_monte_carlo_draws_the_sizes_of_joint_terms(arm, measured):
+    q, y = measured
+    linear = LinearFit.of(calib.fit(arm, q, y, terms="curve"))
+    known = budget(linear, TRACEABILITY)
+    assert contributions(known)[SIZES] > 0
+    assert monte_carlo(linear, TRACEABILITY, known, draws=300).difference < 0.03

@@ -353,6 +353,15 @@ def test_arguments_without_a_value_are_named_and_kept_in_the_description(tmp_pat
     )
     with pytest.raises(calib.UrdfError, match="no package 'no' around or beside the file"):
         calib.load(tmp_path / "lost.urdf.xacro")
+    (tmp_path / "empty.urdf.xacro").write_text(
+        '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="dof" default=""/>'
+        '<xacro:include filename="arm_$(arg dof).xacro"/></robot>'
+    )
+    with pytest.raises(
+        calib.UrdfError,
+        match=r"not there \(arm_\.xacro\); these arguments are empty: dof; give them: --xacro dof:=VALUE",
+    ):
+        calib.load(tmp_path / "empty.urdf.xacro")
 
 
 def test_without_the_package_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

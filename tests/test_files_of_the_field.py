@@ -104,9 +104,33 @@ p1;510,0;120,0;330,0;0,04
 p2;420,0;-200,0;350,0;0,06
 p3;470,0;300,0;290,0;0,08
 """
+POLYWORKS = """PolyWorks|Inspector
+Project: cell 4
+Units: Millimeters
+
+Name\tControl\tNom\tMeas\tTol\tDev\tTest
+p1\tX\t500.000\t510.0\t0.100\t10.0\tFail
+\tY\t120.000\t120.0\t0.100\t0.0\tPass
+\tZ\t330.000\t330.0\t0.100\t0.0\tPass
+p2\tX\t400.000\t420.0\t0.100\t20.0\tFail
+\tY\t-200.000\t-200.0\t0.100\t0.0\tPass
+\tZ\t350.000\t350.0\t0.100\t0.0\tPass
+p3\tX\t500.000\t470.0\t0.100\t-30.0\tFail
+\tY\t300.000\t300.0\t0.100\t0.0\tPass
+\tZ\t290.000\t290.0\t0.100\t0.0\tPass
+"""
+FARO = """"Feature","Nominal X","Nominal Y","Nominal Z","Actual X (mm)","Actual Y (mm)","Actual Z (mm)","3D Dev"
+"p1",500,120,330,510.0,120.0,330.0,10
+"p2",500,120,330,420.0,-200.0,350.0,10
+"p3",500,120,330,470.0,300.0,290.0,10
+"""
 
 
-@pytest.mark.parametrize("content", [SPATIAL_ANALYZER, VICON, MOTIVE, U95], ids=["sa", "vicon", "motive", "leica"])
+@pytest.mark.parametrize(
+    "content",
+    [SPATIAL_ANALYZER, VICON, MOTIVE, U95, POLYWORKS, FARO],
+    ids=["sa", "vicon", "motive", "leica", "polyworks", "faro"],
+)
 def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, caplog):
     robot = arm("join: rows")
     (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
@@ -115,7 +139,8 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
     check(data, robot)
     assert "read as" in caplog.text
     assert "joined row by row with" in caplog.text
-    (tmp_path / "fewer.txt").write_text("\n".join(content.splitlines()[:-1]))
+    short = "\n".join(content.splitlines()[: -3 if content is POLYWORKS else -1])
+    (tmp_path / "fewer.txt").write_text(short)
     with pytest.raises(calib.DataError, match=r"has 2 rows and .* 3; join: rows needs as many"):
         calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], robot)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):
@@ -158,6 +183,44 @@ def test_what_savetxt_writes_is_read(tmp_path, arm):
         calib.read_measurements(tmp_path / "bare.txt", arm())
 
 
+def test_names_and_numbers_may_be_parted_by_blanks(tmp_path, arm):
+    names, numbers = "turn slide wrist tool_x tool_y tool_z\n", text_of(rows(), " ")
+    (tmp_path / "blanks.txt").write_text(names.replace("_x", "_x  ") + numbers)
+    check(calib.read_measurements(tmp_path / "blanks.txt", arm()), arm())
+    (tmp_path / "named.txt").write_text(
+        "pose " + names + "".join(f"p{k} {n}\n" for k, n in enumerate(numbers.split("\n")[:-1]))
+    )
+    check(calib.read_measurements(tmp_path / "named.txt", arm()), arm())
+
+
+SEGMENTS = """Segments
+100
+,,Arm:Hand,,,,,,Arm:Base,,,,,
+Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ
+,,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm
+1,0,1,2,3,4,5,6,7,8,9,10,11,12
+"""
+
+
+def test_segments_markers_and_other_heads_are_told_apart(tmp_path, arm):
+    (tmp_path / "s.csv").write_text(SEGMENTS)
+    table = read_table(tmp_path / "s.csv")
+    assert table.names[2:8] == ("Hand_rx", "Hand_ry", "Hand_rz", "Hand_x", "Hand_y", "Hand_z")
+    assert table.units[8:14] == ("deg", "deg", "deg", "mm", "mm", "mm")
+    markers = MOTIVE.replace("Quaternion", "XYZ").replace(
+        "Rotation,Rotation,Rotation,Rotation", "Marker,Marker,Marker,Marker"
+    )
+    (tmp_path / "m.csv").write_text(markers)
+    assert "Ball_x" in read_table(tmp_path / "m.csv").names
+    (tmp_path / "inches.txt").write_text(
+        SPATIAL_ANALYZER.replace("[mm]", "").replace("export", "export, Units: Inches")
+    )
+    assert read_table(tmp_path / "inches.txt").units[5] == "in"
+    (tmp_path / "a.json").write_text('{"a": 1}')
+    with pytest.raises(calib.DataError, match="this looks like JSON: write a CSV"):
+        read_table(tmp_path / "a.json")
+
+
 def test_arrays_are_columns(tmp_path, arm):
     robot = arm("columns: {q_x: turn, q_y: slide, q_z: wrist}")
     arrays = {"q": JOINTS, "tool": POINTS, "dt": np.float64(0.1), "note": np.array("text")}
@@ -165,6 +228,8 @@ def test_arrays_are_columns(tmp_path, arm):
     scipy.io.savemat(tmp_path / "a.mat", {"q": JOINTS, "tool": POINTS, "dt": 0.1})
     for name in ("a.npz", "a.mat"):
         check(calib.read_measurements(tmp_path / name, robot), robot)
+    scipy.io.savemat(tmp_path / "s.mat", {"run": {"q": JOINTS, "tool": POINTS}})
+    assert read_table(tmp_path / "s.mat").names[0] == "run_q_x"
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "b.mat", "w") as file:
         file["q"], file["tool"] = JOINTS.T, POINTS.T
@@ -187,6 +252,17 @@ def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
     (tmp_path / "so101.json").write_text(json.dumps({"elbow_flex": servo, "gripper": servo}))
     with pytest.raises(calib.DataError, match=re.escape('columns: {elbow_flex.pos: "0.9 * elbow_flex [deg]"}')):
         calib.read_measurements(tmp_path / "so101.json", arm())
+    with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "0.087891 * elbow_flex - 180 [deg]"')):
+        calib.read_measurements(tmp_path / "so101.json", arm())
+    old = {
+        "homing_offset": [1, 2],
+        "drive_mode": [0, 1],
+        "calib_mode": ["DEGREE"],
+        "motor_names": ["elbow_flex", "grip"],
+    }
+    (tmp_path / "so100.json").write_text(json.dumps(old))
+    with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} in the robot desc')):
+        calib.read_measurements(tmp_path / "so100.json", arm())
     (tmp_path / "d.parquet").write_bytes(b"PAR1" + bytes(100))
     with pytest.raises(calib.DataError, match=r"this looks like a Parquet file: .*read_parquet"):
         calib.read_measurements(tmp_path / "d.parquet", arm())
@@ -207,3 +283,27 @@ def test_the_page_has_the_table_of_formats(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "docs" / "site"))
     make_files_table = importlib.import_module("make_files_table")
     assert make_files_table.page() == make_files_table.PAGE.read_text(encoding="utf-8"), "run make_files_table.py"
+
+
+@pytest.mark.parametrize("unit", ["deg", None])
+def test_the_line_that_a_wrong_sign_prints_corrects_it(tmp_path, run_calib, unit):
+    examples = Path(__file__).parents[1] / "docs" / "examples"
+    lines = (examples / "arm_simulated.csv").read_text().splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    rows = [line.split(",") for line in lines[header + 1 :]]
+    names = lines[header].split(",")
+    j, k = names.index("joint_2 [deg]"), names.index("joint_3 [deg]")
+    for row in rows:
+        row[j], row[k] = repr(90 - float(row[j])), repr(-float(row[k]))
+        if unit is None:
+            row[j : j + 1] = [repr(float(np.radians(float(row[j]))))]
+    names[j] = "joint_2 [deg]" if unit else "joint_2"
+    (tmp_path / "w.csv").write_text("\n".join(",".join(row) for row in [names, *rows]))
+    text = (examples / "arm.yaml").read_text().replace("urdf: ", f"urdf: {examples}/", 1)
+    (tmp_path / "arm.yaml").write_text(text)
+    told = run_calib("fit", "arm.yaml", "w.csv", "--out", "o", "--no-pages", cwd=tmp_path)
+    line = re.search(r"columns:\s+\{[^}]*\}", told.out)[0]
+    assert re.sub(r"\s+", " ", line).endswith('joint_3: "-joint_3 [deg]"}')
+    (tmp_path / "arm.yaml").write_text(f"{text}\n{line}\n")
+    again = run_calib("fit", "arm.yaml", "w.csv", "--out", "p", "--no-pages", cwd=tmp_path)
+    assert "Verdict: PASS" in again.out, again

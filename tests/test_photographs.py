@@ -453,7 +453,7 @@ def test_a_target_of_kalibr_is_counted_from_the_bottom(tmp_path):
         given_board(str(tmp_path / "grid.yaml"))
 
 
-def test_pixels_may_have_their_unit_and_poses_of_a_marker_are_named(tmp_path):
+def test_pixels_may_have_their_unit(tmp_path):
     from calib.photographs.commands.hand_eye import _detected_before
 
     board = given_board("aruco:1x1:80mm:0.1mm:DICT_4X4_50")
@@ -461,6 +461,3 @@ def test_pixels_may_have_their_unit_and_poses_of_a_marker_are_named(tmp_path):
     (tmp_path / "d.csv").write_text(f"# image: 640 x 480 px\npose,point,camera_u [px],camera_v [px]\n{rows}")
     (image,) = _detected_before(str(tmp_path / "d.csv"), board)
     assert image.pixels.tolist() == [[0, 0], [10, 20], [20, 40], [30, 60]]
-    (tmp_path / "p.csv").write_text("pose,x [m],y [m],z [m],qx,qy,qz,qw\na,0,0,0.6,0,0,0,1\n")
-    with pytest.raises(DataError, match=r"has poses of a marker, .*kind: pose, target: marker.*camera_qw"):
-        _detected_before(str(tmp_path / "p.csv"), board)

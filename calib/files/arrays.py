@@ -33,7 +33,7 @@ def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
 def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of a MATLAB file of version 5; for errors see `numpy_columns`."""
     try:
-        return _columns(file, scipy.io.loadmat(io.BytesIO(_content(file))))
+        return _columns(file, _unfolded(scipy.io.loadmat(io.BytesIO(_content(file)), simplify_cells=True)))
     except (ValueError, OSError, TypeError, NotImplementedError) as error:
         raise _unreadable(file, error) from None
 
@@ -56,6 +56,14 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
             return _columns(file, {n: np.asarray(d).T for n, d in opened.items() if isinstance(d, h5py.Dataset)})
     except (ValueError, OSError, TypeError) as error:
         raise _unreadable(file, error) from None
+
+
+def _unfolded(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
+    """Arrays in structures, by names with what they are in."""
+    result: dict[str, Any] = {}
+    for name, value in arrays.items():
+        result |= _unfolded(value, f"{start}{name}_") if isinstance(value, dict) else {f"{start}{name}": value}
+    return result
 
 
 def _content(file: SomeFile) -> bytes:
@@ -93,7 +101,9 @@ def _named(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
     if array.ndim == 1:
         return {name: array.tolist()}
     endings: tuple[str, ...]
-    if array.shape[1:] == (4, 4):
+    if array.shape[1:] == (3, 3):
+        array, endings = array.reshape(-1, 9), tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+    elif array.shape[1:] == (4, 4):
         turned = scipy.spatial.transform.Rotation.from_matrix(array[:, :3, :3]).as_quat()
         array, endings = np.hstack([array[:, :3, 3], turned]), _POSE
     else:

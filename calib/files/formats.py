@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from calib.core.data.other_formats import OtherFormat, SomeFile
-from calib.files import arrays, text
-
-
-def _is_calibration_of_servos(file: SomeFile) -> bool:
-    return file.head.lstrip()[:1] == b"{" and all(key in file.head for key in (b'"homing_offset"', b'"range_min"'))
-
+from calib.core.data.other_formats import OtherFormat
+from calib.files import arrays, reports, servos, text
 
 FORMATS = (
     OtherFormat(
@@ -43,10 +38,16 @@ FORMATS = (
     ),
     OtherFormat(
         "a calibration of LeRobot's servos",
-        'JSON with `"homing_offset"` and `"range_min"`',
-        "no measurements: the message gives the lines of `columns` that take a log's -100..100 to degrees",
-        _is_calibration_of_servos,
-        text.servo_lines,
+        'JSON with `"homing_offset"` and `"range_min"`, or `"motor_names"` of the first versions',
+        "no measurements: the message gives the lines of `columns` for logs of -100..100, degrees and raw ticks",
+        servos.is_calibration_of_servos,
+        servos.servo_lines,
+    ),
+    OtherFormat(
+        "JSON",
+        "begins with `{` or `[`",
+        "write a CSV file with a header, or give a data frame from Python",
+        lambda file: file.head.lstrip()[:1] in (b"{", b"["),
     ),
     OtherFormat(
         "an export of Motive (OptiTrack)",
@@ -54,6 +55,13 @@ FORMATS = (
         "rigid bodies and markers are columns NAME_x to NAME_z, with quaternions NAME_qx to NAME_qw",
         lambda file: bool(file.first_lines) and file.first_lines[0].lstrip('"').startswith("Format Version"),
         text.motive_lines,
+    ),
+    OtherFormat(
+        "a report of measured beside nominal values, as PolyWorks and FARO write it",
+        "`Name` with `Meas X`, `Actual X`, ...; or with `Meas` and a column of X, Y, Z below each other",
+        "columns pose (the name), X, Y, Z as measured, with the unit that the header or a line above names",
+        reports.is_report,
+        reports.report_lines,
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon writes it",
@@ -68,6 +76,13 @@ FORMATS = (
         "that comment is the header; a unit behind Z is that of X and Y",
         text.has_header_in_comment,
         text.commented_header_lines,
+    ),
+    OtherFormat(
+        "a table parted by blanks",
+        "names parted by blanks above as many numbers in each line",
+        "read as if commas stood there",
+        text.is_parted_by_blanks,
+        text.blank_lines,
     ),
     OtherFormat(
         "numbers without names, as np.savetxt writes them",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 
@@ -12,16 +11,36 @@ from calib.core.data.other_formats import SomeFile
 _MARKS = ("//", "#", "%")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan", re.ASCII | re.IGNORECASE)
 _U95 = re.compile(r"u[ _]?95[ _]?\(?([xyz]?)\)?(?:\s*[\[(](.+)[\])])?", re.IGNORECASE)
-_UNITS = {"millimeters": "mm", "millimetres": "mm", "meters": "m", "metres": "m", "micrometers": "um"}
-_SEEN = 40  # lines among which a header is
-_TICKS = 4096  # of a turn of the servos that LeRobot's arms have
+_UNITS = {
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "meters": "m",
+    "metres": "m",
+    "micrometers": "um",
+    "inches": "in",
+    "feet": "ft",
+}
+SEEN = 40
+"""Lines among which a header is."""
 _AXES = ["x", "y", "z"]
+_TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 
 
-def _cells(line: str) -> list[str]:
-    """Cells of a line: parted by tabs, semicolons, commas, or else blanks."""
+def cells_of(line: str) -> list[str]:
+    """Return the cells of a line: parted by tabs, semicolons, commas, or else blanks."""
     separator = next((mark for mark in "\t;," if mark in line), None)
     return [cell.strip().strip('"') for cell in (line.split(separator) if separator else line.split())]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with point or comma."""
+    return bool(_NUMBER.fullmatch(cell))
+
+
+def unit_above(lines: Sequence[str]) -> str | None:
+    """Return the unit of length that the lines above a table name."""
+    words = _UNITS | {f"units: {unit}": unit for unit in ("mm", "m")}
+    return next((unit for line in lines for word, unit in words.items() if word in line.casefold()), None)
 
 
 def _numbers(cells: Sequence[str]) -> int:
@@ -49,16 +68,16 @@ def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
     """The comment that names the columns, and its cells."""
     lines = file.first_lines
     row = _first_row(lines)
-    if row is None or not _numbers(_cells(lines[row])) or len(_cells(lines[row])) < 2:
+    if row is None or not _numbers(cells_of(lines[row])) or len(cells_of(lines[row])) < 2:
         return None
-    n = len(_cells(lines[row]))
-    if _numbers(_cells(lines[row])) < n - 4:
+    n = len(cells_of(lines[row]))
+    if _numbers(cells_of(lines[row])) < n - 4:
         return None
     for k in range(row - 1, -1, -1):
         said = _comment(lines[k])
         if not said:
             continue
-        cells = _cells(said)
+        cells = cells_of(said)
         named = len(cells) >= 2 and not _numbers(cells) and n - 2 <= len(cells) <= n
         return (k, cells) if named and all(cells) and len(cells) > n / 2 else None
     return None
@@ -74,10 +93,10 @@ def commented_header_lines(file: SomeFile) -> list[str]:
     lines, known = file.lines, _header_in_comment(file)
     assert known is not None  # or another format would have been found
     header, names = known
-    width = len(_cells(lines[_first_row(lines) or 0]))
+    width = len(cells_of(lines[_first_row(lines) or 0]))
     names = [*names, *(f"column_{k + 1}" for k in range(len(names), width))]
     places = {name.split(" [")[0].split(" (")[0].casefold(): k for k, name in enumerate(names)}
-    unit = next((u for line in lines[:header] for word, u in _UNITS.items() if word in line.casefold()), None)
+    unit = unit_above(lines[:header])
     if all(axis in places for axis in _AXES):
         z = re.search(r"[\[(](.+)[\])]$", names[places["z"]])
         unit = z[1] if z else unit
@@ -86,22 +105,22 @@ def commented_header_lines(file: SomeFile) -> list[str]:
                 names[places[axis]] += f" [{unit}]"
     if "target" in places and "pose" not in places:
         names[places["target"]] = "pose"
-    mark = ";" if any("," in c for line in lines[header:] if "," in line for c in _cells(line)) else ","
+    mark = ";" if any("," in c for line in lines[header:] if "," in line for c in cells_of(line)) else ","
     return [
         mark.join(names)
         if k == header
         else f"# {said}"
         if (said := _comment(line)) is not None
-        else mark.join(_cells(line))
+        else mark.join(cells_of(line))
         for k, line in enumerate(lines)
     ]
 
 
 def has_only_numbers(file: SomeFile) -> bool:
     """Whether lines have numbers alone, two or more."""
-    lines = [_cells(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
+    lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
     lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
-    return bool(lines) and len(lines[0]) > 1 and all(_numbers(cells) == len(cells) for cells in lines[:_SEEN])
+    return bool(lines) and len(lines[0]) > 1 and all(_numbers(cells) == len(cells) for cells in lines[:SEEN])
 
 
 def has_only_blank_numbers(file: SomeFile) -> bool:
@@ -110,21 +129,43 @@ def has_only_blank_numbers(file: SomeFile) -> bool:
     return row is not None and not re.search("[,;\t]", file.first_lines[row]) and has_only_numbers(file)
 
 
+def _blank_header(file: SomeFile) -> int | None:
+    """The line of names above numbers, both parted by blanks; rows may begin with a name."""
+    k = _first_row(file.first_lines)
+    rows = [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:SEEN]
+    if len(rows) < 2 or any(re.search("[,;\t]", row) for row in rows):
+        return None
+    names, *table = [row.split() for row in rows]
+    whole = all(len(cells) == len(names) and _numbers(cells) >= max(len(cells) - 1, 2) for cells in table)
+    return k if whole and not _numbers(names) else None
+
+
+def is_parted_by_blanks(file: SomeFile) -> bool:
+    """Whether names and the numbers below are parted by blanks."""
+    return _blank_header(file) is not None
+
+
+def blank_lines(file: SomeFile) -> list[str]:
+    """Return the lines with commas between their cells."""
+    return [line if _comment(line) is not None else ",".join(line.split()) for line in file.lines]
+
+
 def numbered_lines(file: SomeFile) -> list[str]:
     """Return the lines below a header of numbers from 1."""
     rows = [line for line in file.lines if line.strip() and _comment(line) is None]
-    width = len(_cells(rows[0])) if rows else 0
-    return [",".join(str(k + 1) for k in range(width)), *(_joined(_cells(row)) for row in rows)]
+    width = len(cells_of(rows[0])) if rows else 0
+    return [",".join(str(k + 1) for k in range(width)), *(_joined(cells_of(row)) for row in rows)]
 
 
 def _axes_line(file: SomeFile) -> int | None:
-    """The line of X, Y, Z whose names stand in the line above."""
-    lines = [_cells(line) for line in file.first_lines[:_SEEN] if line is not None]
+    """The line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) whose names stand in the line above."""
+    lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k in range(1, len(lines)):
-        letters = [cell.casefold() for cell in lines[k]]
-        starts = [j for j in range(len(letters) - 2) if letters[j : j + 3] == _AXES]
-        above = lines[k - 1]
-        if starts and all(j < len(above) and above[j] and not any(above[j + 1 : j + 3]) for j in starts):
+        letters, above = [cell.casefold() for cell in lines[k]], lines[k - 1]
+        starts = {j for j in range(len(letters) - 2) if letters[j : j + 3] in _TRIPLES}
+        named = {j for j, cell in enumerate(above) if cell}
+        first = {j for j in starts if letters[j] != "tx" or j - 3 not in starts}  # behind the angles of the same name
+        if first and first == named:
             return k
     return None
 
@@ -138,15 +179,16 @@ def named_above_lines(file: SomeFile) -> list[str]:
     """Return the lines with one header in place of names, letters and units."""
     lines, k = file.lines, _axes_line(file)
     assert k is not None  # or another format would have been found
-    letters, above = _cells(lines[k]), _cells(lines[k - 1])
-    units = _cells(lines[k + 1]) if k + 1 < len(lines) else []
+    letters, above = cells_of(lines[k]), cells_of(lines[k - 1])
+    units = cells_of(lines[k + 1]) if k + 1 < len(lines) else []
     has_units = bool(units) and not _numbers(units) and any(units)
     header, name = [], ""
     for j, letter in enumerate(letters):
         name = above[j].rpartition(":")[2] if j < len(above) and above[j] else name
-        measured = letter.casefold() in _AXES and name
+        axis = letter.casefold().removeprefix("t")
+        measured = any(axis in triple for triple in _TRIPLES) and name
         unit = f" [{units[j]}]" if has_units and j < len(units) and units[j] else ""
-        header.append((f"{name}_{letter.casefold()}" if measured else letter or f"column_{j + 1}") + unit)
+        header.append((f"{name}_{axis}" if measured else letter or f"column_{j + 1}") + unit)
     return _with_header(lines, k + 1 + has_units, header)
 
 
@@ -154,7 +196,7 @@ def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> lis
     """Lines of which the rows begin at `first`; those above are comments, the last of them the header."""
     width, rows = len(header), list[str]()
     for line in lines[first:]:
-        cells = _cells(line)
+        cells = cells_of(line)
         whole = len(cells) == width and _numbers(cells) > 0
         rows.append(_joined(cells) if whole else f"# {line}" if line.strip() else "")
     return [*(f"# {line}" for line in lines[: first - 1]), ",".join(header), *rows]
@@ -167,16 +209,16 @@ def motive_lines(file: SomeFile) -> list[str]:
         DataError: It has no rows of names and of what they measure, or angles in place of quaternions.
     """
     lines = file.lines
-    first = _cells(lines[0])
+    first = cells_of(lines[0])
     settings = dict(zip(first[::2], first[1::2], strict=False))
     unit = _UNITS.get(settings.get("Length Units", "").casefold(), "m")
-    rows = {cells[1]: cells for cells in map(_cells, lines[:12]) if len(cells) > 2 and cells[1] in ("Name", "Type")}
-    k = next((k for k, line in enumerate(lines[:14]) if _cells(line)[:1] == ["Frame"]), None)
+    rows = {cells[1]: cells for cells in map(cells_of, lines[:12]) if len(cells) > 2 and cells[1] in ("Name", "Type")}
+    k = next((k for k, line in enumerate(lines[:14]) if cells_of(line)[:1] == ["Frame"]), None)
     if k is None or "Name" not in rows:
         raise DataError(f"{file.path}: an export of Motive without a row 'Name' above 'Frame'; export it with headers")
-    if settings.get("Rotation Type", "Quaternion") != "Quaternion":
+    if settings.get("Rotation Type", "Quaternion") != "Quaternion" and "Rotation" in cells_of(lines[k - 1]):
         raise DataError(f"{file.path}: rotations as {settings['Rotation Type']}; export them from Motive as Quaternion")
-    kinds, letters = _cells(lines[k - 1]), _cells(lines[k])
+    kinds, letters = cells_of(lines[k - 1]), cells_of(lines[k])
     header = []
     for j, letter in enumerate(letters):
         name = rows["Name"][j].replace(":", "_") if j < len(rows["Name"]) else ""
@@ -193,8 +235,8 @@ def motive_lines(file: SomeFile) -> list[str]:
 
 
 def _u95_header(file: SomeFile) -> tuple[int, list[str]] | None:
-    for k, line in enumerate(file.first_lines[:_SEEN]):
-        cells = _cells(line)
+    for k, line in enumerate(file.first_lines[:SEEN]):
+        cells = cells_of(line)
         if len(cells) > 3 and any(_U95.fullmatch(cell) for cell in cells):
             return k, cells
     return None
@@ -219,7 +261,7 @@ def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
     unit = f" [{m[2]}]" if single is not None and (m := _U95.fullmatch(names[single])) and m[2] else ""
     table = []
     for k, line in enumerate(lines):
-        cells = _cells(line)
+        cells = cells_of(line)
         if k == header:
             table.append(_semicolons(spread(written, [f"U95 {axis}{unit}" for axis in "XYZ"])))
         elif k > header and len(cells) == len(names):
@@ -231,23 +273,3 @@ def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
 
 def _semicolons(cells: Sequence[str]) -> str:
     return ";".join(cells)
-
-
-def servo_lines(file: SomeFile) -> list[str]:
-    """Raise `DataError` that says which lines of `columns` take a log's numbers to joint angles."""
-    try:
-        servos = json.loads("\n".join(file.lines))
-        ranges = {str(name): int(s["range_max"]) - int(s["range_min"]) for name, s in servos.items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise DataError(
-            f"{file.path}: looks like a calibration of LeRobot, but cannot be read; save it again"
-        ) from None
-    said = ", ".join(
-        f'{name}.pos: "{span / 200 * 360 / _TICKS:.4g} * {name} [deg]"'
-        for name, span in ranges.items()
-        if "grip" not in name
-    )
-    raise DataError(
-        f"{file.path}: this looks like a calibration of LeRobot's servos, not measurements; a log of -100..100 needs"
-        f" columns: {{{said}}} in the robot description (one in degrees, a factor of 1), and zeros from a few poses"
-    )

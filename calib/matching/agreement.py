@@ -64,7 +64,7 @@ class Agreement(ReadOnlyArrays):
         return self.ratio <= _BEYOND
 
 
-def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement:
+def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
     """Compare residuals with rounding.
 
     Args:
@@ -72,27 +72,30 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement
         name: Of the instrument that stands for the controller.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
         seed: Of the draws.
+        more: What else may move the whitened rows, in proportion, (6 n_pairs, c); the fit is not made again.
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
     scale = whitening.row_scale(fit.scales.groups)[:, None]  # 1 unless residuals contradict the rounding
-    prior, jacobian = fit.rows.prior.rows, fit.rows.jacobian * scale
+    more = np.zeros((6 * n, 0)) if more is None else more
+    jacobian = np.hstack([fit.rows.jacobian * scale, more])
+    prior = np.pad(fit.rows.prior.rows, ((0, 0), (0, more.shape[1])))
     L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
     e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
-    C = _covariance(jacobian, prior)
+    C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
     d = (e @ jacobian + rng.standard_normal((_DRAWS, len(prior))) @ prior) @ C
     residuals = fit.rows.residuals * scale[:, 0]
+    residuals = residuals - jacobian @ (C[:, len(C) - more.shape[1] :] @ (more.T @ residuals))
     all_r = np.vstack([e - d @ jacobian.T, residuals]).reshape(_DRAWS + 1, n, 6)
     predicted = _by_the_others(jacobian, C, all_r)
     lengths = np.linalg.norm(predicted, axis=2)
     sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
-    own = _by_the_others(fit.rows.jacobian, _covariance(fit.rows.jacobian, prior), (residuals / scale[:, 0])[None])
-    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}) / scale
-    left_out = np.linalg.solve(whiten.reshape(n, 6, 6), own.reshape(n, 6, 1))[:, :3, 0]
+    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
+    left_out = np.linalg.solve(whiten, predicted[-1][..., None])[:, :3, 0]
     moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
     size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
-    errors = _elsewhere(fit, d)
+    errors = _elsewhere(fit, d[:, : fit.rows.jacobian.shape[1]])
     return Agreement(
         float(np.max(sums[:, -1] / np.max(sums[:, :-1], axis=1))),
         lengths[-1] / np.max(lengths[:-1]),
@@ -102,10 +105,6 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int) -> Agreement
         float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
         float(np.sqrt(np.mean(np.sum(fit.residuals[name][:, :3] ** 2, axis=1)))),
     )
-
-
-def _covariance(jacobian: FloatArray, prior: FloatArray) -> FloatArray:
-    return linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
 
 
 def _by_the_others(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:

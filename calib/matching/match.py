@@ -19,12 +19,11 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError, DataError, InputError
+from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import millimetres
-from calib.core.base.words import counted, listed
+from calib.core.base.words import counted
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.matching.agreement import Agreement
 from calib.matching.alignment import distances
 from calib.matching.pairs import Pairs, read_pairs
 from calib.matching.readings import Candidate, alike_error, candidates, nominal_poses
@@ -32,6 +31,7 @@ from calib.matching.result import Match
 from calib.matching.twin_fit import TwinFit
 
 _LEAST = 4  # pairs
+_MOST = 500  # that are used
 _NEAR = 0.015, np.radians(1.5)  # of base and tool from frames of the robot, which are then taken for them [m], [rad]
 _ELSEWHERE = 0.02, np.radians(2.0)  # of what is stated from what is found, beyond which it is wrong [m], [rad]
 _ALIKE = 2.0  # residuals over those of the best reading, up to which another one fits alike
@@ -70,20 +70,22 @@ def match(
     read = read_pairs(pairs, nominal.joint_names)
     if len(read) < _LEAST:
         raise DataError(f"{pairs}: {counted(len(read), 'pair')}; at least {_LEAST} are needed, and 30 are good")
+    remarks = [f"{_MOST} of {len(read)} pairs are used, evenly over the file"] * (len(read) > _MOST)
+    read = read.evenly(_MOST)
     fits = [_begun(nominal, read, one, tool, base, seed) for one in candidates(nominal, read)]
-    fit = _decided(fits, nominal, read) if len(fits) > 1 else fits[0]
-    remarks = fit.candidate.reading.mistakes(nominal, read)
+    fit = _decided(fits, read) if len(fits) > 1 else fits[0]
+    remarks += fit.candidate.reading.mistakes(read)
     if not fit.agreed.to_the_digits and fit.tool is not None:
         free = replace(fit, tool=None)
         if free.agreed.left_out < _BETTER * fit.agreed.left_out:
             remarks += ["the tool is another one than the one stated"] if tool is not None else []
             fit = free
     fit = _without_others(fit)
-    tried = _with_terms(fit) if terms and not fit.agreed.to_the_digits else None
+    tried = fit.explanation() if terms and not fit.agreed.to_the_digits else None
     away = _stock_misses(fit)
     gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
     places = _places(fit, stated=(base is not None, tool is not None))
-    return Match(fit.plain[0], fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
+    return Match(fit.fit, fit.candidate, read, fit.agreed, gone, places, tuple(remarks), tried)
 
 
 def _begun(
@@ -108,11 +110,11 @@ def _begun(
     return TwinFit(robot, pairs, candidate, places[0], places[1], kept, seed)
 
 
-def _decided(fits: list[TwinFit], robot: Robot, pairs: Pairs) -> TwinFit:
+def _decided(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
     """The reading that fits best; an error where another one fits alike, and no header says which."""
     best = min(fit.agreed.left_out for fit in fits)
     alike = [fit for fit in fits if fit.agreed.left_out <= _ALIKE * best]
-    said = [fit for fit in alike if not fit.candidate.reading.mistakes(robot, pairs)]
+    said = [fit for fit in alike if not fit.candidate.reading.mistakes(pairs)]
     if len(alike) > 1 and (len(said) != 1 or not pairs.words):
         raise alike_error(pairs, [fit.candidate.reading for fit in alike])
     return said[0] if len(alike) > 1 else alike[0]
@@ -128,18 +130,6 @@ def _without_others(fit: TwinFit) -> TwinFit:
         worst = less.kept[int(np.argmax(far))]
         less = replace(less, kept=tuple(k for k in less.kept if k != worst))
     return less if less.agreed.to_the_digits else fit
-
-
-def _with_terms(twin: TwinFit) -> tuple[str, Agreement] | None:
-    """The joint terms that explain more than joint origins, in words, and what they leave."""
-    try:
-        fit, agreed = twin.fitted("auto")
-    except CalibrationError:
-        return None
-    by_term: dict[str, list[str]] = {}
-    for section in fit.robot.description.terms:
-        by_term.setdefault(str(section.term), []).append(str(section.joint))
-    return listed([f"{term} of {listed(joints, shown=7)}" for term, joints in by_term.items()], " and "), agreed
 
 
 def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
@@ -165,7 +155,7 @@ def _stock_misses(fit: TwinFit) -> FloatArray:
     """How far all pairs are from the nominal robot with base and tool, (n,) [m]."""
     reading, aligned = fit.candidate.reading, fit.candidate.aligned
     joints, positions, rotations = reading.paired(fit.pairs)
-    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(fit.robot, joints)) @ aligned.tool
+    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool
     return distances(robot, reading.poses(positions, rotations))
 
 

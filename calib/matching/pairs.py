@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,25 +21,16 @@ from calib.core.base.words import counted
 from calib.core.data.layouts import is_comment
 from calib.core.data.tables import Table, read_table
 from calib.core.judging.rounded_joint_values import usual_step
+from calib.matching.conventions import HEADERS
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_ROTATIONS: dict[str, tuple[str, ...]] = {
-    "qx qy qz qw": ("qx", "qy", "qz", "qw"),
-    "qw qx qy qz": ("qw", "qx", "qy", "qz"),
-    "q1 q2 q3 q4": ("q1", "q2", "q3", "q4"),
-    "w p r": ("w", "p", "r"),
-    "a b c": ("a", "b", "c"),
-    "o a t": ("o", "a", "t"),
-    "roll pitch yaw": ("roll", "pitch", "yaw"),
-    "alpha beta gamma": ("alpha", "beta", "gamma"),
-    "rx ry rz": ("rx", "ry", "rz"),
-    "theta x y z": ("thetax", "thetay", "thetaz"),
-    "matrix": tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
-}
-"""Endings of the names of columns that makers give to rotations."""
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
 """Beginnings of the names of joint columns, in the order of trust: q1 to q4 may be a quaternion."""
 _WIDTHS = (3, 4, 9)
+_POSES = ("pose", "otee")
+"""What is in the names of columns of a pose that are numbered: UR's actual_TCP_pose_0, Franka's O_T_EE_0."""
+_NUMBERED = {6: tuple(range(6)), 7: tuple(range(7)), 16: (12, 13, 14, 0, 4, 8, 1, 5, 9, 2, 6, 10)}
+"""Where x, y, z and the rotation are in so many numbers; 16 are a matrix, column by column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +45,7 @@ class Pairs(ReadOnlyArrays):
         rotations: In the units of the file, (n, 3, 4 or 9).
         units: Of joint values, positions and rotations, where the file states them.
         steps: Of the last digit of each joint, of positions, and of rotations, in units of the file, (n_joints + 2,).
-        words: Name of the rotation's columns in `_ROTATIONS`; empty where they say nothing.
+        words: Key of `HEADERS` of the rotation's columns; empty where they say nothing.
     """
 
     path: str
@@ -68,6 +59,12 @@ class Pairs(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    def evenly(self, most: int) -> Pairs:
+        """Return at most so many of them, evenly over the file: a log has thousands that say the same."""
+        kept = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+        arrays = {name: getattr(self, name)[kept] for name in ("joints", "positions", "rotations")}
+        return replace(self, rows=tuple(self.rows[k] for k in kept), **arrays)
 
 
 def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
@@ -83,8 +80,7 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
     table = _without_header(path) or read_table(path)
     names = [_plain(name) for name in table.names]
     joints = _joint_columns(table, names, joint_names)
-    positions = _position_columns(names, joints)
-    rotations, words = _rotation_columns(names, (*joints, *positions))
+    positions, rotations, words = _pose_columns(names, joints)
     if not (joints and positions and rotations):
         order = list(range(len(names)))
         n = len(joint_names)
@@ -128,15 +124,20 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]", "", name.casefold())
 
 
-def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
-    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
-    if all(name in table.names for name in joint_names):
-        return [table.names.index(name) for name in joint_names]
-    n = len(joint_names)
+def _series(names: list[str]) -> dict[str, dict[int, int]]:
+    """Columns that are numbered, by what stands before the number: number to column."""
     series: dict[str, dict[int, int]] = {}
     for k, name in enumerate(names):
         if match := re.fullmatch(r"(.*?)(\d+)(?:deg|rad|pos|position)?", name):
             series.setdefault(match[1], {})[int(match[2])] = k
+    return series
+
+
+def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -> list[int]:
+    """Columns of the joints: by the robot's names, or numbered with a stem that means joints."""
+    if all(name in table.names for name in joint_names):
+        return [table.names.index(name) for name in joint_names]
+    series, n = _series(names), len(joint_names)
     for stem in sorted(series, key=lambda stem: _STEMS.index(stem) if stem in _STEMS else len(_STEMS)):
         for first in (1, 0):
             if all(first + k in series[stem] for k in range(n)):
@@ -144,8 +145,19 @@ def _joint_columns(table: Table, names: list[str], joint_names: Sequence[str]) -
     return []
 
 
+def _pose_columns(names: list[str], joints: Sequence[int]) -> tuple[list[int], list[int], str]:
+    """Columns of positions and of rotations, and the header's word for these; empty where names do not tell."""
+    for stem, columns in _series(names).items():
+        order = _NUMBERED.get(len(columns))
+        if order is not None and any(word in stem for word in _POSES) and not set(columns.values()) & set(joints):
+            numbers = [columns[k] for k in sorted(columns)]
+            return [numbers[k] for k in order[:3]], [numbers[k] for k in order[3:]], ""
+    positions = _position_columns(names, joints)
+    return positions, *_rotation_columns(names, (*joints, *positions))
+
+
 def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
-    rotations = {ending for endings in _ROTATIONS.values() for ending in endings}
+    rotations = {ending for words in HEADERS for ending in words.split()}
     found = []
     for axis in "xyz":
         fitting = [
@@ -159,8 +171,8 @@ def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
 
 def _rotation_columns(names: list[str], taken: Sequence[int]) -> tuple[list[int], str]:
     left = [k for k in range(len(names)) if k not in taken]
-    for words, endings in _ROTATIONS.items():
-        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in endings]
+    for words in HEADERS:
+        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in words.split()]
         if -1 not in columns and len(set(columns)) == len(columns):
             return columns, words
     after = [k for k in left if k > max(taken, default=-1)]

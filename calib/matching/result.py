@@ -75,7 +75,7 @@ class Match:
             return "joint terms were not tried"
         words, left = self.terms
         if not words:
-            return "gravity, couplings, gears and other joint terms were tried, and none of them explains it"
+            return "gravity, couplings, gears and other joint terms were tried, and none of them halves it"
         if left.to_the_digits:
             return f"with {words} it agrees to the digits; a URDF has no place for that"
         return f"with {words}, {_mm(left.left_out)} are left; a URDF has no place for that"

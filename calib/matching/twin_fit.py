@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from calib.core.rows.jacobian import linearise
 from calib.matching.agreement import Agreement, agreement
 from calib.matching.pairs import Pairs
 from calib.matching.readings import Candidate
+from calib.matching.unexplained import explanation
 
 _CONTROLLER = "controller"  # the instrument that stands for it
 
@@ -49,25 +50,30 @@ class TwinFit:
     seed: int
 
     @cached_property
-    def plain(self) -> tuple[JudgedFit, Agreement]:
-        """The fit of joint origins alone, and its agreement."""
-        return self.fitted(None)
+    def _data(self) -> tuple[Measurements, FloatArray]:
+        return self._measured(self._model())
 
-    @property
+    @cached_property
+    def fit(self) -> JudgedFit:
+        """The fit of joint origins."""
+        return self._fitted(self._data[0].joints)
+
+    @cached_property
     def agreed(self) -> Agreement:
-        """What the fit of joint origins is worth."""
-        return self.plain[1]
+        """What the fit is worth."""
+        return agreement(self.fit, _CONTROLLER, self._data[1], self.seed)
 
-    def fitted(self, terms: str | None) -> tuple[JudgedFit, Agreement]:
-        """Fit, with joint terms if any are asked for."""
-        model = self._model()
-        data, rounding = self._measured(model)
-        fit = calibrate(model, data, None, Settings(terms=terms))
-        return fit, agreement(fit, _CONTROLLER, rounding, self.seed)
+    def explanation(self) -> tuple[str, Agreement]:
+        """Return what the controller knows beside joint origins, in words, and what that leaves."""
+        data, rounding = self._data
+        return explanation(self.fit, self._fitted, data.joints, _CONTROLLER, rounding, self.seed)
+
+    def _fitted(self, joints: FloatArray) -> JudgedFit:
+        return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
 
     def found(self, place: str) -> FloatArray:
         """Return where a fit that did not know them has the target of this name, or the base, (4, 4) [m]."""
-        fit = self.plain[0]
+        fit = self.fit
         mechanism = fit.robot.mechanism
         target = next((each for each in mechanism.targets if each.name == place), None)
         if target is not None:
@@ -112,13 +118,13 @@ class TwinFit:
         reading, pairs = self.candidate.reading, self.pairs
         kept = np.array(self.kept)
         joints, positions, rotations = (array[kept] for array in reading.paired(pairs))
-        q, T = reading.joints(model, joints), reading.poses(positions, rotations)
+        q, T = reading.joints(joints), reading.poses(positions, rotations)
         n, n_joints = q.shape
-        steps = reading.steps(model, pairs)
+        steps = reading.steps(pairs)
         by_joint = linearise(model, model.assemble(q), turns=True, joints=True).by_joint
         assert by_joint is not None
         columns = [
-            np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(model, joints + steps[j] * np.eye(n_joints)[j]) - q)
+            np.einsum("vij,vj->vi", by_joint[:, 0], reading.joints(joints + steps[j] * np.eye(n_joints)[j]) - q)
             for j in range(n_joints)
         ]
         columns += [_twist(reading.poses(positions + steps[-2] * axis, rotations), T) for axis in np.eye(3)]

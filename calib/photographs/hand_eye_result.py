@@ -14,13 +14,13 @@ from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.left_out import rms
-from calib.photographs.scene import SIDES
+from calib.photographs.scene import SIDES, Mount
 
-_FEW = 10  # images below which a result is one to look at
+FEW = 10  # images below which a result is one to look at
 _MANY = 0.1  # part of the points left out, above which something is wrong with the photographs
 _ROBOT_SHARE = 0.5
 _MM = 1e3
-_WIDE = 0.05
+WIDE = 0.05
 """Half width of a 95 % interval of camera or board, over the distance between them, or in radians, from which nobody
 knows where it is: a turn by so much moves what the camera sees by as much as such a shift. Good photographs give
 less than a third of that."""
@@ -35,6 +35,10 @@ class Frames:
     tool: str = "tool0"
     camera: str = "camera_optical_frame"
     board: str = "board"
+
+    def parents(self, mount: Mount) -> tuple[str, str]:
+        """Return the frames that camera and board are fixed to."""
+        return (self.tool, self.base) if mount == "tool" else (self.base, self.tool)
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,9 @@ def judge(result: HandEye) -> Judgement:
             " photographs (blur, reflections, a board that is not flat)"
         )
     axes = turning(scene.tool)
-    if len(scene) < _FEW:
+    if len(scene) < FEW:
         reasons.append(f"{counted(len(scene), 'image')} are few to judge by")
-        advice.append(f"take {_FEW} to 20 images")
+        advice.append(f"take {FEW} to 20 images")
     if axes[1] < LITTLE_TURN:
         reasons.append(
             f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f}"
@@ -82,7 +86,7 @@ def judge(result: HandEye) -> Judgement:
         if result.lens_found:
             reasons.append(f"the lens was found from {100 * covered:.0f} % of the image")
     for name, (shift, turn) in result.uncertainty().items():
-        if not max(shift / result.distance, turn) < _WIDE:
+        if not max(shift / result.distance, turn) < WIDE:
             reasons.append(
                 f"the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg (95 %), where"
                 f" camera and board are {_MM * result.distance:.0f} mm apart: only what the camera will see at poses"
@@ -159,8 +163,8 @@ def report(result: HandEye, frames: Frames) -> str:
         f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis,"
         " with errors of the robot that follow its pose"
         for title, key, pose in (
-            (f"Camera in {parents(result, frames)[0]}", "camera", transform(fitted.placed.camera)),
-            (f"Board in {parents(result, frames)[1]}", "board", transform(fitted.placed.board)),
+            (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
+            (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
         )
     ]
     lines += [f"Next: {text}" for text in judgement.advice]
@@ -184,15 +188,10 @@ def _shares(result: HandEye, usable: bool) -> str:
     return text
 
 
-def parents(result: HandEye, frames: Frames) -> tuple[str, str]:
-    """Return the frames that camera and board are fixed to."""
-    return (frames.tool, frames.base) if result.scene.mount == "tool" else (frames.base, frames.tool)
-
-
 def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
     scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
-    above = parents(result, frames)
+    above = frames.parents(scene.mount)
     images = zip(
         scene.names, scene.counts, result.by_image(result.pixels), result.by_image(result.left.pixels),
         result.by_image(result.board), result.by_image(result.left.board), strict=True,
@@ -237,21 +236,36 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
 
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
-    pose, above = transform(result.fitted.placed.camera), parents(result, frames)[0]
+    intrinsics = result.fitted.placed.intrinsics
+    width, height = result.scene.size
+    return {
+        "hand_eye.json": (json.dumps(as_data(content(result, frames)), indent=1, allow_nan=False) + "\n").encode(),
+        **transform_files(result.fitted.placed.camera, result.scene.mount, frames),
+        "camera_info.yaml": (
+            f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"
+            f"camera_matrix: {{rows: 3, cols: 3, data: [{intrinsics[0]:.6f}, 0, {intrinsics[2]:.6f}, 0,"
+            f" {intrinsics[1]:.6f}, {intrinsics[3]:.6f}, 0, 0, 1]}}\n"
+            "distortion_model: plumb_bob\n"
+            f"distortion_coefficients:"
+            f" {{rows: 1, cols: 5, data: [{', '.join(f'{value:.9g}' for value in intrinsics[4:])}]}}\n"
+        ).encode(),
+    }  # fmt: skip
+
+
+def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[str, bytes]:
+    """Return the pose of a camera, (4, 4) [m], in the frame that it is fixed to, as files of other programs."""
+    pose, above = transform(camera), frames.parents(mount)[0]
     numbers = {key: f"{value:.12f}" for key, value in pose.items()}
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
     arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
-    hand = result.scene.mount == "tool"
-    matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in result.fitted.placed.camera)
+    hand = mount == "tool"
+    matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in camera)
     namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
         f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
     )
     inside = "".join(f"  {key}: {numbers[key]}\n" for key in ("x", "y", "z", "qx", "qy", "qz", "qw"))
-    intrinsics = result.fitted.placed.intrinsics
-    width, height = result.scene.size
     return {
-        "hand_eye.json": (json.dumps(as_data(content(result, frames)), indent=1, allow_nan=False) + "\n").encode(),
         "camera_matrix.txt": (matrix + "\n").encode(),
         "static_transform.sh": (
             "#!/bin/sh\n# the camera for ROS 2\n"
@@ -270,14 +284,6 @@ def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
             + f"  tracking_marker_frame: {frames.board}\n  freehand_robot_movement: true\n"
             + f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
             + f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
-        ).encode(),
-        "camera_info.yaml": (
-            f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"
-            f"camera_matrix: {{rows: 3, cols: 3, data: [{intrinsics[0]:.6f}, 0, {intrinsics[2]:.6f}, 0,"
-            f" {intrinsics[1]:.6f}, {intrinsics[3]:.6f}, 0, 0, 1]}}\n"
-            "distortion_model: plumb_bob\n"
-            f"distortion_coefficients:"
-            f" {{rows: 1, cols: 5, data: [{', '.join(f'{value:.9g}' for value in intrinsics[4:])}]}}\n"
         ).encode(),
     }  # fmt: skip
 

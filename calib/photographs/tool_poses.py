@@ -7,6 +7,7 @@ Columns (with units in the header; m and rad without):
     roll, pitch, yaw      turned about the fixed axes x, y, z in this order, as URDF has it
     w, p, r               the same, as Fanuc calls it
     a, b, c               about z, then the new y, then the new x, as KUKA calls it
+    r11, r12, ... r33     a rotation matrix, row by row; of 4 x 4 matrices, 00 to 23 in place of x, y, z and r11 to r33
     rx, ry, rz            a rotation vector (Universal Robots), or roll, pitch, yaw: which one, must be said
 
 Which image belongs to which row says a column `image` (the file) or `pose` (its name without ending).
@@ -14,7 +15,9 @@ Which image belongs to which row says a column `image` (the file) or `pose` (its
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +26,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest, nearest_column
 from calib.core.data.tables import Table, read_table
+from calib.core.numerics.rigid import nearest_rotation
 from calib.core.robots.robot import Robot
 from calib.photographs.images import SUFFIXES
 
@@ -35,7 +39,10 @@ _FORMS = (
     ("w", "p", "r"),
     ("a", "b", "c"),
     ("rx", "ry", "rz"),
+    ("r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
+    ("00", "01", "02", "10", "11", "12", "20", "21", "22"),
 )
+_LAST_COLUMN = ("03", "13", "23")  # of a 4 x 4 matrix whose cells are called after row and column
 _NORM = 0.01
 
 
@@ -56,6 +63,11 @@ def read_tool_poses(
     names = image_names(table)
     if robot is not None:
         return names, _by_joints(table, robot)
+    places = pose_columns(table)
+    if len(places) > 1:
+        raise DataError(f"{path}: holds several poses ({', '.join(places)}); keep the tool's alone")
+    if places:
+        return names, poses_of(table, next(iter(places.values())), angles)
     columns = {name.casefold(): name for name in table.names}
     missing = next((name for name in _POSITION if name not in columns), None)
     if missing is not None:
@@ -64,14 +76,56 @@ def read_tool_poses(
             f" ({', '.join(map(' '.join, _FORMS))});"
             " joint values need --robot"
         )
-    form = next((form for form in _FORMS if all(name in columns for name in form)), None)
-    if form is None:
-        given = ", ".join(table.names)
-        raise DataError(f"{path}: no rotation; expected one of: {'; '.join(map(', '.join, _FORMS))}; it has {given}")
-    poses = np.tile(np.eye(4), (len(names), 1, 1))
-    poses[:, :3, 3] = np.stack([table.column(columns[name], "length") for name in _POSITION], axis=1)
-    poses[:, :3, :3] = _rotations(table, [columns[name] for name in form], form, angles)
-    return names, poses
+    given = ", ".join(table.names)
+    raise DataError(f"{path}: no rotation; expected one of: {'; '.join(map(', '.join, _FORMS))}; it has {given}")
+
+
+@dataclass(frozen=True)
+class PoseColumns:
+    """Columns that hold a pose.
+
+    Attributes:
+        position: Three names.
+        form: Which of the forms of rotations.
+        rotation: Names of its columns.
+    """
+
+    position: tuple[str, ...]
+    form: tuple[str, ...]
+    rotation: tuple[str, ...]
+
+
+def pose_columns(table: Table) -> dict[str, PoseColumns]:
+    """Return the poses that a table has columns for, by what their names begin with.
+
+    A rotation has the beginning of its position, or that with R for t (`t_cam_x` and `R_cam_r11`) or rvec for tvec.
+    """
+    columns = {name.casefold(): name for name in table.names}
+    places: dict[str, PoseColumns] = {}
+    for name in columns:
+        for position in (_POSITION, _LAST_COLUMN):
+            start = name.removesuffix(position[0])
+            if start == name or not all(start + end in columns for end in position):
+                continue
+            starts = dict.fromkeys([start, re.sub(r"^t(?=_|$)", "r", start)])
+            forms = [(s, form) for s in starts for form in _FORMS if all(s + end in columns for end in form)]
+            if start.startswith("tvec") and all(start.replace("tvec", "rvec") + end in columns for end in _POSITION):
+                forms.append((start.replace("tvec", "rvec"), _POSITION))
+            if forms:
+                at, form = forms[0]
+                own = columns[start + position[0]].removesuffix(position[0]).removesuffix("_")
+                places[own] = PoseColumns(
+                    tuple(columns[start + end] for end in position), form, tuple(columns[at + end] for end in form)
+                )
+    return places
+
+
+def poses_of(table: Table, place: PoseColumns, angles: str | None = None) -> FloatArray:
+    """Return poses of a table, (n, 4, 4) [m]; for `angles` and errors see `read_tool_poses`."""
+    poses = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    poses[:, :3, 3] = np.stack([table.column(name, "length") for name in place.position], axis=1)
+    poses[:, :3, :3] = _rotations(table, place.rotation, place.form, angles)
+    return poses
 
 
 def image_names(table: Table) -> list[str]:
@@ -101,12 +155,21 @@ def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angl
         if len(bad):
             raise DataError(
                 f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is not a unit quaternion (its length is"
-                f" {lengths[bad[0]]:.4g})"
+                f" {lengths[bad[0]]:.4g}); write more digits, or correct it"
             )
         return scipy.spatial.transform.Rotation.from_quat(
             numbers if form[0] == "qx" else np.roll(numbers, -1, axis=1)
         ).as_matrix()
+    if len(form) == 9:
+        matrices = np.stack([table.column(name, None) for name in columns], axis=1).reshape(-1, 3, 3)
+        nearest_ones = nearest_rotation(matrices)
+        off = np.flatnonzero(np.max(np.abs(matrices - nearest_ones), axis=(1, 2)) > _NORM)
+        if len(off):
+            raise DataError(f"{table.path}, line {table.lines[off[0]]}: {form[0]} to {form[-1]} are no rotation matrix")
+        return nearest_ones
     values = np.stack([table.column(name, "angle") for name in columns], axis=1)
+    if form == _POSITION:
+        return scipy.spatial.transform.Rotation.from_rotvec(values).as_matrix()
     if form == ("a", "b", "c"):
         return scipy.spatial.transform.Rotation.from_euler("ZYX", values).as_matrix()
     if form == ("rx", "ry", "rz"):

@@ -31,6 +31,9 @@ _NOT_STATED = "not stated"
 _SHOWN_IN = {
     "scale": (1e6, "um/m"),
     "offset": (1e6, "um"),
+    "offset_angle": (1e6, "urad"),
+    "focal_length": (1e6, "um/m"),
+    "principal_point": (1.0, "px"),
     "centring": (1e6, "um"),
     "diameter": (1e3, "mm"),
     "calibration": (1.0, "degC"),
@@ -40,8 +43,17 @@ _SHOWN_IN = {
     "expansion_uncertainty": (1e6, "um/m/K"),
 }
 """Factor and unit of numbers of `traceability`, in tables."""
-_SENSITIVITY = {"m": "", "1": "m", "K": "m/K", "1/K": "m K"}
-_LEAST = 1e-4  # um that are shown
+_UNITS = {
+    "m": (1e6, "um", 1.0, ""),
+    "rad": (1e6, "urad", 1.0, "m/rad"),
+    "px": (1.0, "px", 1e6, "um/px"),
+    "1": (1.0, "", 1e6, "um"),
+    "m/m": (1e6, "um/m", 1.0, "m"),
+    "K": (1.0, "K", 1e6, "um/K"),
+    "1/K": (1e6, "um/m/K", 1.0, "m K"),
+}
+"""Factor and unit of standard uncertainties in the table, and of their sensitivity coefficients: products are in um."""
+_LEAST = 1e-4  # below which numbers are shown as 0
 _SIGNED_BY = ("Calibrated by", "Approved by")
 
 
@@ -115,9 +127,11 @@ def document(content: Mapping[str, Any]) -> Document:
     facts = [("identifier", content["identifier"]), ("robot", content["robot"]), ("program", content["program"])]
     facts += [("verdict of the fit", content["verdict"]), ("poses measured", str(content["n_poses"]))]
     if content["expansion_to_correct"]:
-        grown = f"{1e6 * content['expansion_to_correct']:.3g} um/m: correct for it, the budget takes it as corrected"
-        facts.append(("lengths in use, from the base", grown))
-    facts += list(_facts(content["traceability"])) or [("traceability", _NOT_STATED)]
+        grown = (
+            f"{1e6 * content['expansion_to_correct']:.3g} um/m: apply this correction; the budget takes it as applied"
+        )
+        facts.append(("expansion of lengths from the base, in use", grown))
+    facts += list(_facts(content["traceability"])) or [("metrological traceability", _NOT_STATED)]
     tables = [Rows("What, by whom, with what", ("what", "stated"), tuple(facts)), _budget_table(found)]
     if "monte_carlo" in content:
         tables.append(_monte_carlo_table(content["monte_carlo"]))
@@ -125,20 +139,24 @@ def document(content: Mapping[str, Any]) -> Document:
         (p["name"], f"{p['value_si'] * p['per_si']:.5f}", f"{p['std_si'] * p['per_si']:.2g}", p["unit"])
         for p in content["parameters"]
     )
-    tables.append(Rows("Parameters", ("parameter", "value", "standard uncertainty", "unit"), parameters))
+    title = "Parameters of the robot, correlated: their covariance is in covariance.csv of the result"
+    tables.append(Rows(title, ("parameter", "estimate", "standard uncertainty", "unit"), parameters))
     if content["iso9283"]:
         figures = tuple(
             (f["name"], f["pose"], str(f["cycles"]), _um(f["value"]), f"{_um(f['low95'])} to {_um(f['high95'])}")
             for f in content["iso9283"]
         )
-        columns = ("figure", "pose", "cycles", "value [um]", "95 % [um]")
+        columns = ("figure", "pose", "cycles", "value [um]", "coverage interval, 95 % [um]")
         tables.append(Rows(f"Repeated poses. {FEW_CYCLES}", columns, figures))
-    return Document("Calibration certificate of a robot", answer, tuple(tables), _SIGNED_BY)
+    return Document("Calibration certificate of a robot", answer, tuple(tables), _SIGNED_BY, content["identifier"])
 
 
 def _um(length: float) -> str:
-    um = 1e3 * millimetres(length)
-    return f"{um:.4g}" if abs(um) >= _LEAST else "0"
+    return _shown(1e3 * millimetres(length), 4)
+
+
+def _shown(number: float, digits: int = 3) -> str:
+    return f"{number:.{digits}g}" if abs(number) >= _LEAST else "0"
 
 
 def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str]]:
@@ -152,30 +170,43 @@ def _facts(entry: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str
 
 
 def _budget_table(found: Mapping[str, Any]) -> Rows:
-    rows = [
-        (
-            row["quantity"],
-            f"{row['standard_uncertainty']:.3g} {'' if row['unit'] == '1' else row['unit']}",
-            f"{row['sensitivity']:.3g} {_SENSITIVITY.get(row['unit'], 'm/' + row['unit'])}",
-            _um(row["contribution"]) if row["counts"] else f"({_um(row['contribution'])})",
-            _freedom(row["freedom"]),
-            row["type"],
-            row["note"],
+    rows = []
+    for row in found["rows"]:
+        factor, unit, of_sensitivity, per = _UNITS[row["unit"]]
+        contribution = _um(row["contribution"])
+        rows.append(
+            (
+                row["quantity"],
+                f"{factor * row['standard_uncertainty']:.3g} {unit}".strip(),
+                f"{_shown(of_sensitivity * row['sensitivity'])} {per}".strip(),
+                contribution if row["counts"] else f"({contribution})",
+                _freedom(row["freedom"]),
+                row["type"],
+                row["note"],
+            )
         )
-        for row in found["rows"]
-    ]
     effective, blank = _freedom(found["effective_degrees_of_freedom"]), ""
     combined, expanded = _um(found["combined_standard_uncertainty"]), _um(found["expanded_uncertainty"])
-    rows.append(("combined standard uncertainty", blank, blank, combined, effective, blank, "effective (Welch)"))
-    factor = f"coverage factor {found['coverage_factor']:.3f}"
-    rows.append(("expanded uncertainty, 95 %", blank, blank, expanded, blank, blank, factor))
+    rows.append(
+        (
+            "combined standard uncertainty",
+            blank,
+            blank,
+            combined,
+            effective,
+            blank,
+            "degrees of freedom: effective (Welch-Satterthwaite)",
+        )
+    )
+    coverage = f"coverage factor {found['coverage_factor']:.3f}, coverage probability {100 * PROBABILITY:.0f} %"
+    rows.append(("expanded uncertainty", blank, blank, expanded, blank, blank, coverage))
     columns = (
-        "quantity",
+        "input quantity",
         "standard uncertainty",
         "sensitivity coefficient",
-        "contribution [um]",
+        "uncertainty contribution [um]",
         "degrees of freedom",
-        "type",
+        "type of evaluation",
         "source",
     )
     return Rows("Uncertainty budget (GUM)", columns, tuple(rows))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -25,6 +25,10 @@ th{background:#eef1f5}thead th{white-space:nowrap}
 .FAIL{color:#ff8a80}.PASS{color:#7fd99a}.NOTED{color:#e2c16b}.line{border-color:#e4e7eb}}
 @media print{body{margin:0;max-width:none;font-size:11px}}
 """
+_WIDE = 34  # letters of a cell from which it takes several lines
+_EDGE = 4  # letters that the edges of a cell take, and bold ones more than plain ones
+_WHOLE = 30  # rows of a table up to which it is not parted by a page's end
+_ROOM = 130  # letters of a line of a page
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,19 @@ class Rows:
     title: str
     columns: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
+
+    def draw(self, pdf: Any) -> None:
+        """Draw it below what a PDF has: columns as wide as their words need, and long ones twice as wide as short."""
+        widths = [
+            max(_EDGE + max(len(word) for word in name.split()), *(min(len(cell), _WIDE) for cell in cells))
+            for name, *cells in zip(self.columns, *self.cells, strict=True)
+        ]
+        _head(pdf, self.title, 11)
+        pdf.set_font("sans", "", 7)
+        with pdf.table(text_align="LEFT", line_height=4, padding=0.8, col_widths=widths) as table:
+            for row in (self.columns, *self.cells):
+                longest = (max(int(_ROOM * width / sum(widths)) - 1, 4) for width in widths)
+                table.row([_breakable(cell, most) for cell, most in zip(row, longest, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -45,12 +62,14 @@ class Document:
         answer: What it says, in one line.
         tables: What it says it by.
         signatures: Who signs, one line each.
+        mark: What each page says that it belongs to.
     """
 
     title: str
     answer: str
     tables: tuple[Rows, ...]
     signatures: tuple[str, ...]
+    mark: str = ""
 
     def html(self) -> str:
         """Return it as one page that loads nothing."""
@@ -85,20 +104,31 @@ class Document:
             raise InputError(
                 f"a PDF needs fpdf2: pip install '{DISTRIBUTION}[certificate]', or print the HTML"
             ) from None
-        pdf = fpdf.FPDF(format="A4")
+        mark = self.mark
+
+        class Page(fpdf.FPDF):  # type: ignore[name-defined,misc]
+            def footer(self) -> None:
+                self.set_y(-12)
+                self.set_font("sans", "", 7)
+                self.cell(0, 5, f"{mark}  page {self.page_no()} of {{nb}}", align="C")
+
+        pdf = Page(format="A4")
         pdf.set_title(self.title)
         fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")
         pdf.add_font("sans", "", fonts / "DejaVuSans.ttf")
         pdf.add_font("sans", "B", fonts / "DejaVuSans-Bold.ttf")
         pdf.set_auto_page_break(True, margin=15)
         pdf.add_page()
-        self._heading(pdf, self.title, 15)
-        self._heading(pdf, self.answer, 10)
-        for table in self.tables:
-            self._heading(pdf, table.title, 11)
-            self._table(pdf, [table.columns, *table.cells])
+        _head(pdf, self.title, 15)
+        _head(pdf, self.answer, 10)
+        for rows in self.tables:
+            with pdf.offset_rendering() as trial:
+                rows.draw(trial)
+            if trial.page_break_triggered and len(rows.cells) <= _WHOLE:
+                pdf.add_page()
+            rows.draw(pdf)
         if self.signatures:
-            self._heading(pdf, "Signatures: name, date, signature", 11)
+            _head(pdf, "Signatures: name, date, signature", 11)
             pdf.set_font("sans", "", 9)
             for who in self.signatures:
                 pdf.cell(40, 12, who)
@@ -107,18 +137,11 @@ class Document:
         pdf.output(out)
         return out.getvalue()
 
-    @staticmethod
-    def _heading(pdf: object, text: str, size: int) -> None:
-        pdf.ln(2)  # type: ignore[attr-defined]
-        pdf.set_font("sans", "B", size)  # type: ignore[attr-defined]
-        pdf.multi_cell(0, size * 0.55, text, new_x="LMARGIN", new_y="NEXT")  # type: ignore[attr-defined]
 
-    @staticmethod
-    def _table(pdf: object, rows: Sequence[Sequence[str]]) -> None:
-        pdf.set_font("sans", "", 7)  # type: ignore[attr-defined]
-        with pdf.table(text_align="LEFT", line_height=4, padding=0.8) as table:  # type: ignore[attr-defined]
-            for row in rows:
-                table.row([_breakable(cell) for cell in row])
+def _head(pdf: Any, text: str, size: int) -> None:
+    pdf.ln(2)
+    pdf.set_font("sans", "B", size)
+    pdf.multi_cell(0, size * 0.55, text, align="L", new_x="LMARGIN", new_y="NEXT")
 
 
 def _cell(text: str) -> str:
@@ -126,7 +149,7 @@ def _cell(text: str) -> str:
     return f"<td{grade}>{escape(text)}</td>"
 
 
-def _breakable(text: str, longest: int = 28) -> str:
+def _breakable(text: str, longest: int) -> str:
     """Part words that are too long for a cell, such as digests."""
     return " ".join(
         " ".join(word[k : k + longest] for k in range(0, len(word), longest)) or word for word in text.split(" ")

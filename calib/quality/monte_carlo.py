@@ -1,11 +1,11 @@
 """The budget checked by Monte Carlo (GUM Supplement 1): inputs are drawn, the fit is made again, positions deviate.
 
-Each draw has a scale and offsets of the instrument, a temperature and an expansion (a Latin hypercube of normal
-numbers), noise e of the readings that has the sum T^T J^T e which decides the fit, and means of the priors drawn by
-themselves. From the minimum, the solver of the fit (`calib.core.numerics.least_squares`) finds that of the drawn
-readings; positions there, exact and with loops closed, less those of the fit are what the measurand is off. Where the
-base is unknown, they are laid on those of the fit as one body. What needs no fit (repeatability, what the model leaves
-out, extrapolation) is added as normal numbers of its size.
+Each draw has errors of the instrument, a temperature and an expansion (a Latin hypercube of normal numbers), noise e of
+the readings that has the sum T^T J^T e which decides the fit, means of the priors drawn by themselves, and, where sizes
+of joint terms were found, other logarithms of these. From the minimum, the solver of the fit
+(`calib.core.numerics.least_squares`) finds that of the drawn readings; positions there, exact and with loops closed,
+less those of the fit are what the measurand is off. Where the base is unknown, they are laid on those of the fit as one
+body. What needs no fit (repeatability, what the model leaves out, extrapolation) is added as normal numbers.
 
 Reference: jcgm101 (GUM Supplement 1), section 7.
 """
@@ -24,11 +24,13 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress
 from calib.core.numerics import linalg
 from calib.core.numerics.least_squares import minimise
+from calib.core.numerics.prior_sizes import spread_of_sizes
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.observed import observe
 from calib.core.rows.rows import Rows
-from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, Budget, LinearFit
+from calib.core.rows.unknowns import Unknowns
+from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, LinearFit
 
 _TOLERANCE = 1e-7  # of the cost
 _SEEN = 1e-4  # part of a direction below which only priors tell of it
@@ -84,21 +86,26 @@ def monte_carlo(
     """
     rng = np.random.default_rng(seed)
     instrument, heat = stated.instrument, stated.temperature
-    sizes = np.array([instrument.scale, *[instrument.offset] * 3]) / instrument.divisor
-    uniform = scipy.stats.qmc.LatinHypercube(6, seed=rng).random(draws)
-    scalars = scipy.special.ndtri(uniform) * np.array([*sizes, heat.uncertainty, heat.expansion_uncertainty])
+    errors = [getattr(instrument, each.attribute) / instrument.divisor for each in SYSTEMATIC for _ in range(each.axes)]
+    unknowns = linear.fit.unknowns
+    logs = spread_of_sizes(linear.fit.root @ linear.fit.root.T, unknowns.family)
+    inputs = [*errors, heat.uncertainty, heat.expansion_uncertainty]
+    uniform = scipy.stats.qmc.LatinHypercube(len(inputs) + len(logs), seed=rng).random(draws)
+    normal = scipy.special.ndtri(uniform)
+    scalars, sizes = normal[:, : len(inputs)] * inputs, np.exp(normal[:, len(inputs) :] @ np.linalg.cholesky(logs).T)
     values, vectors = linalg.eigh(linear.noise)
     span = linear.fit.weighted_rows.jacobian @ linear.fit.root
     spread = linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    prior, squares = linear.fit.unknowns.prior, []
-    for k, drawn in enumerate(scalars):
-        readings = linear.systematic @ drawn[:4] + spread @ rng.standard_normal(len(values))
+    prior, squares = unknowns.prior, []
+    for k, (drawn, size) in enumerate(zip(scalars, sizes, strict=True)):
+        readings = linear.systematic @ drawn[:-2] + spread @ rng.standard_normal(len(values))
         mean = linear.fit.widened * prior.root @ rng.standard_normal(len(prior.has))
         try:
-            moved = _deviation(linear, readings, mean)
+            moved = _deviation(linear, unknowns.rescaled(size), readings, mean)
         except UnreachablePoseError:
             continue
-        grown = heat.expansion * drawn[4] + heat.difference * drawn[5] + drawn[4] * drawn[5]
+        warmer, more = drawn[-2:]
+        grown = heat.expansion * warmer + heat.difference * more + warmer * more
         squares.append(float(np.mean((moved + grown * linear.lever) ** 2)))
         if progress is not None:
             progress(k + 1, draws)
@@ -110,16 +117,17 @@ def monte_carlo(
     return MonteCarlo(len(squares), fitted**0.5, combined**0.5, max(through, 0.0) ** 0.5, known.combined)
 
 
-def _deviation(linear: LinearFit, readings: FloatArray, mean: FloatArray) -> FloatArray:
+def _deviation(linear: LinearFit, unknowns: Unknowns, readings: FloatArray, mean: FloatArray) -> FloatArray:
     """Return how far positions move, (n_coordinates,) [m], where readings and prior means are drawn.
 
     Args:
         linear: The linear model.
+        unknowns: What is fitted, with the sizes that were drawn.
         readings: Change of the whitened readings, (n_rows,).
         mean: Of the priors, (n_free,).
     """
     fit = linear.fit
-    unknowns, data, prior = fit.unknowns, fit.identification.data, fit.unknowns.prior
+    data, prior = fit.identification.data, unknowns.prior
     passive, weights = fit.identification.passive, np.sqrt(fit.weights)[fit.rows.layout.reading]
     weighing = fit.whitening.weighing(fit.scales.ratios)
 

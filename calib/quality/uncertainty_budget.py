@@ -7,9 +7,13 @@ Readings y reach the parameters through the fit's linear model. With the whitene
 readings, T T^T = (J^T J + P^T P)^-1 (`calib.core.numerics.statistics`) and s the scales, a common change dy of the
 readings moves parameters by s T T^T J^T W dy, and positions by B times that, B their derivative. So:
 
-    readings        B s T (core - S) T^T s B^T        type A; what is independent from reading to reading
+    readings        B s T (core - S - V) T^T s B^T    type A; what is independent from reading to reading
     prior           B s T S T^T s B^T                 type B; S the share of the priors
-    scale, offset   u . |B s T T^T J^T W dy/dx|       type B; fully correlated: no number of poses makes it smaller
+    sizes           B s T V T^T s B^T                 type A; of joint terms, where the same readings told their sizes
+                                                      (`calib.core.numerics.prior_sizes`)
+    instrument      u . |B s T T^T J^T W dy/dx|       type B; scale and offset of lengths, offset of angles, focal
+                                                      length and principal point of a camera: fully correlated, no
+                                                      number of poses makes them smaller
     temperature     u . expansion . lever             lever: coordinate of the tool from the base
     robot           repeatability, from repeated poses, and what the model leaves out: the claim's mean square
                     (`calib.core.judging.claim`) less what rows above have of it
@@ -33,20 +37,54 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.data.in_memory import PosesLike
+from calib.core.instruments.pixel import Pixel
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
+from calib.core.numerics.prior_sizes import variance_by_sizes
 from calib.core.numerics.statistics import prior_shares
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.prediction import beside_common_motion
 
 PROBABILITY = 0.95
+_FOUND = "found from the same readings (calib fit --terms)"
 NOISE, PRIOR = "noise of the readings", "expected deviations of the parameters (priors)"
+SIZES = "sizes of joint terms"
 SCALE, OFFSET = "scale of the instrument", "offset of the instrument along each axis"
+OFFSET_ANGLE = "offset of the instrument's angles"
+FOCAL_LENGTH, PRINCIPAL_POINT = "focal length of the camera", "principal point of the camera along each axis"
 CENTRING = "centring of the target"
 TEMPERATURE, EXPANSION = "temperature of the robot", "coefficient of expansion of the robot"
 REPEATABILITY, MODEL = "repeatability of the robot", "what the model leaves out"
 ELSEWHERE = "extrapolation to other poses"
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """An error of the instrument that all readings share.
+
+    Attributes:
+        quantity: What it is of.
+        attribute: Of `traceability.instrument`.
+        unit: Its unit.
+        axes: Of how many independent numbers.
+    """
+
+    quantity: str
+    attribute: str
+    unit: str
+    axes: int
+
+
+SYSTEMATIC = (
+    Systematic(SCALE, "scale", "m/m", 1),
+    Systematic(OFFSET, "offset", "m", 3),
+    Systematic(OFFSET_ANGLE, "offset_angle", "rad", 3),
+    Systematic(FOCAL_LENGTH, "focal_length", "m/m", 1),
+    Systematic(PRINCIPAL_POINT, "principal_point", "px", 2),
+)
+_FIRST = dict(zip((each.quantity for each in SYSTEMATIC), np.cumsum([0, *(s.axes for s in SYSTEMATIC)]), strict=False))
+"""First column of each in `LinearFit.systematic`."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +172,15 @@ class LinearFit:
         positions: Of the targets at the poses measured, (n, n_targets, 3) [m].
         derivative: B s, by the scaled free parameters, (n n_targets 3, n_free) [m].
         noise: Covariance of T^T J^T e, e the noise of the whitened readings, (rank, rank).
-        systematic: Change of the whitened readings by the scale of the instrument, and its offsets, (n_rows, 4) [per 1,
-            per m].
+        sizes: What sizes of joint terms that were found add to it, (rank, rank); 0 where none were.
+        systematic: Change of the whitened readings by what `SYSTEMATIC` lists, (n_rows, 10) [per 1, m, rad or px].
     """
 
     fit: JudgedFit
     positions: FloatArray
     derivative: FloatArray
     noise: FloatArray
+    sizes: FloatArray
     systematic: FloatArray
 
     @staticmethod
@@ -154,10 +193,15 @@ class LinearFit:
         if fit.told_positions.motion is not None:
             rows = beside_common_motion(positions, rows)
         derivative = rows.reshape(-1, rows.shape[-1]) * fit.unknowns.scales
-        pinned = linalg.pinv(fit.root * fit.unknowns.scales[:, None])
-        core = pinned @ fit.covariance.values @ pinned.T
-        noise = core - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
-        return LinearFit(fit, positions, derivative, noise, _systematic(fit))
+        pinned = linalg.pinv(fit.root)
+        core, scales = fit.covariance.values, fit.unknowns.scales
+        deviations = fit.weighted_rows.deviations
+        sizes = variance_by_sizes(fit.root @ fit.root.T, fit.unknowns.family, deviations)
+        of_readings = core / np.outer(scales, scales) - fit.widened**2 * sizes
+        noise = pinned @ of_readings @ pinned.T
+        noise = noise - fit.widened**2 * prior_shares(fit.weighted_rows.known, fit.unknowns.prior)
+        sizes = fit.widened**2 * (pinned @ sizes @ pinned.T)
+        return LinearFit(fit, positions, derivative, noise, sizes, _systematic(fit))
 
     @property
     def followed(self) -> FloatArray:
@@ -180,16 +224,22 @@ class LinearFit:
 
 def _systematic(fit: JudgedFit) -> FloatArray:
     """Return `LinearFit.systematic`."""
-    changes = {name: np.zeros((*r.shape, 4)) for name, r in fit.identification.after.items()}
+    n = sum(each.axes for each in SYSTEMATIC)
+    changes = {name: np.zeros((*r.shape, n)) for name, r in fit.identification.after.items()}
     for instrument, part, rows in fit.identification.parts():
         values = fit.identification.data.readings[instrument.name].values
-        change = changes[instrument.name]
+        change, axes = changes[instrument.name], np.arange(len(part.axes))
         points = instrument.points(values) if part.is_position else None
         if points is not None:
-            change[:, rows, 0] = points
-            change[:, rows, 1 + np.arange(3)] = 1.0
+            change[:, rows, _FIRST[SCALE]] = points
+            change[:, rows, _FIRST[OFFSET] + axes] = 1.0
         elif part.dimension == "length" and values.shape[1] == instrument.n_rows:
-            change[:, rows, 0], change[:, rows, 1] = values[:, rows], 1.0
+            change[:, rows, _FIRST[SCALE]], change[:, rows, _FIRST[OFFSET]] = values[:, rows], 1.0
+        elif part.dimension == "angle":
+            change[:, rows, _FIRST[OFFSET_ANGLE] + axes] = 1.0
+        elif isinstance(instrument, Pixel):
+            change[:, rows, _FIRST[FOCAL_LENGTH]] = values - np.array(instrument.intrinsics[2:4])
+            change[:, rows, _FIRST[PRINCIPAL_POINT] + axes] = 1.0
     flat = fit.whitening.flatten(changes) / fit.whitening.row_scale(fit.scales.groups)[:, None]
     weighing = fit.whitening.weighing(fit.scales.ratios)
     whitened = flat if weighing is None else weighing.whiten(flat)
@@ -214,10 +264,12 @@ def budget(linear: LinearFit, stated: TraceabilitySection, poses: PosesLike | No
         Contribution(
             PRIOR, fit.widened, "1", prior / fit.widened, prior, math.inf, "B", True, "sigma of the description"
         ),
+        *([Contribution.direct(SIZES, linear.spread(linear.sizes), freedom, _FOUND)] if fit.unknowns.families else []),
         *_from_instrument(linear, stated),
         *_thermal(linear, stated),
     ]
-    return Budget((*rows, *_of_robot(fit, noise**2 + prior**2, poses)))
+    own = sum(row.contribution**2 for row in rows if row.quantity in (NOISE, PRIOR, SIZES))
+    return Budget((*rows, *_of_robot(fit, own, poses)))
 
 
 def _over(contribution: float, uncertainty: float) -> float:
@@ -225,20 +277,19 @@ def _over(contribution: float, uncertainty: float) -> float:
 
 
 def _from_instrument(linear: LinearFit, stated: TraceabilitySection) -> list[Contribution]:
-    moved = linear.derivative @ (linear.followed @ linear.systematic)
-    scale, *axes = np.sqrt(np.mean(moved**2, axis=0))
-    instrument, centring, rows = stated.instrument, stated.target.centring, []
+    moved = np.mean((linear.derivative @ (linear.followed @ linear.systematic)) ** 2, axis=0)
+    instrument, rows = stated.instrument, []
     source = f"certificate {instrument.certificate or 'not stated'}: {instrument.stated}"
-    for name, size, unit, sensitivity in (
-        (SCALE, instrument.scale, "1", float(scale)),
-        (OFFSET, instrument.offset, "m", math.hypot(*axes)),
-    ):
-        u = size / instrument.divisor
-        rows.append(Contribution(name, u, unit, sensitivity, sensitivity * u, math.inf, "B", True, source))
-    read = np.sqrt(np.mean(np.sum((linear.derivative @ linear.followed) ** 2, axis=1)))
-    per_metre = float(read * np.sqrt(np.mean(linear.systematic[:, 1:] ** 2) * 3.0))
-    note = "part of the noise as found: not counted again"
-    rows.append(Contribution(CENTRING, centring, "m", per_metre, per_metre * centring, math.inf, "B", False, note))
+    for each in SYSTEMATIC:
+        columns = slice(_FIRST[each.quantity], _FIRST[each.quantity] + each.axes)
+        if np.any(linear.systematic[:, columns]):
+            u, per = getattr(instrument, each.attribute) / instrument.divisor, float(np.sqrt(np.sum(moved[columns])))
+            rows.append(Contribution(each.quantity, u, each.unit, per, per * u, math.inf, "B", True, source))
+    axes = linear.systematic[:, _FIRST[OFFSET] : _FIRST[OFFSET] + 3]
+    if np.any(axes):
+        read, u = np.mean(np.sum((linear.derivative @ linear.followed) ** 2, axis=1)), stated.target.centring
+        per, note = float(np.sqrt(read * np.mean(axes**2) * 3.0)), "part of the noise as found: not counted again"
+        rows.append(Contribution(CENTRING, u, "m", per, per * u, math.inf, "B", False, note))
     return rows
 
 

@@ -250,6 +250,59 @@ def test_iiwa_is_calibrated_exported_and_loaded_again(tmp_path: Path) -> None:
     check(iiwa(), "lbr_iiwa_link_7", tmp_path)
 
 
+def check_read_back(file: Path, folder: Path) -> None:
+    """The first arm or leg of a robot, exported; what four programs read is where it is."""
+    robot = calib.load(file)
+    joints = random_poses(robot, 3, np.random.default_rng(4), "any").joints
+    export(robot, folder / "robot.yaml", "toolbox")
+    export(robot, folder / "robot.xml", "mjcf")
+    export(robot, folder / "robot.drake.urdf", "drake")
+    again = calib.load(folder / "robot.yaml")
+    assert np.abs(again.positions(joints) - robot.positions(joints)).max() < 1e-12
+    same_in_pinocchio(robot, folder / "robot.urdf", robot.target_names[0], joints)
+    same_in_pinocchio_from_mjcf(robot, folder / "robot.xml", joints)
+    same_in_mujoco(robot, folder / "robot.xml", joints)
+    same_in_drake(robot, folder / "robot.drake.urdf", joints)
+
+
+def others() -> list[Path]:
+    """Legged, wheeled and flying robots and hands, those with the fewest meshes first."""
+    folder = robots_folder()
+    files = [
+        path for path in folder.rglob("*.urdf") if str(path.relative_to(folder)) not in {*ARMS, *WITHOUT_LIMITS, *EMPTY}
+    ]
+    return sorted(files, key=lambda path: (path.read_text(errors="replace").count("<mesh"), str(path)))
+
+
+@pytest.mark.amount(2, 100)
+def test_exports_of_other_robots_are_read_back(tmp_path: Path, amount: int) -> None:
+    read = 0
+    for k, file in enumerate(others()):
+        try:
+            calib.load(file)
+        except calib.CalibrationError:  # a file with a fault of its own, or a robot without an arm
+            continue
+        (tmp_path / str(k)).mkdir()
+        check_read_back(file, tmp_path / str(k))
+        read += 1
+        if read == amount:
+            break
+    assert read >= min(amount, 30)
+
+
+@pytest.mark.amount(1, 100)
+def test_exports_of_robosuites_mjcf_robots_are_read_back(tmp_path: Path, amount: int) -> None:
+    pytest.importorskip("mujoco")
+    try:
+        files = importlib.metadata.distribution("robosuite").files or []
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("robosuite is not installed (its files alone: pip install --no-deps robosuite)")
+    robots = sorted(Path(str(f.locate())) for f in files if f.match("models/assets/robots/*/robot.xml"))
+    for robot in [file for file in robots if file.parent.name != "null"][-amount:]:
+        (tmp_path / robot.parent.name).mkdir()
+        check_read_back(robot, tmp_path / robot.parent.name)
+
+
 @pytest.mark.parametrize("name", sorted(WITHOUT_LIMITS), ids=lambda name: Path(name).stem)
 def test_arms_whose_limits_nobody_states_are_named(name: str) -> None:
     with pytest.raises(calib.DescriptionError, match=r"joint1, joint2 have a <limit> without lower and upper"):

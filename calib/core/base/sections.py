@@ -51,6 +51,7 @@ def _number_or_text(value: Any) -> float | str:
 
 Length = Annotated[float, _reader("length")]
 Angle = Annotated[float, _reader("angle")]
+Pixels = Annotated[float, _reader("pixel")]
 PositiveLength = Annotated[Length, Field(gt=0)]
 PositiveAngle = Annotated[Angle, Field(gt=0)]
 Quantity = Annotated[float | str, PlainValidator(_number_or_text, json_schema_input_type=float | str)]

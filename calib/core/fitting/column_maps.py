@@ -15,13 +15,15 @@ scale are tried; what takes joints out of their limits is left out. Scales are f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice, permutations, product
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.mapped_columns import MappedColumn, mapped_column
+from calib.core.base.units import per_si
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg
@@ -117,6 +119,32 @@ class ColumnMap:
         if turned:
             parts.insert(bool(moved), f"{joints_named(*turned, shown=len(turned))} counted the other way")
         return " and ".join(parts)
+
+    def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:
+        """Return the line of the robot's description that corrects what is wrong: `columns: {elbow: "-elbow [deg]"}`.
+
+        What the description says of a column already is in it.
+
+        Args:
+            robot: The robot.
+            units: Of the file's columns, by name.
+        """
+        known = {
+            mapped_column(text).name: (key, mapped_column(text)) for key, text in robot.description.columns.items()
+        }
+        entries, names = [], robot.joint_names
+        for name, k, factor, quarter in zip(names, self.columns, self.factors, self.quarters, strict=True):
+            if names[k] == name and factor == 1 and not quarter:
+                continue
+            dimension = robot.mechanism.dimensions[name]
+            key, column = known.get(names[k], (names[k], MappedColumn(names[k], None)))
+            unit = column.unit or units.get(key) or ("rad" if dimension == "angle" else "m")
+            offset = factor * column.offset + (quarter * np.pi / 2 * per_si(unit, "angle", key) if quarter else 0.0)
+            size = factor * column.factor
+            text = f"{'-' if size < 0 else ''}{'' if abs(size) == 1 else f'{abs(size):.6g} * '}{name}"
+            shift = f" {'+' if offset > 0 else '-'} {abs(offset):.6g}" if offset else ""
+            entries.append(f'{key}: "{text}{shift} [{unit}]"')
+        return f"columns: {{{', '.join(entries)}}}"
 
 
 def _usual(factor: float, size: float, dimension: str) -> str:

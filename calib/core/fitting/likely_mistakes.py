@@ -29,6 +29,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.data.measurements import Measurements, with_points
+from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.fitting.scaled_joints import joint_scales
 from calib.core.robots.robot import Robot
@@ -131,7 +132,19 @@ def _nominal_fits(
             return "", None
         words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
     closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
-    return f"it looks as if {', or '.join(words[:3])}: {closer}", None
+    said = f"it looks as if {', or '.join(words[:3])}: {closer}"
+    if len(words) == 1 and first is not None:
+        said += f"; in the description this is {first.description_line(robot, _file_units(data))}"
+    return said, None
+
+
+def _file_units(data: Measurements) -> dict[str, str | None]:
+    """Units of the file's columns, by name; nothing of measurements that were never in one file."""
+    try:
+        table = read_table(data.path)
+    except CalibrationError:
+        return {}
+    return dict(zip(table.names, table.units, strict=True))
 
 
 def _some(data: Measurements) -> Measurements:

@@ -47,29 +47,43 @@ _SEEN = 0.05  # coefficients that the data must decide of a family for its size 
 _RIDGE = 1e-12  # of its diagonal, added to a matrix that rounding has made singular
 
 
-def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:
-    """Return what the found sizes of families add to the covariance of the scaled parameters, (n_free, n_free).
+def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
+    """Return the covariance of the logarithms of the found sizes, (n_families, n_families).
 
     Args:
         covariance: C of the module docstring, (n_free, n_free).
         family: Family of each parameter, -1 for none, (n_free,).
-        deviations: u at the solution, in units of the found sizes, (n_free,).
     """
-    members = [np.flatnonzero(family == number) for number in range(int(np.max(family, initial=-1)) + 1)]
-    if not members:
-        return np.zeros_like(covariance)
+    members = _members(family)
     information = np.eye(len(members))
     for f, index in enumerate(members):
         for g, others in enumerate(members):
             shared = covariance[np.ix_(index, others)]
             information[f, g] += 2.0 * float(np.sum((np.eye(len(index)) - shared if f == g else shared) ** 2))
-    spread = np.linalg.inv(information)
+    return np.asarray(np.linalg.inv(information))
+
+
+def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:
+    """Return what the found sizes of families add to the covariance of the scaled parameters, (n_free, n_free).
+
+    Args:
+        covariance, family: As for `spread_of_sizes`.
+        deviations: u at the solution, in units of the found sizes, (n_free,).
+    """
+    members = _members(family)
+    if not members:
+        return np.zeros_like(covariance)
+    spread = spread_of_sizes(covariance, family)
     slopes = np.stack([2.0 * covariance[:, index] @ deviations[index] for index in members], axis=1)
     added: FloatArray = slopes @ spread @ slopes.T
     for f, index in enumerate(members):
         inner = 4.0 * covariance[np.ix_(index, index)] - 2.0 * np.eye(len(index))
         added += spread[f, f] * (covariance[:, index] @ inner @ covariance[index])
     return added
+
+
+def _members(family: IntArray) -> list[IntArray]:
+    return [np.flatnonzero(family == number) for number in range(int(np.max(family, initial=-1)) + 1)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,7 @@ def load(path: str | Path) -> Robot:
 def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None) -> tuple[Description, str]:
     """Return the description that a file of a robot stands for, and what to say of what was chosen.
 
-    That is its arm; with the loops of an MJCF file, the whole robot.
+    That is its arm; with the loops of an MJCF or SDF file, the whole robot.
 
     Args:
         urdf: The robot.
@@ -76,7 +76,10 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     if mjcf is None or not mjcf.loops:
         return describe(chain, urdf_path), "; ".join(filter(None, [*(mjcf.remarks if mjcf else ()), chain.remark]))
     if not mjcf.motors:
-        raise DescriptionError(f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors")
+        raise DescriptionError(
+            f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors"
+            " (of SDF: a plugin with their joint_name)"
+        )
     open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": mjcf.motors})
     description, remarks = _with_loops(open_loops, urdf), [*mjcf.remarks]
     try:
@@ -91,7 +94,7 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
 
 
 def _with_loops(description: Description, urdf: UrdfText) -> Description:
-    """The description with the loops of an MJCF file, if it says nothing of loops."""
+    """The description with the loops of such a file, if it says nothing of loops."""
     mjcf = urdf.mjcf
     if mjcf is None or not mjcf.loops or "closed_loop" in description.model_fields_set:
         return description

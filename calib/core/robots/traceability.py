@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from calib.core.base.sections import Length, Section
+from calib.core.base.sections import Angle, Length, Pixels, Section
 
 _RATIO = re.compile(r"^\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(um/m|ppm|mm/m|1)?\s*(/K)?\s*$")
 _PER_ONE = {"": 1.0, "1": 1.0, "um/m": 1e6, "ppm": 1e6, "mm/m": 1e3}
@@ -59,13 +59,16 @@ class ItemSection(Section):
 
 
 class InstrumentSection(ItemSection):
-    """What read the lengths, and how far its calibration certificate lets it be off.
+    """What read the robot, and how far its calibration certificate lets it be off, the same in all readings.
 
     Attributes:
         certificate, date, laboratory: Of its own calibration.
         scale: How far lengths may be off in proportion, 1.
-        offset: How far positions may be off along each axis, or distances, the same in all readings [m].
-        stated: Whether both are expanded uncertainties, or maximum permissible errors (limits, rectangular).
+        offset: How far positions may be off along each axis, or distances [m].
+        offset_angle: How far angles may be off, about each axis of orientations [rad].
+        focal_length: How far a camera's may be off in proportion, 1.
+        principal_point: How far a camera's may be off along each axis [px].
+        stated: Whether these are expanded uncertainties, or maximum permissible errors (limits, rectangular).
         k: Coverage factor of expanded ones.
     """
 
@@ -74,6 +77,9 @@ class InstrumentSection(ItemSection):
     laboratory: Text | None = None
     scale: Ratio = 0.0
     offset: _NotNegative = 0.0
+    offset_angle: Annotated[Angle, Field(ge=0)] = 0.0
+    focal_length: Ratio = 0.0
+    principal_point: Annotated[Pixels, Field(ge=0)] = 0.0
     stated: Literal["expanded", "maximum permissible error"] = "expanded"
     k: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 2.0
 

@@ -23,6 +23,8 @@ _HELP = (
 )
 board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=_HELP)
 """The option that says which board it is."""
+board_if_any = click.option("--board", metavar="FILE|TEXT", help=_HELP)
+"""The same where a command may do without."""
 
 
 def given_board(text: str) -> Board:

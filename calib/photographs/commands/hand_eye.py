@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,29 +15,33 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError, InputError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.words import listed
+from calib.core.base.words import as_data, listed
 from calib.core.commands.common import Output, loaded, shared_options
 from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
-from calib.photographs.commands.boards import board_option, given_board
+from calib.photographs.commands.boards import board_if_any, given_board
 from calib.photographs.commands.detect import detected, nothing_found, summary
 from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.hand_eye_calibration import calibrate, require_images
-from calib.photographs.hand_eye_result import Frames, content, files, judge, report
+from calib.photographs.hand_eye_result import Frames, content, files, judge, report, transform_files
 from calib.photographs.images import joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import Picture, exaggeration, page
+from calib.photographs.pose_pairs import PosePairs, solve_pairs
+from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
-from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
+from calib.photographs.tool_poses import ANGLES, image_names, matched, pose_columns, poses_of, read_tool_poses
 
 _NO_POSES = (
     "give the pose of the tool at each image with --poses FILE; or photographs in a bag with joint states, and"
     " --robot ROBOT"
 )
+_OF_CAMERA = re.compile("cam|marker|target|board|tag|aruco|object|tvec", re.IGNORECASE)
+TABLES = (".csv", ".txt", ".xlsx", ".npz", ".mat")
 _SIZE = re.compile(r"image: (\d+) x (\d+) px")
 FILES = (
     "hand_eye.json",
@@ -53,7 +58,7 @@ FILES = (
 
 @click.command("hand-eye")
 @click.argument("images", nargs=-1, required=True)
-@board_option
+@board_if_any
 @click.option(
     "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
 )
@@ -74,7 +79,7 @@ FILES = (
 @shared_options(json_output=True, forced="Write the transform even if the verdict is FAIL, and replace files.")
 def command(
     images: tuple[str, ...],
-    board: str,
+    board: str | None,
     poses: str | None,
     robot: str | None,
     angles: str | None,
@@ -88,13 +93,21 @@ def command(
 ) -> None:
     """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
 
-    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses has the pose of the
+    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. In place of images, one table
+    may have poses of a marker in the camera (pairs of poses; without --board). --poses has the pose of the
     tool at each image, as the teach pendant shows it: position and quaternion, or angles. With --robot, the
     file of --poses has joint values. This command does not change the kinematics of the robot: calib fit calibrates
     them.
     """
-    described, named = given_board(board), _frames(frames)
-    model = None if robot is None else loaded(robot, output)
+    named, model = _frames(frames), None if robot is None else loaded(robot, output)
+    mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
+    if len(images) == 1 and (pairs := _pairs(images[0], poses, model, angles, output)) is not None:
+        output.check(folders=(out,), names=FILES)
+        _write_pairs(solve_pairs(*pairs, mounts), named, out, output)
+        return
+    if board is None:
+        raise InputError("give the board with --board FILE; only pairs of poses need none")
+    described = given_board(board)
     lens_file = None if camera is None else read_camera(camera)
     table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
     bag_joints: tuple[list[str], FloatArray] | None = None
@@ -131,7 +144,6 @@ def command(
             f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
             f" {scene.size[0]} x {scene.size[1]}; give the intrinsics of these images, or leave --camera out"
         )
-    mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
     with output.working("calibrating") as progress:
         result = calibrate(
             scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
@@ -161,6 +173,57 @@ def _frames(text: str | None) -> Frames:
     return Frames(*names)
 
 
+def _pairs(
+    path: str, poses: str | None, model: Robot | None, angles: str | None, output: Output
+) -> tuple[list[str], FloatArray, FloatArray] | None:
+    """Names, tool in base and marker in camera of a table of poses; None: it is none.
+
+    One table may have both; then rows are pairs, and the names say which is the camera's.
+    """
+    if Path(path).suffix.lower() not in TABLES or not Path(path).is_file():
+        return None
+    table = read_table(path, {})
+    places = pose_columns(table)
+    if poses is not None and len(places) == 1:
+        seen = poses_of(table, next(iter(places.values())), angles)
+        marker_names = image_names(table)
+        names, tool = read_tool_poses(poses, robot=model, angles=angles)
+        chosen, remarks = matched(marker_names, names, poses)
+        output.remarks([f"left out: {text}" for text in remarks])
+        kept = [marker_names.index(names[k]) for k in chosen]
+        return [names[k] for k in chosen], tool[chosen], seen[kept]
+    if poses is None and len(places) == 2:
+        of_camera = [name for name in places if _OF_CAMERA.search(name)]
+        if len(of_camera) != 1:
+            raise DataError(
+                f"{path}: holds poses {listed(list(places))}, and which is the marker in the camera does not show; call"
+                " them camera_x, ... and tool_x, ..., or give the tool's in a file of its own (--poses)"
+            )
+        of_tool = next(name for name in places if name not in of_camera)
+        output.say(f"{path}: taken for the marker in the camera: {of_camera[0]}; for the tool in the base: {of_tool}")
+        rows = [str(k + 1) for k in range(len(table.lines))]
+        return rows, poses_of(table, places[of_tool], angles), poses_of(table, places[of_camera[0]], angles)
+    if places:
+        need = "hold the marker's alone beside --poses" if poses else "give the poses of the tool with --poses FILE"
+        raise DataError(f"{path}: has poses {listed(list(places))}; {need}")
+    return None
+
+
+def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) -> None:
+    judgement = judge_pairs(result)
+    output.say(report_pairs(result, frames))
+    data = content_of_pairs(result, frames)
+    written = {"hand_eye.json": (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()}
+    whole = result.determined and (judgement.grade != "FAIL" or output.force)
+    if whole:
+        written |= transform_files(result.camera.pose, result.mount, frames)
+    write_folder(out, written, force=output.force)
+    output.say(f"Written to {out}: {', '.join(written)}")
+    output.json(data)
+    if not whole:
+        raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written")
+
+
 def _tools(
     detected_images: Sequence[DetectedImage],
     poses: str | None,
@@ -188,14 +251,6 @@ def _tools(
 def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     """What `calib detect` has written."""
     table = read_table(path, {})
-    ends = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    if all(any(name == end or name.endswith(f"_{end}") for name in table.names) for end in ends):
-        raise DataError(
-            f"{path}: has poses of a marker, and hand-eye takes pixels of a board. Poses are readings of a robot"
-            " description: instruments: {camera: {kind: pose, target: marker}}, with base: {frame: base_link, pose:"
-            " unknown}, targets: {marker: {frame: tool0, position: unknown, orientation: unknown}}, and columns"
-            f" {', '.join(f'camera_{end}' for end in ends)} beside the joint values; then calib fit"
-        )
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
         raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")

@@ -109,14 +109,14 @@ class _Motion(ReadOnlyArrays):
     number: int | None = None
 
 
-def is_mjcf(source: bytes) -> bool:
-    """Whether a file is MJCF: its outermost element is `mujoco`."""
+def outermost(source: bytes) -> str:
+    """Return the tag of a file's outermost element: `mujoco` of MJCF, `sdf` of SDF; nothing of what is no XML."""
     try:
         for _, element in ElementTree.iterparse(io.BytesIO(source), events=("start",)):
-            return element.tag == "mujoco"
+            return element.tag
     except ElementTree.ParseError:
         pass
-    return False
+    return ""
 
 
 def read_mjcf(path: Path | str) -> MjcfRobot:
@@ -207,7 +207,7 @@ class _Reader:
             self.remarks.append(f"body {body} moves freely in the file, and stands still here")
         elif kind == types.mjJNT_BALL:
             along = self._rod(int(model.jnt_bodyid[joint]), about)
-            axes = np.eye(3) if along is None else _across(along)
+            axes = np.eye(3) if along is None else across(along)
             names = [f"{name}_{letter}" for letter, _ in zip("xyz", axes, strict=False)]
             hinges = f"{', '.join(names[:-1])} and {names[-1]}"
             self.remarks.append(
@@ -254,7 +254,7 @@ class _Reader:
         elif motion.value:
             place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
         element = self._joint(motion.name, motion.kind, parent, child, place)
-        SubElement(element, "axis", xyz=_numbers(motion.axis))
+        SubElement(element, "axis", xyz=spaced(motion.axis))
         if motion.limits:
             lower, upper = map(repr, motion.limits)
             SubElement(element, "limit", lower=lower, upper=upper, effort="0", velocity="0")
@@ -270,7 +270,7 @@ class _Reader:
         element = SubElement(self.root, "joint", name=name, type=kind)
         SubElement(element, "parent", link=parent)
         SubElement(element, "child", link=child)
-        SubElement(element, "origin", _placed(origin))
+        SubElement(element, "origin", origin_of(origin))
         return element
 
     def _link(self, name: str, body: int | None) -> None:
@@ -281,7 +281,7 @@ class _Reader:
         model, self.link_of[body] = self.model, name
         if body and model.body_mass[body] > 0:
             inertial = SubElement(link, "inertial")
-            SubElement(inertial, "origin", _placed(_se3(model.body_ipos[body], model.body_iquat[body])))
+            SubElement(inertial, "origin", origin_of(_se3(model.body_ipos[body], model.body_iquat[body])))
             SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
             diagonal = dict(zip(("ixx", "iyy", "izz"), map(repr, map(float, model.body_inertia[body])), strict=True))
             SubElement(inertial, "inertia", diagonal | {"ixy": "0", "ixz": "0", "iyz": "0"})
@@ -296,7 +296,7 @@ class _Reader:
         kind = int(model.geom_type[geom])
         shape: tuple[str, dict[str, str]] | None = None
         if kind == types.mjGEOM_BOX:
-            shape = "box", {"size": _numbers(2 * size)}
+            shape = "box", {"size": spaced(2 * size)}
         elif kind == types.mjGEOM_SPHERE:
             shape = "sphere", {"radius": repr(float(size[0]))}
         elif kind in (types.mjGEOM_CYLINDER, types.mjGEOM_CAPSULE):
@@ -307,10 +307,10 @@ class _Reader:
             if Path(file).suffix.lower() in _MESHES:
                 place = place * _se3(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()  # MuJoCo centres meshes
                 where = Path(self.meshes, file).as_posix()
-                shape = "mesh", {"filename": where, "scale": _numbers(model.mesh_scale[mesh])}
+                shape = "mesh", {"filename": where, "scale": spaced(model.mesh_scale[mesh])}
         if shape is not None:
             visual = SubElement(link, "visual")
-            SubElement(visual, "origin", _placed(place))
+            SubElement(visual, "origin", origin_of(place))
             SubElement(SubElement(visual, "geometry"), *shape)
 
     def _motors(self) -> Iterator[str]:
@@ -395,12 +395,12 @@ class _Reader:
         if count == 3:
             return np.eye(3), 3
         axis = directions[:, 2] if count == 2 else directions[:, 0]
-        second, third = _across(axis)
+        second, third = across(axis)
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
 
 
-def _across(axis: FloatArray) -> FloatArray:
-    """Two unit vectors across one (3,), and each other, (2, 3)."""
+def across(axis: FloatArray) -> FloatArray:
+    """Return two unit vectors across one (3,), and each other, (2, 3)."""
     second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     second /= np.linalg.norm(second)
     return np.array([second, np.cross(axis, second)])
@@ -414,11 +414,13 @@ def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:
     return pin.SE3(turned.matrix(), np.array(xyz, dtype=float))
 
 
-def _placed(place: pin.SE3) -> dict[str, str]:
-    return {"xyz": _numbers(place.translation), "rpy": _numbers(pin.rpy.matrixToRpy(place.rotation))}
+def origin_of(place: pin.SE3) -> dict[str, str]:
+    """Return the attributes of a URDF's origin."""
+    return {"xyz": spaced(place.translation), "rpy": spaced(pin.rpy.matrixToRpy(place.rotation))}
 
 
-def _numbers(values: Iterable[float]) -> str:
+def spaced(values: Iterable[float]) -> str:
+    """Return numbers as an attribute of a URDF."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 

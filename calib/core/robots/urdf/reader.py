@@ -141,11 +141,6 @@ class UrdfReader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         depth = len(self._stack)
         if depth == 0:
-            if tag == "sdf":
-                raise UrdfError(
-                    f"{self.path}: is an SDF file of Gazebo, which is not read; give the URDF or xacro that it was made"
-                    " from, or convert it to MJCF where Gazebo is (sdf2mjcf of gz-mujoco), which every command takes"
-                )
             if tag != "robot":
                 raise UrdfError(
                     f"{self.path}: the top element is <{tag}>, not <robot>; is this a URDF"

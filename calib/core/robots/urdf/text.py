@@ -23,7 +23,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, nearest
 from calib.core.base.files import read_bytes
-from calib.core.robots.urdf.mjcf_reading import MjcfRobot, is_mjcf, read_mjcf
+from calib.core.robots.urdf.mjcf_reading import MjcfRobot, outermost, read_mjcf
 from calib.core.robots.urdf.reader import (
     HELD_TYPES,
     MOVING_TYPES,
@@ -34,6 +34,7 @@ from calib.core.robots.urdf.reader import (
     UrdfJoint,
     UrdfReader,
 )
+from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.xacro_files import expanded
 
@@ -67,7 +68,7 @@ class UrdfText:
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
-        mjcf: What else was said where the file is MuJoCo's: motors, loops.
+        mjcf: What else was said where the file is MuJoCo's or Gazebo's: motors, loops.
     """
 
     source: bytes
@@ -172,8 +173,8 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
         source = expanded(path, arguments or {})
     elif Path(path).suffix.lower() in (".yaml", ".yml"):
         source = ur_urdf(read_origins(path))
-    elif is_mjcf(source):
-        mjcf = read_mjcf(path)
+    elif (tag := outermost(source)) in ("mujoco", "sdf"):
+        mjcf = read_mjcf(path) if tag == "mujoco" else read_sdf(source, str(path))
         return replace(parse_urdf(mjcf.source, str(path)), mjcf=mjcf)
     return parse_urdf(source, str(path))
 

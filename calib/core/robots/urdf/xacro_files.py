@@ -34,7 +34,11 @@ _DEEP = 4  # folders below one of ROS_PACKAGE_PATH, or beside a package, in whic
 _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 _FORBIDDEN = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "socket.")
 _IDENTIFIER = re.compile(r"[A-Za-z]\w{0,60}")
-_QUOTED = re.compile(r"'([^']*)'|[Uu]ndefined substitution argument (\S+)|unknown macro name: (\S+)")
+_FILE = re.compile(r"[A-Za-z][\w.-]{0,60}\.(?:xacro|yaml|yml)")
+_QUOTED = re.compile(
+    r"'([^']*)'|[Uu]ndefined substitution argument (\S+)|unknown macro name: (\S+)|Invalid parameter \"(\w+)\""
+)
+_EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
 def expanded(path: Path | str, arguments: Mapping[str, str]) -> bytes:
@@ -105,6 +109,9 @@ def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
             if name is None or name in lacking or not _IDENTIFIER.fullmatch(name):
                 if lacking:
                     raise _OutsideError(_without_value(lacking)) from None
+                missing = next((cause for cause in _causes(error) if isinstance(cause, FileNotFoundError)), None)
+                if missing is not None:
+                    raise _OutsideError(_without_file(path, str(missing.filename), values)) from None
                 raise
             lacking[name] = name  # to see what else is missing
             continue
@@ -115,6 +122,16 @@ def _processed(xacro: Any, path: str, values: dict[str, str]) -> Any:
 
 def _without_value(names: Mapping[str, str]) -> str:
     return f"no value for {', '.join(names)}: calib init FILE {' '.join(f'--xacro {name}:=VALUE' for name in names)}"
+
+
+def _without_file(path: str, missing: str, values: Mapping[str, str]) -> str:
+    """What to do about a file that is not there: often its name has a part of an argument that nobody gave."""
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    empty = [name for name in dict.fromkeys(_EMPTY.findall(text)) if not values.get(name)]
+    given = f"; these arguments are empty: {', '.join(empty)}; give them: --xacro {empty[0]}:=VALUE" if empty else ""
+    name = Path(missing).name
+    called = f" ({name})" if _FILE.fullmatch(name) else ""
+    return f"a file that it includes is not there{called}{given}"
 
 
 def _causes(error: BaseException) -> list[BaseException]:

@@ -1,0 +1,98 @@
+"""Reports of measured values beside nominal ones, as PolyWorks, FARO's CAM2 and others write them: what was measured.
+
+Two layouts: a row for each coordinate of a point (`Name; Control; Nom; Meas; Dev`), or columns for each coordinate
+(`Name; Nominal X; Measured X; ...`). What becomes of both is a row for each point: pose, X, Y, Z.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.core.base.errors import DataError
+from calib.core.data.other_formats import SomeFile
+from calib.files.text import SEEN, cells_of, is_number, unit_above
+
+_MEASURED = r"(?:meas(?:ured)?|actual|act)\.?"
+_VALUE = re.compile(rf"{_MEASURED}(?: value)?(?:\s*[\[(](?P<unit>\w+)[\])])?", re.IGNORECASE)
+_COORDINATE = re.compile(
+    rf"(?:{_MEASURED}[ _]?(?P<a>[xyz])|(?P<b>[xyz])[ _]?{_MEASURED})(?:\s*[\[(](?P<unit>\w+)[\])])?", re.IGNORECASE
+)
+_NAMES = ("name", "object name", "object", "point", "point name", "feature", "feature name", "element", "label", "id")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where a report has what.
+
+    Attributes:
+        header: Its line.
+        name: Column of names.
+        values: Columns of X, Y, Z; or the one of measured values.
+        control: Column of X, Y, Z below each other; None where they are beside each other.
+        unit: In the header.
+    """
+
+    header: int
+    name: int
+    values: tuple[int, ...]
+    control: int | None
+    unit: str | None
+
+
+def _layout(file: SomeFile) -> _Layout | None:
+    lines = [cells_of(line) for line in file.first_lines[:SEEN]]
+    for k, cells in enumerate(lines):
+        folded = [cell.casefold() for cell in cells]
+        name = next((j for j, cell in enumerate(folded) if cell in _NAMES), None)
+        if name is None:
+            continue
+        found = {
+            (m["a"] or m["b"]).casefold(): (j, m["unit"])
+            for j, c in enumerate(cells)
+            if (m := _COORDINATE.fullmatch(c))
+        }
+        if len(found) == 3:
+            return _Layout(k, name, tuple(found[axis][0] for axis in "xyz"), None, found["z"][1])
+        value = next(((j, m["unit"]) for j, c in enumerate(cells) if (m := _VALUE.fullmatch(c))), None)
+        below = [row for row in lines[k + 1 :] if len(row) == len(cells)]
+        control = next((j for j in range(len(cells)) if {"X", "Y", "Z"} <= {row[j].upper() for row in below}), None)
+        if value is not None and control is not None:
+            return _Layout(k, name, (value[0],), control, value[1])
+    return None
+
+
+def is_report(file: SomeFile) -> bool:
+    """Whether a file has measured coordinates as such reports have them."""
+    return _layout(file) is not None
+
+
+def report_lines(file: SomeFile) -> list[str]:
+    """Return a header and a row for each point.
+
+    Raises:
+        DataError: A point has not one X, Y and Z.
+    """
+    lines, layout = file.lines, _layout(file)
+    assert layout is not None  # or another format would have been found
+    rows = [(k, cells_of(line)) for k, line in enumerate(lines[layout.header + 1 :], layout.header + 2) if line.strip()]
+    unit = layout.unit or unit_above(lines[: layout.header + 2])
+    points: dict[str, dict[str, str]] = {}
+    name = ""
+    for k, cells in rows:
+        if len(cells) <= max(layout.name, *layout.values, layout.control or 0):
+            continue
+        name = cells[layout.name] or name
+        axes: Sequence[str] = "XYZ" if layout.control is None else [cells[layout.control].upper()]
+        for axis, column in zip(axes, layout.values, strict=True):
+            if axis in ("X", "Y", "Z") and is_number(cells[column]):
+                if axis in points.setdefault(name, {}):
+                    raise DataError(f"{file.path}, line {k}: point '{name}' has {axis} twice; give each its own name")
+                points[name][axis] = cells[column]
+    short = next((name for name, axes in points.items() if len(axes) < 3), None)
+    if short is not None or not points:
+        raise DataError(f"{file.path}: point '{short}' has no X, Y and Z that were measured; export all three")
+    suffix = f" [{unit}]" if unit else ""
+    header = ";".join(["pose", *(f"{axis}{suffix}" for axis in "XYZ")])
+    return [header, *(";".join([name, *(axes[axis] for axis in "XYZ")]) for name, axes in points.items())]

@@ -1,0 +1,49 @@
+"""Calibrations of LeRobot's servos: no measurements, but they say what the numbers of a log of joints are."""
+
+from __future__ import annotations
+
+import json
+
+from calib.core.base.errors import DataError
+from calib.core.data.other_formats import SomeFile
+
+_TICKS = 4096  # of a turn of the servos that LeRobot's arms have
+_KEYS = ((b'"homing_offset"', b'"range_min"'), (b'"homing_offset"', b'"motor_names"'))  # today's, and the first ones
+
+
+def is_calibration_of_servos(file: SomeFile) -> bool:
+    """Whether a file is such JSON."""
+    return file.head.lstrip()[:1] == b"{" and any(all(key in file.head for key in keys) for keys in _KEYS)
+
+
+def servo_lines(file: SomeFile) -> list[str]:
+    """Raise `DataError` that says which lines of `columns` take a log's numbers to joint angles."""
+    try:
+        servos = json.loads("\n".join(file.lines))
+        if "motor_names" in servos:
+            ranges, names = {}, [str(name) for name in servos["motor_names"]]
+        else:
+            ranges = {str(name): (int(each["range_min"]), int(each["range_max"])) for name, each in servos.items()}
+            names = list(ranges)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise DataError(
+            f"{file.path}: looks like a calibration of LeRobot, but cannot be read; save it again"
+        ) from None
+    named, turn = f"{file.path}: this looks like a calibration of LeRobot's servos, not measurements; ", 360 / _TICKS
+    names = [name for name in names if "grip" not in name]
+    in_degrees = _line({name: f"{name} [deg]" for name in names})
+    if not ranges:
+        raise DataError(
+            f"{named}logs of its time are in degrees from the stretched arm: {in_degrees} in the robot description of"
+            " so101_old_calib.urdf or so100.urdf; zeros and signs by a few poses (docs/howto/hobby_arm.md)"
+        )
+    of_range = _line({n: f"{(ranges[n][1] - ranges[n][0]) / 200 * turn:.4g} * {n} [deg]" for n in names})
+    of_ticks = _line({n: f"{turn:.5g} * {n} - {(ranges[n][0] + ranges[n][1]) / 2 * turn:.6g} [deg]" for n in names})
+    raise DataError(
+        f"{named}a log of -100..100 needs {of_range} in the robot description; one in degrees, {in_degrees}; one of raw"
+        f" ticks, {of_ticks}; zeros and signs by a few poses (docs/howto/hobby_arm.md)"
+    )
+
+
+def _line(entries: dict[str, str]) -> str:
+    return "columns: {" + ", ".join(f'{name}.pos: "{text}"' for name, text in entries.items()) + "}"

@@ -1,0 +1,118 @@
+"""What a controller computes with beside joint origins, by what the residuals of a fit say.
+
+Each hypothesis moves joints, dq = phi(q) c, and so the whitened rows by G c:
+
+    gravity     one joint gives way to the torque of masses at the origins of links: phi is how fast each of them rises
+                as the joint turns, up being z of the root link. No masses need be known
+    coupling    phi is the value of another joint
+    gear        gain, phi = q; waves, phi = sin k q, cos k q
+
+With J the rows of the fit and J d taken up by joint origins again, the hypothesis is added whose information criterion
+(n log sum of squares + c log n) is least, as long as it halves the sum, and until rounding explains what is left. With
+joints moved by what was found, the fit is made again: what origins took up moves them far.
+
+When it fails. What moves no joint; hypotheses that look alike at these pairs: gravity at a joint with a level axis is a
+harmonic of that joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.words import counted, listed
+from calib.core.fitting.fitted import Fit
+from calib.core.numerics import linalg
+from calib.core.robots.robot import Robot
+from calib.core.rows.jacobian import linearise
+from calib.matching.agreement import Agreement, agreement
+
+_MOST = 4  # hypotheses that are added
+_HALVED = 0.5  # part of the mean square that an added one must take away
+_ROUNDS = 2  # of fits with what was found
+_WAVES = (1, 2, 3, 4, 5, 6)
+_SEEN = 1e-6  # part of a column beyond what joint origins take up, below which it is nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """What may move joints: in words, and phi, (n_pairs, n_joints, n_coefficients)."""
+
+    words: str
+    phi: FloatArray
+
+
+def explanation(
+    fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, name: str, rounding: FloatArray, seed: int
+) -> tuple[str, Agreement]:
+    """Return what explains residuals, in words (empty for nothing), and what it leaves.
+
+    Args:
+        fit: Of joint origins.
+        again: What fits to other joint values (n_pairs, n_joints).
+        q: Those of the pairs, (n_pairs, n_joints).
+        name, rounding, seed: As for `calib.matching.agreement.agreement`.
+    """
+    by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).by_joint
+    assert by_joint is not None
+    tried = [
+        (each, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], each.phi)}))
+        for each in hypotheses(fit.robot, q)
+    ]
+    words, phi, added, moved = list[str](), np.zeros((*q.shape, 0)), np.zeros((6 * len(q), 0)), q
+    agreed = agreement(fit, name, rounding, seed)
+    while tried and len(words) < _MOST and not agreed.to_the_digits:
+        basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
+        spans = [_beyond(basis, G) for _, G in tried]
+        rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
+        left = [rest - span @ (span.T @ rest) for span in spans]
+        best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
+        if left[best] @ left[best] > _HALVED * (rest @ rest):
+            break
+        one, G = tried.pop(best)
+        words, phi, added = [*words, one.words], np.concatenate([phi, one.phi], axis=2), np.hstack([added, G])
+        for _ in range(_ROUNDS):
+            J, r = _rows(fit)
+            moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
+            fit = again(moved)
+        agreed = agreement(fit, name, rounding, seed, more=added)
+    return listed(words, " and "), agreed
+
+
+def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Rows whitened by the rounding, and their residuals."""
+    scale = fit.whitening.row_scale(fit.scales.groups)
+    return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
+
+
+def hypotheses(robot: Robot, q: FloatArray) -> Iterator[Hypothesis]:
+    """Yield what may move each joint of a robot at joint values q (n_pairs, n_joints)."""
+    names = robot.joint_names
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # of links' origins
+    for j, joint in enumerate(names):
+        moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
+        moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
+        for waves in _WAVES if robot.mechanism.dimensions[joint] == "angle" else ():
+            turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
+            moves[f"gear of {joint} ({counted(waves, 'wave')} a turn)"] = turned
+        for words, phi in moves.items():
+            yield Hypothesis(words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi))
+
+
+def _links(robot: Robot) -> list[str]:
+    moved = {joint.child for joint in robot.urdf.joints if joint.name in robot.joint_names}
+    return [*sorted(moved), robot.description.targets[robot.target_names[0]].frame]
+
+
+def _beyond(basis: FloatArray, G: FloatArray) -> FloatArray:
+    """Orthonormal columns of what G (n_rows, c) spans beyond a basis."""
+    G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+    left, values, _ = linalg.svd(G - basis @ (basis.T @ G), full_matrices=False)
+    return np.asarray(left[:, values > _SEEN])
+
+
+def _criterion(rest: FloatArray, coefficients: int) -> float:
+    return float(len(rest) * np.log(rest @ rest) + coefficients * np.log(len(rest)))

@@ -1,0 +1,254 @@
+"""Hand-eye calibration from pairs of poses: a marker in the camera, and the tool in the base, at the same moments.
+
+The engine knows such readings (`kind: pose`) and robots. So the tool's poses become the joint values of a robot that
+slides along x, y, z and turns about x, y, z, without errors of its own; the camera is what the base of its measurements
+is unknown to, and the marker its target:
+
+    camera on the tool        A_i = C^-1 L_i^-1 M        camera fixed to the tool, marker to the base     (AX = XB)
+    camera beside the robot   A_i = C^-1 L_i M           camera fixed to the base, marker to the tool     (AX = YB)
+
+with A_i the marker in the camera and L_i the tool in the base. Where the camera is, and whether poses were written the
+other way round, say closed forms (`calib.core.instruments.hand_eye`); the fit is least squares with noise of positions
+and of angles that is found from the residuals.
+
+When it fails. Tools that turn about parallel axes alone leave heights along them open: the components that nothing
+determines are NaN, and the changes that no pair shows are named. What the robot's own errors add to intervals is what
+they leave in the residuals; the part of them that moves camera and marker alike in all poses does not show.
+
+Reference: daniilidis1999.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.errors import DataError
+from calib.core.base.sections import COMPONENTS
+from calib.core.calibrating.calibrate import calibrate
+from calib.core.data.in_memory import as_measurements
+from calib.core.fitting.settings import Settings
+from calib.core.instruments.hand_eye import fixed_poses
+from calib.core.instruments.rotations import rotation_vectors
+from calib.core.judging.reasons import Code
+from calib.core.judging.verdict import JudgedFit
+from calib.core.numerics.identifiability import eliminate
+from calib.core.numerics.null_space import null_groups
+from calib.core.robots.description import checked_description
+from calib.core.robots.loading import build
+from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.text import parse_urdf
+from calib.core.rows.determination import determination
+from calib.core.rows.observed import observe
+from calib.core.rows.unknowns import Unknowns
+from calib.photographs.scene import SIDES, Mount
+
+LEAST_PAIRS = 3
+_MUCH_BETTER = 3.0  # times smaller residuals of another reading of the poses, from which that is meant
+_OPEN = 0.05  # part of the largest change that no pair shows, from which a component is not determined
+_SAID = 1e-3  # part of the largest, below which a part of such a change is not named
+_STEP = 1e-6  # of parameters, for differences [m or rad]
+_LINKS = ("base", "along_x", "along_y", "along_z", "about_x", "about_y", "tool")
+_OF_JOINTS = {
+    Code.JOINT_NEVER_MOVED, Code.JOINT_MOVED_LITTLE, Code.JOINTS_MOVE_TOGETHER, Code.JOINT_SCALED, Code.ONE_CORNER,
+    Code.BEYOND_JOINT_LIMITS, Code.TURNS_NOT_COUNTED, Code.NO_GAIN, Code.NOTHING_TO_CORRECT, Code.MOVES_AS_ONE,
+    Code.BASE_ELSEWHERE, Code.TARGET_ELSEWHERE,
+}  # fmt: skip
+"""Reasons that speak of a real robot's joints, or of what was described before."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPose(ReadOnlyArrays):
+    """Where camera or marker is.
+
+    Attributes:
+        pose: In the frame that it is fixed to, (4, 4) [m]; what is not determined is as `open` says.
+        half: Half widths of 95 % intervals: along x, y, z of that frame, and about the own x, y, z, (6,) [m, rad].
+        open: Which of these are not determined, (6,).
+    """
+
+    pose: FloatArray
+    half: FloatArray
+    open: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class PosePairs(ReadOnlyArrays):
+    """A hand-eye calibration from pairs of poses.
+
+    Attributes:
+        names: Of the pairs.
+        mount: Where the camera is.
+        camera, marker: Where they are.
+        unseen: Changes that no pair shows, in words.
+        errors: Predicted minus read: position and rotation of the marker in the camera, (n, 6) [m, rad].
+        reasons: What speaks against the result, each with its grade.
+        distance: Mean distance from camera to marker [m].
+    """
+
+    names: tuple[str, ...]
+    mount: Mount
+    camera: FoundPose
+    marker: FoundPose
+    unseen: tuple[str, ...]
+    errors: FloatArray
+    reasons: tuple[tuple[str, str], ...]
+    distance: float
+
+    @property
+    def determined(self) -> bool:
+        """Whether every component of the camera's place is."""
+        return not np.any(self.camera.open)
+
+
+def solve_pairs(
+    names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")
+) -> PosePairs:
+    """Return where camera and marker are.
+
+    Args:
+        names: Of the pairs.
+        tool: The tool in the base, (n, 4, 4) [m].
+        seen: The marker in the camera, (n, 4, 4) [m].
+        mounts: Where the camera may be.
+
+    Raises:
+        DataError: Too few pairs, or poses that the tool never left.
+        CalibrationError: Others, of the fit.
+    """
+    if len(names) < LEAST_PAIRS:
+        raise DataError(f"{len(names)} pairs of poses; give at least {LEAST_PAIRS}, better 10 to 20")
+    if np.ptp(tool, axis=0).max() < _STEP:
+        raise DataError("the tool has one pose in all pairs; give pairs at different poses")
+    left = {mount: _left(tool, seen, mount) for mount in mounts}
+    mount = min(left, key=lambda each: left[each])
+    inverted = min(_left(tool, np.linalg.inv(seen), each) for each in mounts)
+    reasons = []
+    if inverted * _MUCH_BETTER < left[mount]:
+        reasons.append(
+            ("FAIL", "it looks as if these were poses of the camera in the marker: their inverses fit far better")
+        )
+    if len(left) > 1 and max(left.values()) < _MUCH_BETTER * left[mount]:
+        reasons.append(
+            ("CHECK", f"a camera {SIDES[_other(mount)]} fits almost as well; say where it is with --camera-on")
+        )
+    robot = _robot(tool, seen, mount)
+    joints = np.hstack([tool[:, :3, 3], [_angles(pose) for pose in tool[:, :3, :3]]])
+    values = np.hstack([seen[:, :3, 3], rotation_vectors(seen[:, :3, :3])])
+    data = as_measurements(robot, joints, {"camera": values}, list(names))
+    observed = observe(robot, robot.assemble(data.joints, labels=data.labels), data.readings)["camera"]
+    rows = observed.jacobian.reshape(-1, len(robot.parameters))
+    found = determination(rows, robot.parameters, robot.is_free)
+    dropped = eliminate(found.columns).dropped
+    scales = Unknowns.of(robot, np.ones(len(robot.parameters), dtype=bool)).scales
+    groups = null_groups(found.columns, dropped, found.lengths * scales)
+    fitted = calibrate(robot.fix([robot.parameters[k].name for k in dropped]), data, None, Settings())
+    null = np.zeros((len(robot.parameters), len(groups)))
+    for k, group in enumerate(groups):
+        null[list(group.members), k] = group.coefficients * scales[list(group.members)]
+    (camera, camera_moves), (marker, marker_moves) = (_found(fitted, null, place) for place in ("camera", "marker"))
+    reasons += [
+        (reason.grade, reason.text.split("; --exclude-outliers")[0])
+        for reason in fitted.verdict.reasons
+        if reason.code not in _OF_JOINTS
+    ]
+    return PosePairs(
+        tuple(names),
+        mount,
+        camera,
+        marker,
+        tuple(_change_in_words(change) for change in np.vstack([camera_moves, marker_moves]).T),
+        np.asarray(fitted.identification.after["camera"]),
+        tuple(reasons),
+        float(np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))),
+    )
+
+
+def _other(mount: Mount) -> Mount:
+    return "base" if mount == "tool" else "tool"
+
+
+def _links(tool: FloatArray, mount: Mount) -> FloatArray:
+    return tool if mount == "base" else np.linalg.inv(tool)
+
+
+def _left(tool: FloatArray, seen: FloatArray, mount: Mount) -> float:
+    """What closed forms leave: root mean square, of angles at the distance of the marker [m]."""
+    links = _links(tool, mount)
+    camera, marker = fixed_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
+    off = np.linalg.inv(seen) @ np.linalg.inv(camera) @ links @ marker
+    distance = np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))
+    turned = rotation_vectors(off[:, :3, :3])
+    return float(np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2, axis=1) + distance**2 * np.sum(turned**2, axis=1))))
+
+
+def _angles(rotation: FloatArray) -> FloatArray:
+    """Angles of the three hinges, about x, the new y and the newest z, (3,) [rad]."""
+    return np.asarray(-pin.rpy.matrixToRpy(rotation.T))
+
+
+def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
+    """What carries the tool, with camera and marker where closed forms put them."""
+    links, joints = [f'<link name="{name}"/>' for name in _LINKS], []
+    for k, (parent, child) in enumerate(itertools.pairwise(_LINKS)):
+        kind, axis = ("prismatic", "revolute")[k // 3], " ".join(str(float(k % 3 == axis)) for axis in range(3))
+        joints.append(
+            f'<joint name="tool_{"xyzabc"[k]}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<axis xyz="{axis}"/><limit lower="-1000" upper="1000" effort="0" velocity="0"/></joint>'
+        )
+    urdf = parse_urdf(f'<robot name="poses">{"".join(links + joints)}</robot>'.encode(), "the tool's poses")
+    places = fixed_poses(_links(tool, mount), seen, (np.eye(4), np.eye(4)), (False, False))
+    ends = ("tool", "base") if mount == "tool" else ("base", "tool")
+    camera, marker = (
+        {"frame": end, "xyz": pose[:3, 3].tolist(), "rpy": pin.rpy.matrixToRpy(pose[:3, :3]).tolist()}
+        for end, pose in zip(ends, (np.linalg.inv(places[0]), places[1]), strict=True)
+    )
+    content = {
+        "urdf": "poses",
+        "name_mot": [joint.name for joint in urdf.joints],
+        "base": camera | {"pose": "unknown"},
+        "targets": {"marker": marker | {"position": "unknown", "orientation": "unknown"}},
+        "instruments": {"camera": {"kind": "pose", "target": "marker"}},
+        "parametrisation": [],
+    }
+    return build(checked_description(content, "pairs of poses"), urdf, "pairs of poses")
+
+
+def _change_in_words(change: FloatArray) -> str:
+    """A change of camera and marker, (12,) [m, rad], of which the largest part is 1 mm or 1 deg."""
+    names = [f"{name} {part}" for name in ("camera", "marker") for part in COMPONENTS]
+    units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
+    sizes = change * units / np.max(np.abs(change * units))
+    named = zip(names, sizes, np.tile(np.repeat(["mm", "deg"], 3), 2), strict=True)
+    return ", ".join(f"{name} {size:+.3g} {unit}" for name, size, unit in named if abs(size) > _SAID)
+
+
+def _found(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
+    """Where one of them is, with what the parameters' intervals mean there; and how unseen changes move it, (6, k)."""
+    pose = _place(fitted.robot, place)
+    steps = []
+    for k in range(len(fitted.robot.parameters)):
+        values = [fitted.robot.values.copy() for _ in range(2)]
+        values[0][k] -= _STEP
+        values[1][k] += _STEP
+        ends = [_place(fitted.robot.with_parameters(each), place) for each in values]
+        turned = rotation_vectors(np.array([pose[:3, :3].T @ end[:3, :3] for end in ends]))
+        steps.append(np.hstack([ends[1][:3, 3] - ends[0][:3, 3], turned[1] - turned[0]]) / (2 * _STEP))
+    by = np.array(steps).T  # (6, n_parameters)
+    free = fitted.robot.is_free
+    spread = by[:, free] @ np.asarray(fitted.covariance) @ by[:, free].T
+    known = [fitted.parameters[name] for name in fitted.free_names]
+    factor = max((float(each.half95_si) / each.std_si for each in known), default=float("nan"))
+    half = factor * np.sqrt(np.diag(spread))
+    moved = by @ null
+    return FoundPose(pose, half, np.any(np.abs(moved) > _OPEN * np.max(np.abs(null), axis=0), axis=1)), moved
+
+
+def _place(robot: Robot, place: str) -> FloatArray:
+    """Pose of camera or marker in the frame that it is fixed to, (4, 4) [m]."""
+    return np.asarray(robot.mechanism.placement("base" if place == "camera" else place).homogeneous)

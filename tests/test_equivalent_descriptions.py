@@ -2,12 +2,18 @@
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
+from calib.core.robots.joint_samples import joint_samples
+from calib.core.rows.gauge import around_home
+from calib.exporting.gap import poses_near_home
+from calib.matching.agreement import other_poses
 
+EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 SIGMA = 4e-5
 
 
@@ -153,3 +159,38 @@ def test_a_fit_says_the_same_of_a_robot_described_in_another_way(told, first, tm
     assert fit.verdict.claim.known == pytest.approx(same.verdict.claim.known, rel=1e-5)
     if "split" not in ways:  # directions of an origin are those of the link before
         np.testing.assert_allclose([std[key] for key in sorted(std)], [same_std[key] for key in sorted(std)], rtol=1e-5)
+
+
+@pytest.mark.parametrize("ways", [("order",), ("renamed", "reversed", "split"), ("reversed", "other angles")])
+def test_searches_start_and_end_at_the_same_places(tmp_path, ways):
+    chain, order = list(CHAIN), (5, 2, 0, 3, 4, 1)
+    for what in ways:
+        chain = [_in_another_way(link, what, k) for k, link in enumerate(chain)]
+    first, other = _robot(tmp_path / "first", CHAIN, range(6)), _robot(tmp_path / "other", tuple(chain), order)
+    signs = np.array([link.sign for link in chain])
+
+    def as_first(q):
+        return q[:, np.argsort(order)] * signs
+
+    halves = joint_samples(first.mode, 50) - 0.5, joint_samples(other.mode, 50) - 0.5
+    np.testing.assert_allclose(as_first(halves[1]), halves[0], atol=1e-12)
+    for places in (around_home, poses_near_home, other_poses):
+        np.testing.assert_allclose(as_first(places(other)), places(first), atol=1e-9)
+    rng = np.random.default_rng(2)
+    poses = np.asarray(first.forward(rng.uniform(-2.5, 2.5, (30, 6)), "ball"))
+    solutions = calib.solve(first, poses), calib.solve(other, poses)
+    np.testing.assert_array_equal(solutions[1].ok, solutions[0].ok)
+    ok = solutions[0].ok
+    assert ok.sum() > 25
+    np.testing.assert_allclose(as_first(solutions[1].q)[ok], solutions[0].q[ok], atol=1e-6)
+
+
+def test_searches_of_a_robot_with_loops_start_at_the_same_places(tmp_path):
+    first = calib.load(EXAMPLES / "five_bar.yaml")
+    names = list(first.joint_names)
+    text = (EXAMPLES / "five_bar.yaml").read_text()
+    assert f"[{', '.join(names)}]" in text
+    (tmp_path / "five_bar.urdf").write_text((EXAMPLES / "five_bar.urdf").read_text())
+    (tmp_path / "other.yaml").write_text(text.replace(f"[{', '.join(names)}]", f"[{', '.join(names[::-1])}]"))
+    other = calib.load(tmp_path / "other.yaml")
+    np.testing.assert_allclose(joint_samples(other.mode, 20)[:, ::-1], joint_samples(first.mode, 20), atol=1e-12)

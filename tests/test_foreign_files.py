@@ -162,6 +162,7 @@ XACRO = (
         ("<link name=\"${xacro.load_yaml('../../secret.yaml')['key']}\"/>", "it reads a file outside of its package"),
         ('<xacro:include filename="/etc/passwd"/>', "it reads a file outside of its package"),
         ('<link name="$(env SECRET)"/>', "it needs a variable of the environment"),
+        ('<link name="$(optenv PATH /)$(optenv PYTHONPATH /)$(optenv SECRET none)"/>', "several root links: //none, a"),
         ("<link name=\"${len('a' * 10**10)}\"/>", "it takes more than 2 GB of memory"),
         ('<link name="${unknown_word}"/>', "it has no value or meaning for 'unknown_word'"),
     ],

@@ -158,6 +158,50 @@ def route(tmp_path_factory):
     return plan_route(robot, calib.sample(robot, 6, 5))
 
 
+def test_a_touch_is_approached_and_left_along_the_normal_of_its_surface(tmp_path):
+    touch = "instruments:\n  probe: {kind: touch, target: ball, surface: plane, radius: 3 mm, places: {wall: "
+    place = "{frame: l0, xyz: [0.6 m, 0, 0.9 m], rpy: [0, -90 deg, 0]}}}\n"
+    robot = calib.load(_write(tmp_path, touch + place + "self_clearance: 0 mm\n"))
+    route, mjc = plan_route(robot, calib.sample(robot, 3, 2)), _MuJoCo(())
+    assert len(route.stops) >= 2
+    balls = []
+    for q in route.corners():
+        mjc.data.qpos[:] = q
+        mujoco.mj_kinematics(mjc.model, mjc.data)
+        link = mjc.model.body("l6").id
+        balls.append(mjc.data.xpos[link] + mjc.data.xmat[link].reshape(3, 3) @ [0.05, 0.02, 0.1])
+    stops = [k for k, q in enumerate(route.corners()) if any(np.array_equal(q, stop.joints) for stop in route.stops)]
+    for k in stops:
+        assert balls[k][0] == pytest.approx(0.6 - 0.003, abs=1e-6)
+        for beside in (k - 1, k + 1) if k < stops[-1] else (k - 1,):
+            np.testing.assert_allclose(balls[beside] - balls[k], [-0.05, 0, 0], atol=1e-6)
+
+
+def test_a_pose_that_only_a_joint_turned_round_reaches_is_visited_so_and_said(tmp_path):
+    wall = {"wall": ((0.04, 4.0, 4.0), (-0.4, 0.0, 1.0))}  # behind the robot: it turns round to both sides, not through
+    turning = _shaped().replace('lower="-3" upper="3"', 'lower="-5.5" upper="5.5"', 1)
+    robot = calib.load(_write(tmp_path, _obstacles("1 mm", wall), turning))
+    stretched = np.array([[-5.2, 1.2, 0.2, 0, 0, 0], [0.5, 1.2, 0.2, 0, 0, 0]])
+    route = plan_route(robot, as_poses(robot, stretched, ["round", "straight"]), start=np.array([0.4, 1.0, 0, 0, 0, 0]))
+    visited = {stop.name: stop.joints for stop in route.stops}
+    np.testing.assert_allclose(visited["round"], stretched[0] + 2 * np.pi * np.eye(6)[0])
+    np.testing.assert_array_equal(visited["straight"], stretched[1])
+    assert any("whole turn" in remark and "round" in remark for remark in route.remarks)
+
+
+def test_what_cannot_be_visited_is_replaced_by_the_next_best_and_nothing_else_is(tmp_path):
+    robot = calib.load(_write(tmp_path, _obstacles()))
+    free = [[0.1 * k, -0.1 * k, 0.2, 0.1, 0.3, 0.05 * k] for k in range(1, 6)]
+    candidates = as_poses(robot, np.array([*free, [0, 2.5, 0, 0, 0, 0]]), ["a", "b", "c", "d", "e", "low"])
+    plan = plan_route(robot, candidates.subset(np.array([0, 1])), candidates=candidates)
+    assert (plan.left_out, plan.replaced, len(plan.stops)) == ({}, (), 2)
+    plan = plan_route(robot, candidates.subset(np.array([0, 1, 5])), candidates=candidates)
+    assert set(plan.left_out) == {"low"}
+    assert len(plan.stops) == 3
+    assert len(plan.replaced) == 1
+    assert set(plan.replaced) <= {"c", "d", "e"}
+
+
 _FIRST_MOVE = {"urscript": "movej", "rapid": "MoveAbsJ", "krl": "PTP {", "fanuc": "J P[1]"}
 _CONFIRM = {"urscript": "popup(", "rapid": "Stop;", "krl": "HALT", "fanuc": "PAUSE"}
 _JOINTS = {
@@ -192,6 +236,7 @@ def test_programs_of_a_route_are_read_back_by_what_compensates_them(route, langu
 
 
 def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
+    assert "BAS(#VEL_PTP, 1)" in write_program(route, "krl", Motion("plan", speed=0.001))  # 0 % is no speed
     text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))
     values = [
         [float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", match)] for match in re.findall(r"UT : 1,([^}]*)\}", text)
@@ -235,7 +280,11 @@ def test_robots_that_a_language_has_no_moves_for_are_said(route, tmp_path):
 def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     run = run_calib("sample", yaml, "-n", 60, "--out", tmp_path / "s.csv")
-    assert re.search(r"Left out: \d+ of \d+ poses not free \(\d+ ", run.out)
+    assert re.search(r"Left out: \d+ of \d+ poses not free \(\d+ .*\); O1 is \d+\.\d % of what it would be", run.out)
+    whole = calib.load(_write(tmp_path, "obstacles: unchecked\n"))
+    with_, without = (calib.check(whole, poses).scaled["O1"] for poses in (tmp_path / "s.csv", calib.sample(whole, 60)))
+    assert f"O1 is {100 * with_ / without:.1f} %" in run.out  # as `calib check` says
+    yaml = _write(tmp_path, _obstacles())
     robot = calib.load(yaml)
     sampled = read_poses(tmp_path / "s.csv", robot)
     assert len(sampled) == 60
@@ -252,7 +301,8 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
 def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     run_calib("sample", yaml, "-n", 5, "--out", tmp_path / "s.csv")
-    run = run_calib("route", yaml, tmp_path / "s.csv", "--format", "krl", "--out", tmp_path / "r")
+    spare = ("--candidates", tmp_path / "s.csv")
+    run = run_calib("route", yaml, tmp_path / "s.csv", *spare, "--format", "krl", "--out", tmp_path / "r")
     assert run.code == 0, run.err
     assert {path.name for path in (tmp_path / "r").iterdir()} >= {"calib_route.src", "route.csv", "readings.csv"}
     lines = [line for line in (tmp_path / "r/readings.csv").read_text().splitlines() if not line.startswith("#")]
@@ -305,7 +355,7 @@ def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
     assert not (tmp_path / "r").exists()
 
 
-def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_path):
+def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     (tmp_path / "arm.srdf").write_text(
         "<robot name='six axes'><disable_collisions link1='l2' link2='l4' reason='User'/></robot>"
@@ -313,9 +363,23 @@ def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_pa
     scene = surroundings(calib.load(yaml)).scene
     assert "l2 - l4" not in {scene.name(k) for k in range(len(scene.pairs))}
     assert "l2 - l5" in {scene.name(k) for k in range(len(scene.pairs))}
+    srdf = (tmp_path / "arm.srdf").read_text()
+    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
+    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "other").replace("l4", "wrist"))
+    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+        surroundings(calib.load(yaml))
     (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
     with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
         surroundings(calib.load(yaml))
+    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
+    for command in ("route", "sample", "select"):
+        given = () if command == "sample" else (tmp_path / "p.csv",)
+        count = () if command == "route" else ("-n", 1)
+        run = run_calib(command, yaml, *given, *count, "--out", tmp_path / "out")
+        assert (run.code, run.err.count("\n")) == (2, 1)
+        assert "is the SRDF of robot 'other'" in run.err
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
@@ -334,6 +398,20 @@ def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
     )
     hits = check_poses(calib.load(tmp_path / "arm.yaml"), np.array([up, behind])).hits
     assert hits == ("", "ball turned away")
+
+
+def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
+    text = (
+        Path("docs/examples/stewart.yaml")
+        .read_text()
+        .replace("stewart.urdf", str(Path("docs/examples/stewart.urdf").resolve()))
+    )
+    (tmp_path / "robot.yaml").write_text(text + "\nobstacles: {ball: {sphere: 10 mm, xyz: [0, 0, 5 m]}}\n")
+    scene = surroundings(calib.load(tmp_path / "robot.yaml")).scene
+    names = {scene.name(k) for k in range(len(scene.pairs))}
+    assert {"leg_1_cylinder - ball", "leg_1_tip - ball"} <= names
+    rods = [body for body in scene.bodies if body.name in ("leg_1_cylinder", "leg_1_tip")]
+    assert [2 * body.hull.halfLength for body in rods] == pytest.approx([0.4433621868572532] * 2)
 
 
 @needs_ompl
@@ -373,3 +451,15 @@ def test_poses_are_shown_in_red_where_they_collide(tmp_path):
     assert {"obstacle/table", "obstacle/post"} <= {shape.name for shape in scene.shapes}
     marks = {group["name"]: group["mark"] for group in scene_data(scene)["groups"]}
     assert marks["collides"] == "alarm"
+
+
+@pytest.mark.parametrize("kind", ["position", "pose", "orientation", "distance", "touch", "joint_reading"])
+def test_plain_poses_of_every_kind_are_shown(tmp_path, kind):
+    from viz.inputs import gather
+
+    place = "{frame: l0, xyz: [0.5 m, 0, 0.3 m], position: unknown, sigma: 10 mm}"
+    more = {"distance": f"end: {place}", "touch": f"places: {{plate: {place}}}", "joint_reading": "joint: j2"}
+    target = "" if kind == "joint_reading" else ", target: ball"
+    section = f"instruments: {{own: {{kind: {kind}{target}, {more.get(kind, '')}}}}}\n".replace(", }", "}")
+    poses = as_poses(calib.load(_write(tmp_path, section)), np.zeros((1, 6)), ["home"])
+    assert set(gather(calib.load(tmp_path / "arm.yaml"), data=poses).scene.poses.group) <= {"planned", "collides"}

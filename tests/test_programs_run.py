@@ -2,7 +2,14 @@
 
 The correction is not that of a robot: every pose is moved by one small transform in the base, every joint by a small
 angle. So what a move should become follows from the move itself, whatever the reader made of the program.
+
+    python tests/test_programs_run.py 10000        more of each language than the thorough tests have time for
+    python tests/test_programs_run.py 10000 KRL    of one
 """
+
+import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -105,3 +112,25 @@ def test_moves_of_a_corrected_program_differ_by_the_correction_and_by_nothing_el
     corrected, left = counts.sum(axis=0)
     assert np.mean(counts[:, 0] > 0) > 0.5  # programs with targets that are constant are compensated
     assert corrected > 0.3 * (corrected + left)
+
+
+def main(amount, *languages):
+    """Judge so many programs of each language; print how many, and every one that goes elsewhere."""
+    for language in languages or LANGUAGES:
+        counts, wrong = np.zeros((amount, 2), dtype=int), 0
+        with tempfile.TemporaryDirectory() as folder:
+            for seed in range(amount):
+                try:
+                    counts[seed] = judge(Path(folder), language, seed)
+                except (AssertionError, DataError) as error:
+                    wrong += 1
+                    print(f"{language}, seed {seed}: {error}")
+        corrected, left = counts.sum(axis=0)
+        print(
+            f"{language}: {amount} programs, {np.sum(counts[:, 0] > 0)} compensated; {corrected} moves corrected,"
+            f" {left} left as they are; {wrong} programs wrong"
+        )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), *sys.argv[2:])

@@ -26,9 +26,9 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.core.base.units import Dimension, error_scale, quantity_text
-from calib.core.numerics.halton import halton
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.robot import Robot
 
@@ -78,14 +78,14 @@ class Gap:
 def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     """Return assembled poses within a tenth of each joint's range around home, home first, (n, n_actuated) [m or rad].
 
-    The points are evenly spread (Halton sequence, no random numbers); those that cannot be assembled are left out.
+    The points are evenly spread (no random numbers); those that cannot be assembled are left out.
 
     Args:
         robot: The robot.
         count: How many to try.
     """
     lower, upper = joint_ranges(robot)
-    spread = 2 * halton(count + 1, len(lower))[1:] - 1  # its first point is a corner
+    spread = 2 * joint_samples(robot.mode, count + 1)[1:, : len(lower)] - 1  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])

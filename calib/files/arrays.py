@@ -45,7 +45,7 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
         DataError: The package h5py is missing; for others see `numpy_columns`.
     """
     try:
-        import h5py  # type: ignore[import-not-found]
+        import h5py
     except ImportError:
         raise DataError(
             f"{file.path}: is a MATLAB file of version 7.3, and the package that reads them is not installed: pip"

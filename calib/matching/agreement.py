@@ -25,7 +25,7 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
-from calib.core.numerics.halton import halton
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 from calib.core.rows.jacobian import linearise
 
@@ -130,7 +130,7 @@ def other_poses(robot: Robot) -> FloatArray:
     lower, upper = robot.urdf.limits(robot.joint_names)
     middle = np.where(np.isfinite(lower + upper), (lower + upper) / 2, 0.0)
     half = np.minimum(np.where(np.isfinite(upper - lower), (upper - lower) / 2, np.pi), np.pi)
-    q = middle + half * (2 * halton(2 * _POSES + 1, len(lower))[1:] - 1)
+    q = middle + half * (2 * joint_samples(robot.mode, 2 * _POSES + 1)[1:, : len(lower)] - 1)
     try:
         return q[robot.close(q).ok][:_POSES]
     except CalibrationError:

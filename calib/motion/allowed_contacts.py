@@ -105,19 +105,23 @@ def _disabled(robot: Robot) -> set[frozenset[str]]:
     pairs: set[frozenset[str]] = set()
     for path in _srdf_files(robot):
         root = element_tree(read_text(path, "an SRDF", DescriptionError).encode())
-        own = path.stem == Path(robot.urdf.path).stem
-        if root.get("name") != robot.urdf.name:
-            if own:
-                raise DescriptionError(
-                    f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
-                )
+        own, same = path.stem == Path(robot.urdf.path).stem, root.get("name") == robot.urdf.name
+        named = [
+            frozenset(str(element.get(key)) for key in ("link1", "link2"))
+            for element in root.iterfind("disable_collisions")
+        ]
+        unknown = [name for name in sorted(frozenset().union(*named)) if name not in robot.urdf.links]
+        if own and not same and (unknown or not named):  # with all links in common, only the names differ
+            raise DescriptionError(
+                f"{path}: is the SRDF of robot '{root.get('name')}', but {robot.urdf.path} is '{robot.urdf.name}'"
+            )
+        if not own and not same:
             continue
-        for element in root.iterfind("disable_collisions"):
-            names = [str(element.get(key)) for key in ("link1", "link2")]
-            unknown = next((name for name in names if name not in robot.urdf.links), None)
-            if unknown is not None:
-                raise DescriptionError(f"{path}: no link '{unknown}' in the robot{nearest(unknown, robot.urdf.links)}")
-            pairs.add(frozenset(names))
+        if unknown:
+            raise DescriptionError(
+                f"{path}: no link '{unknown[0]}' in the robot{nearest(unknown[0], robot.urdf.links)}"
+            )
+        pairs.update(named)
     return pairs
 
 

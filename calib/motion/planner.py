@@ -1,10 +1,10 @@
 """A way around what blocks a straight move: along free poses that are known, or found by OMPL; then shortened.
 
-All stops and some more free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it
-is checked move by move; a move that hits is taken out, until a way is free or none is left. What was checked for one
-stop serves the next. Where the map ends, OMPL's RRT-Connect searches, whose edges are proven free, too: it asks whether
-a point is free, and whether a straight move is (`calib.motion.moves`), and never sees shapes. The way is shortened by
-leaving out corners while the move past them is free.
+All stops and further free poses are the nodes of a roadmap, each with moves to those near it. The shortest way on it is
+checked move by move; a move that hits is taken out for good, until a way is free or none is left. What was checked for
+one stop serves the next. Where the map ends, OMPL's RRT-Connect searches from the nearest node that free moves reach.
+It asks whether a point is free, and whether a straight move is (`calib.motion.moves`), and never sees shapes. The way
+is shortened by leaving out corners while the move past them is free.
 
 Reference: bohlin2000; kuffner2000; sucan2012.
 """
@@ -26,7 +26,9 @@ from calib.motion.scene import Scene
 _MOST_ASKED = 150  # times that OMPL may ask for a move
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
-_TRIED = 100  # moves that are checked on it for one way
+_TRIED = 100  # ways on it that are checked
+_SAME = 1e-9  # length of a move between nodes that are the same
+_KNOWN = 0.7  # length of a move that is known to be free, of its own: ways that are known are cheap
 
 
 @dataclass(eq=False)
@@ -35,10 +37,11 @@ class Planner:
 
     Attributes:
         scene: The scene.
-        nodes: Free poses of the roadmap, (n, n_actuated) [m or rad].
+        nodes: Free poses of the roadmap, all different; ways are between two of them, (n, n_actuated) [m or rad].
         limits: Of the joints, (n_actuated, 2) [m or rad].
         seed: Of random numbers.
         known: Moves that were checked, by their ends.
+        here: The node at which the robot is.
     """
 
     scene: Scene
@@ -46,6 +49,28 @@ class Planner:
     limits: FloatArray
     seed: int
     known: dict[bytes, Move] = field(default_factory=dict)
+    here: int = 0
+
+    def __post_init__(self) -> None:
+        """Find the moves of the roadmap: their lengths (n, n), 0 where there is none; and which are proven free."""
+        n, width = len(self.nodes), np.maximum(np.ptp(self.limits, axis=1), 1e-9)
+        self._scaled = self.nodes / np.where(np.isfinite(width), width, 2 * np.pi)
+        gaps = np.max(np.abs(self._scaled[:, None] - self._scaled[None]), axis=2)
+        near = gaps <= np.sort(gaps, axis=1)[:, [min(_NEAREST, n - 1)]]
+        self._lengths = np.where(near | near.T, np.maximum(gaps, _SAME), 0.0)
+        self._free = np.zeros((n, n), dtype=bool)
+        number = {node.tobytes(): k for k, node in enumerate(self.nodes)}
+        for key, move in self.known.items():
+            start, end = (number.get(half) for half in (key[: len(key) // 2], key[len(key) // 2 :]))
+            if start is not None and end is not None:
+                self._mark(start, end, free=not move.hit)
+
+    def add(self, nodes: FloatArray) -> int:
+        """Add nodes (n, n_actuated) [m or rad] and return the number of the first."""
+        first = len(self.nodes)
+        self.nodes = np.vstack([self.nodes, nodes])
+        self.__post_init__()
+        return first
 
     def move(self, start: FloatArray, end: FloatArray) -> Move:
         """Return what the straight move between two commands, (n_actuated,) each, is worth, both ways alike."""
@@ -54,62 +79,69 @@ class Planner:
             self.known[key] = check_move(self.scene, start, end)
         return self.known[key]
 
-    def way(self, start: FloatArray, end: FloatArray, *, searched: bool = True) -> FloatArray | None:
-        """Return the corners of a free way between two free commands, both included, (n, n_actuated); None: none found.
+    def way(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
+        """Return the corners of a free way between two nodes, both included, (n, n_actuated); None: none found.
 
         Args:
-            start, end: (n_actuated,) each [m or rad].
+            start, end: Numbers of the nodes.
             searched: Whether OMPL searches where the roadmap ends, which takes long.
 
         Raises:
             InputError: OMPL is needed, and not installed.
         """
-        if not self.move(start, end).hit:
-            return np.array([start, end])
+        if self._is_free(start, end):
+            return self.nodes[[start, end]]
         found = self._on_roadmap(start, end)
         if found is None and searched:
             found = self._searched(start, end)
         return None if found is None else self._shortened(found)
 
-    def _on_roadmap(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+    def _is_free(self, a: int, b: int) -> bool:
+        """Whether the move between two nodes is; the roadmap remembers it."""
+        free = not self.move(self.nodes[a], self.nodes[b]).hit
+        self._mark(a, b, free=free)
+        return free
+
+    def _mark(self, a: int, b: int, *, free: bool) -> None:
+        length = max(float(np.max(np.abs(self._scaled[a] - self._scaled[b]))), _SAME)
+        self._free[a, b] = self._free[b, a] = free
+        self._lengths[a, b] = self._lengths[b, a] = _KNOWN * length if free else 0.0
+
+    def _on_roadmap(self, start: int, end: int) -> FloatArray | None:
         """The shortest way along the nodes whose moves are free."""
-        points = np.vstack([start, end, self.nodes])
-        width = np.maximum(np.ptp(points, axis=0), 1e-9)
-        gaps = np.max(np.abs(points[:, None] - points[None]) / width, axis=2)
-        near = np.argsort(gaps, axis=1, kind="stable")[:, 1 : _NEAREST + 1]
-        weights = np.zeros_like(gaps)  # 0: no move
-        rows = np.repeat(np.arange(len(points)), near.shape[1])
-        weights[rows, near.ravel()] = np.maximum(gaps[rows, near.ravel()], 1e-9)
-        weights = np.maximum(weights, weights.T)
         for _ in range(_TRIED):
-            length, before = scipy.sparse.csgraph.dijkstra(weights, indices=0, return_predecessors=True)
-            if not np.isfinite(length[1]):
+            length, before = scipy.sparse.csgraph.dijkstra(self._lengths, indices=start, return_predecessors=True)
+            if not np.isfinite(length[end]):
                 return None
-            way = [1]
-            while way[-1] != 0:
+            way = [end]
+            while way[-1] != start:
                 way.append(int(before[way[-1]]))
-            blocked = next(((a, b) for a, b in pairwise(way) if self.move(points[a], points[b]).hit), None)
-            if blocked is None:
-                return points[way[::-1]]
-            weights[blocked] = weights[blocked[::-1]] = 0.0
+            if all(self._is_free(a, b) for a, b in pairwise(way)):
+                return self.nodes[way[::-1]]
         return None
 
-    def _searched(self, start: FloatArray, end: FloatArray) -> FloatArray | None:
+    def _searched(self, start: int, end: int) -> FloatArray | None:
         try:
             from calib.motion.ompl_search import search
         except ImportError:
             raise InputError(
-                f"a straight move is blocked ({self.move(start, end).hit}), and a way around it needs OMPL; install"
-                f" it: pip install '{DISTRIBUTION}[motion]'"
+                f"a straight move is blocked ({self.move(self.nodes[start], self.nodes[end]).hit}), and a way around it"
+                f" needs OMPL; install it: pip install '{DISTRIBUTION}[motion]'"
             ) from None
-        return search(
-            start,
-            end,
+        reached = scipy.sparse.csgraph.connected_components(self._free)[1]
+        gaps = np.max(np.abs(self._scaled - self._scaled[end]), axis=1)
+        gaps[end] = np.inf
+        near = int(np.argmin(np.where(reached == reached[start], gaps, np.inf)))
+        found = search(
+            self.nodes[near],
+            self.nodes[end],
             self.limits,
             lambda q: not self.scene.hits(q[None])[0],
             lambda one, other: not self.move(one, other).hit,
             _MOST_ASKED,
         )
+        before = self.nodes[[start]] if near == start else self._on_roadmap(start, near)
+        return None if found is None or before is None else np.vstack([before[:-1], found])
 
     def _shortened(self, corners: FloatArray) -> FloatArray:
         """A way with fewer corners, and shorter ones."""

@@ -7,9 +7,10 @@ instrument reads. Corners of ways around are moves without a stop. Numbers are w
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +65,59 @@ class Language:
     six_axes: bool = True
 
 
+@dataclass(frozen=True)
+class _Words:
+    """How a controller's language says the steps of a route.
+
+    Attributes:
+        begin, end: Lines before and behind the stops, with {name}, {question} and {percent}.
+        move: With {joints}; {k}, which move it is, from 1; {speed} [rad/s], {along} [mm/s] or {percent}.
+        joint: Of one joint, with {k}, from 1, and {value}.
+        remark: A comment.
+        wait: With a time [s].
+        output: With the number of an output, and what it is set to.
+        states: An output on, and off.
+        scale: What one radian is in joint values.
+    """
+
+    begin: str
+    end: str
+    move: str
+    joint: str
+    remark: str
+    wait: str
+    output: str
+    states: tuple[str, str]
+    scale: float = _DEGREES
+
+    def joints(self, values: FloatArray) -> str:
+        """Return joint values (n,) [rad] as they stand in a move."""
+        return ", ".join(self.joint.format(k=k, value=v + 0.0) for k, v in enumerate(self.scale * values, 1))
+
+    def text(self, route: Route, motion: Motion) -> str:
+        """Return a route as a program."""
+        return "\n".join(self.lines(route, motion, _question(route))) + "\n"
+
+    def lines(self, route: Route, motion: Motion, question: str) -> list[str]:
+        """Return the lines of a program that asks a question before anything moves."""
+        along = max(10, round(100 * motion.speed) * 10) if motion.speed < 1 else 1000
+        given = {"name": motion.name, "question": question, "speed": motion.joint_speed, "along": along}
+        given |= {"percent": max(1, round(100 * motion.speed))}
+        moves = itertools.count(1)
+
+        def move(joints: FloatArray) -> str:
+            return self.move.format(joints=self.joints(joints), k=next(moves), **given)
+
+        lines = self.begin.format(**given).split("\n")
+        for stop in route.stops:
+            lines += [move(corner) for corner in stop.corners]
+            lines += [self.remark.format(_remark(stop)), move(stop.joints), self.wait.format(motion.dwell)]
+            if motion.output is not None:
+                on, off = (self.output.format(motion.output, state) for state in self.states)
+                lines += [on, self.wait.format(motion.reading), off]
+        return [*lines, *self.end.split("\n")]
+
+
 def write_program(route: Route, language: str, motion: Motion) -> str:
     """Return a route as a program.
 
@@ -88,119 +142,79 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
     """
     values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
     return (
-        f"Robot must stand at {values} deg. Nothing moves before you confirm. Ready for stop {_plain(route.stops[0])}"
+        f"Robot must stand at {values} deg. Nothing moves before you confirm."
+        f" Ready for stop {_plain(route.stops[0].name)}"
     )
 
 
-def _plain(stop: Stop) -> str:
-    return re.sub(r"[^\w .:+-]", "_", stop.name, flags=re.ASCII)
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w .:+-]", "_", name, flags=re.ASCII)
 
 
 def _remark(stop: Stop) -> str:
     """Pose name and clearance of a stop."""
     if not np.isfinite(stop.clearance):
-        return f"pose {_plain(stop)}"
-    pair = re.sub(r"[^\w .:+-]", "_", stop.pair, flags=re.ASCII)
+        return f"pose {_plain(stop.name)}"
     at_stop, on_the_way = (int(millimetres(value)) for value in (stop.clearance, min(stop.clearance, stop.on_the_way)))
-    return f"pose {_plain(stop)}, clearance {at_stop} mm ({pair}), on the way {on_the_way} mm"
+    clearance = f"clearance {at_stop} mm ({_plain(stop.pair)}), on the way {on_the_way} mm"
+    return f"pose {_plain(stop.name)}, {clearance}"
 
 
-def _joined(values: FloatArray, digits: int = 7) -> str:
-    return ", ".join(f"{value + 0.0:.{digits}f}" for value in values)
-
-
-def _urscript(route: Route, motion: Motion) -> str:
-    def lines() -> Iterator[str]:
-        yield f"def {motion.name}():"
-        yield f'  popup("{_question(route)}", title="{motion.name}", blocking=True)'
-        for stop in route.stops:
-            for corner in stop.corners:
-                yield f"  movej([{_joined(corner, 9)}], a=1.0, v={motion.joint_speed:g})"
-            yield f"  # {_remark(stop)}"
-            yield f"  movej([{_joined(stop.joints, 9)}], a=1.0, v={motion.joint_speed:g})"
-            yield f"  sleep({motion.dwell:g})"
-            if motion.output is not None:
-                yield f"  set_standard_digital_out({motion.output}, True)"
-                yield f"  sleep({motion.reading:g})"
-                yield f"  set_standard_digital_out({motion.output}, False)"
-        yield "end"
-
-    return _text(lines())
-
-
-def _rapid(route: Route, motion: Motion) -> str:
-    speed = f"v{max(10, round(1000 * motion.speed / 10) * 10)}" if motion.speed < 1 else "v1000"
-
-    def target(joints: FloatArray) -> str:
-        return f"[[{_joined(_DEGREES * joints)}], [9E9, 9E9, 9E9, 9E9, 9E9, 9E9]]"
-
-    def lines() -> Iterator[str]:
-        yield f"MODULE {motion.name}"
-        yield "  PROC main()"
-        yield f'    TPWrite "{_question(route)[:80]}";'
-        yield f"    ! {_question(route)}"
-        yield "    Stop;"
-        for stop in route.stops:
-            for corner in stop.corners:
-                yield f"    MoveAbsJ {target(corner)}, {speed}, fine, tool0;"
-            yield f"    ! {_remark(stop)}"
-            yield f"    MoveAbsJ {target(stop.joints)}, {speed}, fine, tool0;"
-            yield f"    WaitTime {motion.dwell:g};"
-            if motion.output is not None:
-                yield f"    SetDO do{motion.output}, 1;"
-                yield f"    WaitTime {motion.reading:g};"
-                yield f"    SetDO do{motion.output}, 0;"
-        yield "  ENDPROC"
-        yield "ENDMODULE"
-
-    return _text(lines())
-
-
-def _krl(route: Route, motion: Motion) -> str:
-    def target(joints: FloatArray) -> str:
-        return "{AXIS: " + ", ".join(f"A{k} {v + 0.0:.7f}" for k, v in enumerate(_DEGREES * joints, 1)) + "}"
-
-    def lines() -> Iterator[str]:
-        yield f"DEF {motion.name}()"
-        yield f"; {_question(route)}"
-        yield "HALT"
-        yield "BAS(#INITMOV, 0)"
-        yield f"BAS(#VEL_PTP, {100 * motion.speed:.0f})"
-        for stop in route.stops:
-            for corner in stop.corners:
-                yield f"PTP {target(corner)}"
-            yield f"; {_remark(stop)}"
-            yield f"PTP {target(stop.joints)}"
-            yield f"WAIT SEC {motion.dwell:g}"
-            if motion.output is not None:
-                yield f"$OUT[{motion.output}] = TRUE"
-                yield f"WAIT SEC {motion.reading:g}"
-                yield f"$OUT[{motion.output}] = FALSE"
-        yield "END"
-
-    return _text(lines())
+_URSCRIPT = _Words(
+    begin='def {name}():\n  popup("{question}", title="{name}", blocking=True)',
+    end="end",
+    move="  movej([{joints}], a=1.0, v={speed:g})",
+    joint="{value:.9f}",
+    remark="  # {}",
+    wait="  sleep({:g})",
+    output="  set_standard_digital_out({}, {})",
+    states=("True", "False"),
+    scale=1.0,
+)
+_RAPID = _Words(
+    begin='MODULE {name}\n  PROC main()\n    TPWrite "{question:.80}";\n    ! {question}\n    Stop;',
+    end="  ENDPROC\nENDMODULE",
+    move="    MoveAbsJ [[{joints}], [9E9, 9E9, 9E9, 9E9, 9E9, 9E9]], v{along}, fine, tool0;",
+    joint="{value:.7f}",
+    remark="    ! {}",
+    wait="    WaitTime {:g};",
+    output="    SetDO do{}, {};",
+    states=("1", "0"),
+)
+_KRL = _Words(
+    begin="DEF {name}()\n; {question}\nHALT\nBAS(#INITMOV, 0)\nBAS(#VEL_PTP, {percent})",
+    end="END",
+    move="PTP {{AXIS: {joints}}}",
+    joint="A{k} {value:.7f}",
+    remark="; {}",
+    wait="WAIT SEC {:g}",
+    output="$OUT[{}] = {}",
+    states=("TRUE", "FALSE"),
+)
+_FANUC = _Words(
+    begin="!{question:.100}\nPAUSE",
+    end="",
+    move="J P[{k}] {percent}% FINE",
+    joint="J{k} = {value:.7f} deg",
+    remark="!{}",
+    wait="WAIT {:.2f}(sec)",
+    output="DO[{}]={}",
+    states=("ON", "OFF"),
+)
 
 
 def _fanuc(route: Route, motion: Motion) -> str:
+    """Lines with numbers, and the positions that they go to behind all of them."""
+    coupled = (np.arange(len(route.start)) == 2) * (motion.third_joint == THIRD_JOINT[1])
+
     def counted(joints: FloatArray) -> FloatArray:
-        return joints - joints[1] * (np.arange(len(joints)) == 2) * (motion.third_joint == THIRD_JOINT[1])
+        return joints - joints[1] * coupled
 
-    code: list[str] = [f"!{_question(route, counted(route.start))[:100]}", "PAUSE"]
-    points: list[FloatArray] = []
-
-    def move(joints: FloatArray) -> str:
-        points.append(counted(joints))
-        return f"J P[{len(points)}] {max(1, round(100 * motion.speed))}% FINE"
-
-    for stop in route.stops:
-        code += [move(corner) for corner in stop.corners]
-        code += [f"!{_remark(stop)}", move(stop.joints), f"WAIT {motion.dwell:.2f}(sec)"]
-        if motion.output is not None:
-            code += [f"DO[{motion.output}]=ON", f"WAIT {motion.reading:.2f}(sec)", f"DO[{motion.output}]=OFF"]
-    numbered = [f"{number:4d}:  {line} ;" for number, line in enumerate(code, 1)]
+    lines = _FANUC.lines(route, motion, _question(route, counted(route.start)))[:-1]
+    numbered = [f"{number:4d}:  {line} ;" for number, line in enumerate(lines, 1)]
     places = []
-    for number, joints in enumerate(points, 1):
-        values = [f"J{k} = {value + 0.0:.7f} deg" for k, value in enumerate(_DEGREES * joints, 1)]
+    for number, joints in enumerate((q for stop in route.stops for q in (*stop.corners, stop.joints)), 1):
+        values = _FANUC.joints(counted(joints)).split(", ")
         body = ",\n\t".join(", ".join(values[k : k + 3]) for k in (0, 3))
         places.append(f"P[{number}]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t{body}\n}};")
     head = f"/PROG  {motion.name.upper()}\n/ATTR\nOWNER = MNEDITOR;\n/APPL\n/MN\n"
@@ -281,14 +295,10 @@ def joint_columns(route: Route, joints: FloatArray) -> list[tuple[str, list[obje
     return columns
 
 
-def _text(lines: Iterator[str]) -> str:
-    return "\n".join(lines) + "\n"
-
-
 LANGUAGES = {
-    "urscript": Language(".script", _urscript),
-    "rapid": Language(".mod", _rapid),
-    "krl": Language(".src", _krl),
+    "urscript": Language(".script", _URSCRIPT.text),
+    "rapid": Language(".mod", _RAPID.text),
+    "krl": Language(".src", _KRL.text),
     "fanuc": Language(".ls", _fanuc),
     "ros2": Language(".json", _ros2, six_axes=False),
     "csv": Language(".csv", _csv, six_axes=False),

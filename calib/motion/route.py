@@ -1,15 +1,14 @@
 """The route: in which order a robot visits poses, on which free ways, and which poses it cannot visit.
 
 Order of work. Poses that are not free, or outside the joint limits, are left out. The others are put in an order of
-little travel. Ways are found one after the other; a pose that no way reaches from the one before is tried again at the
-end, from there. What remains is left out by name, and replaced by the next best of the candidates, which are visited at
-the end.
+little travel, and ways are found one after the other. What is touched is approached, and left, along its normal. Poses
+that no way reaches are left out by name, and replaced by the next best of the candidates, which are visited at the end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,11 +20,16 @@ from calib.core.base.words import counted, listed
 from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
+from calib.motion.approach import approaches
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import Scene
 
 _NODES = 150  # poses of the roadmap beside the stops
+_ROUNDS = 4  # in which the next best are tried
+_TURNS = 3  # of the same pose, with joints turned all the way round, that are tried
+_ROUND = 1e-9  # of a turn, by which limits are rounded
+_NO_WAY = "no free way leads there"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,20 +111,23 @@ def plan_route(
     scene = surroundings(robot).scene
     if hit := scene.hits(start[None])[0]:
         raise InputError(f"{robot.path}: the robot collides where it starts ({hit}); give another start (--start FILE)")
-    left_out = {name: why for name, why in zip(poses.names, _blocked(robot, poses.joints), strict=True) if why}
-    free = poses.subset(np.array([k for k, name in enumerate(poses.names) if name not in left_out], dtype=np.intp))
-    planner = Planner(scene, np.vstack([start, free.joints, _more(robot, scene, seed)]), robot.joint_limits, seed)
-    stops, unreached = _visit(planner, start, free, progress)
-    left_out |= dict.fromkeys(unreached, "no free way leads there")
-    replaced: tuple[str, ...] = ()
-    if left_out and candidates is not None and stops:
-        here = stops[-1].joints
-        more, _ = _visit(planner, here, _next_best(robot, candidates, poses, stops, len(left_out)), progress)
-        stops, replaced = stops + more, tuple(stop.name for stop in more)
+    planner = Planner(scene, np.vstack([start, _more(robot, scene, seed)]), robot.joint_limits, seed)
+    stops, left_out = _visit(planner, start, poses, progress)
+    replaced: list[Stop] = []
+    candidates = poses.subset(np.zeros(0, dtype=np.intp)) if candidates is None else candidates
+    tried = set(poses.names)
+    for _ in range(_ROUNDS if stops else 0):
+        best = _next_best(robot, candidates, tried, stops + replaced, len(left_out) - len(replaced))
+        tried |= set(best.names)
+        replaced += _visit(planner, (stops + replaced)[-1].joints, best, progress)[0]
     if not stops:
         reasons = listed([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
         raise ComputationError(f"none of {counted(len(poses), 'pose')} can be visited ({reasons})")
-    return Route(robot, start, tuple(stops), left_out, replaced, scene.remarks)
+    names = tuple(stop.name for stop in replaced)
+    given = dict(zip((*candidates.names, *poses.names), (*candidates.joints, *poses.joints), strict=True))
+    round_ = [stop.name for stop in (*stops, *replaced) if np.any(stop.joints != given[stop.name])]
+    said = (f"the same pose by joints a whole turn from those given: {listed(round_, shown=8)}",) if round_ else ()
+    return Route(robot, start, (*stops, *replaced), left_out, names, scene.remarks + said)
 
 
 def _blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
@@ -132,57 +139,111 @@ def _blocked(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def _more(robot: Robot, scene: Scene, seed: int) -> FloatArray:
-    """Further free poses, (n, n_actuated)."""
+    """Further free poses, turned round to be near home, (n, n_actuated)."""
     try:
         q = robot.sample(_NODES, seed)
     except DataError:
         return np.zeros((0, len(robot.joint_names)))
+    for turned in _turned(robot, robot.home, q)[:1]:
+        nearer = np.sum(np.abs(turned - robot.home), axis=1) < np.sum(np.abs(q - robot.home), axis=1)
+        q = np.where(nearer[:, None], turned, q)
     return q[[not hit for hit in scene.hits(q)]]
 
 
 def _visit(
     planner: Planner, start: FloatArray, poses: Poses, progress: Progress | None
-) -> tuple[list[Stop], list[str]]:
-    """Stops in order, and names of those that no way reaches."""
-    shortest = brought("calib.methods", "shortest_order")
+) -> tuple[list[Stop], dict[str, str]]:
+    """Stops in order, and why the other poses are not visited, by name.
+
+    A pose that no known way reaches is tried with joints turned all the way round, and then searched for.
+    """
     stops: list[Stop] = []
-    waiting, first = list(range(len(poses))), True
-    while waiting:
-        here = stops[-1].joints if stops else start
-        order = [waiting[k] for k in shortest(poses.joints[waiting], here)]
-        waiting, before = [], len(stops)
-        for number, k in enumerate(order):
-            here = stops[-1].joints if stops else start
-            way = planner.way(here, poses.joints[k], searched=first)
-            if way is None:
-                waiting.append(k)
-            else:
-                stops.append(_stop(planner, poses.names[k], way))
-            if progress is not None:
-                progress(number + 1, len(order))
-        first = False
-        if len(stops) == before:
-            break
-    return stops, [poses.names[k] for k in waiting]
+    why = list(_blocked(planner.scene.robot, poses.joints))
+    left = np.flatnonzero(np.array(why) == "")
+    tries = [poses.joints, *_turned(planner.scene.robot, planner.nodes[0], poses.joints), poses.joints]
+    for number, joints in enumerate(tries):
+        usable = left[np.all(np.isfinite(joints[left]), axis=1)]
+        if not len(usable):
+            continue
+        given = replace(poses, joints=joints).subset(usable)
+        added, missed = _pass(planner, (stops[-1].joints if stops else start), given, number == len(tries) - 1)
+        stops += added
+        for k in usable.tolist():
+            why[k] = missed.get(poses.names[k], "")
+        left = np.flatnonzero(np.array(why) == _NO_WAY)
+        if progress is not None:
+            progress(len(poses) - len(left), len(poses))
+    return stops, {name: reason for name, reason in zip(poses.names, why, strict=True) if reason}
 
 
-def _stop(planner: Planner, name: str, way: FloatArray) -> Stop:
-    scene = planner.scene
-    apart = scene.distances(scene.configurations(way[-1:])[0])[0] + scene.margins
+def _turned(robot: Robot, start: FloatArray, joints: FloatArray) -> list[FloatArray]:
+    """The same poses with joints turned whole turns, those nearest to the start first, (n, n_actuated) each; else NaN.
+
+    Every joint as near as it can be, or all but one of them.
+    """
+    turning = np.array([robot.mechanism.dimensions[name] != "length" for name in robot.joint_names])
+    least, most = ((robot.joint_limits[:, end] - joints) / (2 * np.pi) for end in (0, 1))
+    fewest, largest = np.where(turning, (np.ceil(least - _ROUND), np.floor(most + _ROUND)), 0.0)
+    turns = np.clip(np.round((start - joints) / (2 * np.pi)), fewest, largest)
+    further = turns + np.sign(start - joints - 2 * np.pi * turns)
+    result = np.full((_TURNS, *joints.shape), np.nan)
+    for k, q in enumerate(joints):
+        others = np.where(np.eye(len(turning), dtype=bool), further[k], turns[k])
+        others = np.unique(np.vstack([turns[k], others]), axis=0)
+        others = others[np.all((others >= fewest[k]) & (others <= largest[k]), axis=1) & np.any(others != 0, axis=1)]
+        found = q + 2 * np.pi * others
+        found = found[np.argsort(np.sum(np.abs(found - start), axis=1), kind="stable")][:_TURNS]
+        result[: len(found), k] = found
+    return [each for each in result if np.any(np.isfinite(each))]
+
+
+def _pass(planner: Planner, start: FloatArray, poses: Poses, searched: bool) -> tuple[list[Stop], dict[str, str]]:
+    """Stops of one pass through free poses, and why the others were not reached, by name."""
+    from_where = approaches(planner.scene.robot, poses)
+    why = {
+        poses.names[k]: _why_not_straight(planner, from_where[k], poses.joints[k])
+        for k in np.flatnonzero(np.any(from_where != poses.joints, axis=1))
+    }
+    usable = np.array([k for k, name in enumerate(poses.names) if not why.get(name)], dtype=np.intp)
+    if not len(usable):
+        return [], why
+    order = usable[brought("calib.methods", "shortest_order")(from_where[usable], planner.nodes[planner.here])]
+    stops: list[Stop] = []
+    for node, k in enumerate(order.tolist(), planner.add(from_where[order])):
+        way = planner.way(planner.here, node, searched=searched)
+        if way is None:
+            why[poses.names[k]] = _NO_WAY
+            continue
+        before, planner.here = stops[-1].joints if stops else start, node
+        stops.append(_stop(planner, poses.names[k], np.vstack([before, way, poses.joints[k]])))
+    return stops, why
+
+
+def _why_not_straight(planner: Planner, beside: FloatArray, touching: FloatArray) -> str:
+    """Why a touch cannot be approached along its normal; "" where it can."""
+    if not np.all(np.isfinite(beside)):
+        return "no joint values are straight out from what it touches"
+    hit = _blocked(planner.scene.robot, beside[None])[0] or planner.move(beside, touching).hit
+    return f"{hit}, straight out from what it touches" if hit else ""
+
+
+def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
+    """The stop at the end of a way, (n, n_actuated), from the stop before on; a point may come twice."""
+    scene, way = planner.scene, points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
+    apart = scene.distances(scene.configurations(points[-1:])[0])[0] + scene.margins
     nearest = int(np.argmin(apart)) if apart.size else -1
     moves = [planner.move(a, b).clearance for a, b in pairwise(way)]
     pair = scene.name(nearest) if apart.size else ""
-    return Stop(name, way[-1], way[1:-1], float(np.min(apart, initial=np.inf)), pair, min(moves))
+    return Stop(name, points[-1], way[1:-1], float(np.min(apart, initial=np.inf)), pair, min(moves, default=np.inf))
 
 
-def _next_best(robot: Robot, candidates: Poses, poses: Poses, stops: Sequence[Stop], count: int) -> Poses:
-    """The candidates that help most beside the stops, by O1, of those that are free."""
-    taken = set(poses.names)
+def _next_best(robot: Robot, candidates: Poses, tried: set[str], stops: Sequence[Stop], count: int) -> Poses:
+    """The candidates that help most beside the stops, by O1, of those that are free and were not tried."""
     hits = _blocked(robot, candidates.joints)
-    usable = [k for k, name in enumerate(candidates.names) if name not in taken and not hits[k]]
+    usable = [k for k, name in enumerate(candidates.names) if name not in tried and not hits[k]]
     rest = candidates.subset(np.array(usable, dtype=np.intp))
-    if len(rest) <= count:
-        return rest
+    if len(rest) <= count or not count:
+        return rest.subset(np.arange(min(len(rest), count)))
     select = brought("calib.methods", "select")
     chosen = select(robot, rest, count, measured=np.array([stop.joints for stop in stops]), checked=False)
     return rest.subset(chosen.chosen)

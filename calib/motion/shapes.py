@@ -11,7 +11,7 @@ very many triangles, the hull is the shape.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -249,19 +249,38 @@ def _body(name: str, joint: int, placement: pin.SE3, solid: _Solid, clearance: f
 
 
 def _capsules(robot: RobotData, link: str) -> list[Body]:
-    """Capsules from a link's origin to those of the joints and targets on it; a ball at the end of a chain."""
+    """Capsules along a link; a ball at the end of a chain."""
     joint, radius = robot.mechanism.frames[link], _THIN * robot.mechanism.length
-    ends = [np.array(child.xyz) for child in robot.urdf.joints if child.parent == link]
-    ends += [np.array(target.xyz) for target in robot.description.targets.values() if target.frame == link]
-    bodies = []
-    for end in ends or [np.zeros(3)]:
-        length = float(np.linalg.norm(end))
-        if length <= radius and ends:
+    bodies, stretches = [], list(_stretches(robot, link))
+    for start, end in stretches or [(np.zeros(3), np.zeros(3))]:
+        length = float(np.linalg.norm(end - start))
+        if length <= radius and stretches:
             continue
-        place = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end).matrix(), end / 2)
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).matrix()
         solid = _Solid(coal.Capsule(radius, length), points=np.array([[0.0, 0.0, length / 2]]), ball=radius)
-        bodies.append(_body(link, joint, place, solid, robot.description.self_clearance))
+        bodies.append(_body(link, joint, pin.SE3(turn, (start + end) / 2), solid, robot.description.self_clearance))
     return bodies
+
+
+def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Both ends of what a link is made of, (3,) [m]: from its origin to its joints and targets, and rods of slides.
+
+    Where a motor slides, a rod as long as that is out at home lies on each side: they cover up to twice that.
+    """
+    home = dict(zip(robot.mechanism.actuated, robot.home.tolist(), strict=True))
+    origin = np.zeros(3)
+    for joint in robot.urdf.joints:
+        rod = np.array(joint.axis) * home.get(joint.name, 0.0) if joint.type == "prismatic" else origin
+        if joint.parent == link:
+            place = rigid(joint.xyz, joint.rpy)
+            yield origin, place.translation
+            if np.any(rod):
+                yield place.translation, place.act(rod)
+        elif joint.child == link and np.any(rod):
+            yield -rod, origin
+    for target in robot.description.targets.values():
+        if target.frame == link:
+            yield origin, np.array(target.xyz)
 
 
 def inside(points: FloatArray, corners: FloatArray) -> bool:

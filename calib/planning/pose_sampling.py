@@ -75,8 +75,8 @@ def sample(
 
 def free_sample(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
-) -> tuple[Poses, PoseCheck]:
-    """Return poses as `sample` does, and what hits at those that were drawn with them.
+) -> tuple[Poses, PoseCheck, Poses]:
+    """Return poses as `sample` does; what hits at those that were drawn with them; and as many, the first, free or not.
 
     Raises:
         InputError, DataError: See `sample`.
@@ -89,10 +89,11 @@ def free_sample(
         free = np.flatnonzero(check.free)[:count]
         if len(free) == count:
             if len(free) == len(drawn):
-                return drawn, check
+                return drawn, check, drawn
             looked_at = PoseCheck(check.hits[: int(free[-1]) + 1], check.remarks)
             named = _poses(robot, drawn.joints[free])
-            return replace(drawn.subset(free), names=named.names, labels=named.labels), looked_at
+            kept = replace(drawn.subset(free), names=named.names, labels=named.labels)
+            return kept, looked_at, drawn.subset(np.arange(count))
         if total >= _MOST_DRAWN * count:
             blocked = blocked_by(Counter(filter(None, check.hits)), len(check.hits))
             raise DataError(

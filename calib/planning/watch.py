@@ -34,14 +34,14 @@ from calib.core.base.units import quantity
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_files import read_measurements
-from calib.core.data.measurements import Measurements, Poses
+from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
-from calib.core.robots.pose_check import check_poses
 from calib.core.robots.robot import Robot
 from calib.core.rows.candidates import configurations_at, require_free
+from calib.core.rows.free_poses import free_poses
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning.next_pose import NextPose, next_pose
@@ -83,8 +83,10 @@ class Watch:
         self.goal = quantity(goal, "length", "goal")
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
-        self.candidates = (
-            sample(robot, CANDIDATES, seed) if candidates is None else _free(robot, as_poses(robot, candidates))
+        self.candidates, self.left_out = (
+            (sample(robot, CANDIDATES, seed), "")
+            if candidates is None
+            else free_poses(robot, as_poses(robot, candidates))
         )
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
@@ -257,15 +259,3 @@ class GrowingFile:
         except (DataError, UnreachablePoseError) as error:
             return None, error
         return (data if len(data) else None), None
-
-
-def _free(robot: Robot, poses: Poses) -> Poses:
-    """The poses at which the robot hits nothing.
-
-    Raises:
-        DataError: There is none.
-    """
-    check = check_poses(robot, poses.joints)
-    if check.n_blocked == len(poses):
-        raise DataError(f"{poses.path}: none of the candidates is free: {check.summary()}")
-    return poses.subset(np.flatnonzero(check.free)) if check.n_blocked else poses

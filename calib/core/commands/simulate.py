@@ -24,8 +24,8 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.plan_files import read_plan
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.configurations import near_singularities
-from calib.core.robots.pose_check import check_poses
 from calib.core.robots.robot import Robot
+from calib.core.rows.free_poses import free_poses
 from calib.core.rows.simulate import simulate, unstated_noise
 
 
@@ -64,12 +64,9 @@ def command(
     camera = None if photographs is None else _camera(model)
     _require_noise(model, sigma, camera)
     poses = read_plan(joints, model)
-    check = check_poses(model, poses.joints)
-    if check.n_blocked == len(poses) > 0:
-        raise InputError(f"{joints}: none of the poses is free: {check.summary()}")
-    if check.n_blocked:
-        output.note(f"note: left out: {check.summary()}")
-        poses = poses.subset(np.flatnonzero(check.free))
+    poses, left_out = free_poses(model, poses)
+    if left_out:
+        output.note(f"note: {left_out}")
     output.check(out, folders=(photographs,))
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))

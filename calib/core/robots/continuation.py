@@ -29,10 +29,10 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.numerics.halton import halton
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
 from calib.core.robots.closure import AssemblyMode, LoopRows
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.mechanism import Mechanism
 
 TOLERANCE = 1e-12
@@ -298,7 +298,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
     beyond = 0.1 * mechanism.driven_scale
-    sample = halton(_STONES, corners.shape[1])
+    sample = joint_samples(mode, _STONES)
     return low - beyond + sample * (high - low + 2 * beyond)
 
 

@@ -25,8 +25,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
-from calib.core.numerics.halton import halton
 from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe, predicted_readings
 
@@ -79,7 +79,7 @@ def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
 def around_home(robot: Robot) -> FloatArray:
     """Return joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
     lower, upper = robot.urdf.limits(robot.joint_names)
-    spread = halton(_POSES, len(robot.home)) - 0.5
+    spread = joint_samples(robot.mode, _POSES)[:, : len(robot.home)] - 0.5
     q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
     return np.asarray(q[robot.close(q).ok])
 

@@ -15,6 +15,7 @@ from calib.core.commands.common import Output, loaded, shared_options, values_op
 from calib.core.data.measurement_files import format_measurements, read_poses
 from calib.core.data.measurements import measurements
 from calib.core.robots.robot import Robot
+from calib.core.rows.free_poses import worth
 from calib.planning.pose_sampling import free_sample, little_seen
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
@@ -59,12 +60,12 @@ def command(
             ranges[name] = max(low, before[0]), min(high, before[1])
     output.check(out)
     with output.working(f"looking for {count} poses"):
-        poses, check = free_sample(model, count, np.random.default_rng(seed), ranges)
+        poses, check, unobstructed = free_sample(model, count, np.random.default_rng(seed), ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
     output.write(out, format_measurements(model, measurements(poses, poses.planned), comments))
     output.say(f"{counted(len(poses), 'pose')} written to {out}, seed {seed}")
     if check.n_blocked:
-        output.say(f"Left out: {check.summary()}")
+        output.say(f"Left out: {check.summary()}; {worth(model, poses, unobstructed)}")
     output.remarks(check.remarks)
     if check.unchecked:
         output.note(f"note: collisions are not checked: {check.unchecked}")

@@ -38,14 +38,12 @@ from calib.programs.reaching.compensation import Compensation, compensate
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.program_task import KEEP
 
-_LINKS = ("--frames", "--base-link", "--flange-link", "--third-joint")
-_PLACES = ("--zero", "--start", "--tolerance-mm", "--dialect")
 _OPTIONS = {
-    "controllers' programs": ("--harmless", "--skip-unreachable", *_LINKS),
-    "G-code": ("--harmless", *_PLACES),
-    "tables": ("--keep", "--grid", "--skip-unreachable"),
+    "controllers' programs": ("harmless", "frames", "skip_unreachable", "base_link", "flange_link", "third_joint"),
+    "G-code": ("harmless", "zero", "start", "tolerance_mm", "dialect"),
+    "tables": ("skip_unreachable", "keep", "grid"),
 }
-"""Which options belong to which kind of program."""
+"""Which options belong to which kind of program; the others belong to all."""
 
 
 @click.command("compensate")
@@ -135,8 +133,9 @@ def command(
     solve`, in the measurement frame of the description. The written table has the joint values to command, and for
     each row how far the tool is off before and after. For poses it also has the poses to send to a controller that
     computes joints with the nominal model. The tool is where the description has it. If the base is unknown, the
-    program is meant in the nominal robot's base frame, fitted to the calibrated robot over the measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
-    inclinometers measure joints, each row also has the columns of these joints or of their sensors.
+    program is meant in the nominal robot's base frame, fitted to the calibrated robot over the measured poses. If the
+    verdict of the calibration finds nothing to correct, the program stays as it is. If inclinometers measure joints,
+    each row also has the columns of these joints or of their sensors.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
     nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.
@@ -151,14 +150,13 @@ def command(
     known = load_result(result, nominal).known
     suffix, job = Path(program).suffix.lower(), Job(known, program, result, out, output)
     kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
-    links, of_gcode = (base_link, flange_link, third_joint), (zero, start, tolerance_mm, dialect)
-    values = (harmless, frames, skip_unreachable, keep, grid, *links, *of_gcode)
-    names = ("--harmless", "--frames", "--skip-unreachable", "--keep", "--grid", *_LINKS[1:], *_PLACES)
-    given = [name for name, value in zip(names, values, strict=True) if value not in (None, (), False)]
-    wrong = [name for name in given if name not in _OPTIONS[kind]]
+    given = [name for name, value in click.get_current_context().params.items() if value not in (None, (), False)]
+    foreign = {name for names in _OPTIONS.values() for name in names} - {*_OPTIONS[kind]}
+    wrong = [f"--{name.replace('_', '-')}" for name in given if name in foreign]
     if wrong:
         raise InputError(f"{listed(wrong)}: not for {kind} such as {program}; leave out")
     if kind == "controllers' programs":
+        links = base_link, flange_link, third_joint
         compensate_controller(job, frames, harmless, links, skip_unreachable=skip_unreachable)
         return
     if kind == "G-code":

@@ -32,9 +32,9 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
     with job.output.working("compensating the grid"):
         corrections = correction_grid(job.known, program, (nx, ny, nz))
-    degrees = PER_SI["angle"]["deg"]
+    compensation, degrees = corrections.compensation, PER_SI["angle"]["deg"]
     parts = [
-        (f"{corrections.target}_{{}} [mm]", millimetres(corrections.nodes)),
+        (f"{compensation.target}_{{}} [mm]", millimetres(corrections.nodes)),
         ("add_{} [mm]", millimetres(corrections.shift)),
     ]
     if program.rotations is not None:
@@ -45,9 +45,9 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {off['max']:.4f} mm and {angle['max']:.4f} deg at"
         " worst"
     )
-    kept = corrections.nothing_to_correct
+    kept = compensation.nothing_to_correct
     done = f"all zero: {left_as_it_is(job.result)}" if kept else wrong
-    comments = job.comments(f"corrections from {job.result}; {done}; errors are {corrections.frame}; {COUNTED}")
+    comments = job.comments(f"corrections from {job.result}; {done}; errors are {compensation.frame}; {COUNTED}")
     job.output.write(job.out, format_table(columns, comments))
     figures = {
         "before_mm": summary(millimetres(corrections.before)),
@@ -60,4 +60,4 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
     )
     what = counted(len(corrections.nodes), "node"), "with corrections", "all zero"
     subjects = "At the nodes the tool", ""
-    job.report(corrections, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)
+    job.report(compensation, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.commands.common import Output, said_of_failure
 from calib.core.rows.known_robot import KnownRobot
+from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
 
 COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
@@ -24,18 +24,6 @@ FIGURES = ("before", "expected", "low95", "high95")
 """Errors of each row of a compensation."""
 Figures = Mapping[str, Mapping[str, float]]
 """Summaries by their name with the unit."""
-
-
-class Meant(Protocol):
-    """What was compensated in some frame."""
-
-    @property
-    def frame(self) -> str:
-        """The frame of the errors, in words."""
-
-    @property
-    def nothing_to_correct(self) -> bool:
-        """Whether it was left as it is."""
 
 
 def of_frame(frame: str) -> str:
@@ -124,7 +112,7 @@ class Job:
 
     def report(
         self,
-        compensated: Meant,
+        compensated: Compensation | CompensatedMoves,
         figures: Figures,
         content: Mapping[str, object],
         what: tuple[str, str, str],

@@ -2,7 +2,7 @@
 
 A reader writes down each routine as steps: settings, moves, calls, branches and loops. A state says of each setting
 what it is; where two ways meet with different values, it is not known. States go along the ways until none changes:
-each place is passed only again when something there was found to be unknown, so the time is linear in the steps.
+each step is taken again only when something there was found to be unknown, so the time is linear in the steps.
 
 A routine that runs at any time (a thread, an interrupt, an error handler) leaves what it sets
 unknown everywhere.
@@ -57,7 +57,16 @@ class _Routine:
     states: dict[int, State] = field(default_factory=dict)
     keys: set[str] = field(default_factory=set)
     calls: set[str] = field(default_factory=set)
-    left: State | None = None
+
+    @property
+    def left(self) -> State | None:
+        """What holds behind its last step; None where it is not known yet that the routine comes back."""
+        return self.states.get(len(self.steps))
+
+    def state_at(self, at: int, state: State) -> State:
+        """Return what holds at a step when the program comes there with a state, on one way or on several."""
+        many = at in (0, len(self.steps)) or self.steps[at].kind in ("label", "call")
+        return _joined(self.states[at], state) if many and at in self.states else state
 
 
 @dataclass
@@ -89,7 +98,7 @@ class Flow:
     def __init__(self, start: State) -> None:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
-        self._open: list[tuple[str, list[Block]]] = []
+        self._open: list[tuple[str, list[Block]]] = [("", [])]  # outside of all routines
         self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
@@ -109,28 +118,20 @@ class Flow:
     def finish(self) -> None:
         """End the routine that is open."""
         self.label("return")
-        self._open.pop()
-
-    def finish_all(self) -> None:
-        """End what is outside of all routines."""
-        while self._open:
-            self.finish()
+        if len(self._open) > 1:
+            self._open.pop()
 
     @property
     def routine(self) -> str:
         """Name of the routine that is open; empty outside of all."""
-        return self._open[-1][0] if self._open else ""
+        return self._open[-1][0]
 
     @property
     def blocks(self) -> list[Block]:
         """Branches and loops that are open, the innermost last."""
-        if not self._open:
-            self._open.append(("", []))
         return self._open[-1][1]
 
     def _add(self, step: _Step) -> None:
-        if not self._open:
-            self._open.append(("", []))
         routine = self.routines[self.routine]
         if step.kind == "label":
             routine.labels[step.place] = len(routine.steps)
@@ -252,14 +253,14 @@ class Flow:
             if 0 not in routine.states:  # called by none but one another
                 self._arrive(name, 0, self._start)
                 self._run()
-        moves: dict[int, tuple[_Step, State | None]] = {}
-        for name, routine in self.routines.items():
-            moves.update({id(step): (step, None) for step in routine.steps if step.kind == "move"})
-            for at in list(routine.states):
-                moves.update({id(step): (step, state) for step, state in self._pass(name, at)})
-        for step, state in sorted(moves.values(), key=lambda entry: entry[0].at):
-            if step.move is not None:
-                step.move(state)
+        moves = [
+            (step.at, step.move, routine.states.get(at))
+            for routine in self.routines.values()
+            for at, step in enumerate(routine.steps)
+            if step.move is not None
+        ]
+        for _, move, state in sorted(moves, key=lambda entry: entry[0]):
+            move(state)
 
     def _spread_keys(self) -> None:
         """Add to the settings of each routine those of what it calls."""
@@ -278,45 +279,35 @@ class Flow:
     def _arrive(self, name: str, at: int, state: State) -> None:
         """Come to a place with a state."""
         routine = self.routines[name]
-        known = routine.states.get(at)
-        together = {**state, **self._loose} if known is None else _joined(known, state)
-        if together != known:
+        together = routine.state_at(at, {**state, **self._loose})
+        if together != routine.states.get(at):
             routine.states[at] = together
             heapq.heappush(self._work, (self._numbers[name], at))
 
     def _run(self) -> None:
         while self._work:
             number, at = heapq.heappop(self._work)
-            self._pass(self._names[number], at)
+            self._take_step(self._names[number], at)
 
-    def _pass(self, name: str, at: int) -> list[tuple[_Step, State]]:
-        """Go on from a place to the next one that can also be reached otherwise; return the moves between."""
-        routine, first = self.routines[name], at
-        moves: list[tuple[_Step, State]] = []
-        state: State | None = routine.states[at]
-        while state is not None and at < len(routine.steps):
-            step = routine.steps[at]
-            if step.kind in ("label", "call") and at > first:
-                self._arrive(name, at, state)
-                return moves
-            if step.kind == "change" and step.change is not None:
-                state = {**step.change(state), **self._loose}
-            elif step.kind == "move":
-                moves.append((step, state))
-            elif step.kind in ("jump", "maybe"):
-                if step.place in routine.labels:
-                    self._arrive(name, routine.labels[step.place], state)
-                state = state if step.kind == "maybe" else None
-            elif step.kind == "call" and step.place in self.routines:
-                state = self._after_call(name, at, step.place, state)
-            at += 1
-        if state is not None:
-            together = state if routine.left is None else _joined(routine.left, state)
-            if together != routine.left:
-                routine.left = together
-                for caller in self._callers[name]:
-                    heapq.heappush(self._work, caller)
-        return moves
+    def _take_step(self, name: str, at: int) -> None:
+        """Go on from a step to those that can follow it, or behind all calls of a routine that ends here."""
+        routine = self.routines[name]
+        if at == len(routine.steps):
+            for caller in self._callers[name]:
+                heapq.heappush(self._work, caller)
+            return
+        step, state = routine.steps[at], routine.states[at]
+        after: State | None = state
+        if step.change is not None:
+            after = step.change(state)
+        elif step.kind in ("jump", "maybe"):
+            if step.place in routine.labels:
+                self._arrive(name, routine.labels[step.place], state)
+            after = state if step.kind == "maybe" else None
+        elif step.kind == "call" and step.place in self.routines:
+            after = self._after_call(name, at, step.place, state)
+        if after is not None:
+            self._arrive(name, at + 1, after)
 
     def _after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
         """What holds behind a call; None where it is not known yet that the routine comes back."""

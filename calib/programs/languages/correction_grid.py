@@ -32,30 +32,31 @@ class CorrectionGrid(ReadOnlyArrays):
     """Corrections at the nodes of a grid.
 
     Attributes:
-        target: The target that it is for.
         nodes: Positions, x slowest and z fastest, (n, 3) [m].
         shift: What to add to a position, (n, 3) [m].
         turn: Rotation vector to turn by about the axes of the measurement frame, (n, 3) [rad]; zero where the program
             has no orientations.
         position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].
         angle_errors: The same of the turn, (n_tried,) [rad].
-        before: How far the calibrated robot is off at the nodes without corrections, (n,) [m].
-        expected: Root mean square distance that is left at the nodes, from the uncertainty of the parameters, (n,) [m];
-            NaN where the uncertainty of the robot is not known.
-        frame: In which frame the positions are, in words.
-        nothing_to_correct: Whether all corrections are zero, because the verdict is that nothing is to be corrected.
+        compensation: Of the nodes, and then of where interpolation was tried.
     """
 
-    target: str
     nodes: FloatArray
     shift: FloatArray
     turn: FloatArray
     position_errors: FloatArray
     angle_errors: FloatArray
-    before: FloatArray
-    expected: FloatArray
-    frame: str
-    nothing_to_correct: bool
+    compensation: Compensation
+
+    @property
+    def before(self) -> FloatArray:
+        """How far the calibrated robot is off at the nodes without corrections, (n,) [m]."""
+        return self.compensation.before[: len(self.nodes)]
+
+    @property
+    def expected(self) -> FloatArray:
+        """Root mean square distance that is left at the nodes, (n,) [m]; NaN where that is not known."""
+        return self.compensation.expected[: len(self.nodes)]
 
 
 def correction_grid(
@@ -87,18 +88,8 @@ def correction_grid(
     shape = tuple(len(axes[k]) for k in long)
     linear = scipy.interpolate.RegularGridInterpolator(tuple(axes[k] for k in long), at_nodes.reshape(*shape, 6))
     off = linear(tried[:, long]) - exact
-    return CorrectionGrid(
-        program.target,
-        nodes,
-        at_nodes[:, :3],
-        at_nodes[:, 3:],
-        np.linalg.norm(off[:, :3], axis=1),
-        np.linalg.norm(off[:, 3:], axis=1),
-        compensation.before[: len(nodes)],
-        compensation.expected[: len(nodes)],
-        compensation.frame,
-        compensation.nothing_to_correct,
-    )
+    off_position, off_angle = (np.linalg.norm(part, axis=1) for part in np.hsplit(off, 2))
+    return CorrectionGrid(nodes, at_nodes[:, :3], at_nodes[:, 3:], off_position, off_angle, compensation)
 
 
 def _one_orientation(robot: Robot, program: Goals) -> FloatArray | None:

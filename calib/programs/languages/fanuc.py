@@ -18,7 +18,7 @@ from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.fanuc_positions import WORDS, Position, positions_of, sections_of
 from calib.programs.languages.harmless import FANUC, names
 from calib.programs.languages.reader import Reader
-from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, Source
 from calib.programs.languages.tokens import Code, Span
 from calib.programs.languages.visits import Place
 
@@ -33,36 +33,18 @@ _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
-def read_fanuc(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
-    """Read a program.
+class FanucReader(Reader):
+    """Reads a program; user frames and tools of number 0 are the robot's base and its flange."""
 
-    Args:
-        path: The file.
-        frames: `UFRAME[1]`, `UTOOL[1]`, ...; those of number 0 are the robot's base and its flange.
-        harmless: Programs and macros that change no frame and no tool, in capitals.
-
-    Raises:
-        DataError: The message names file and line.
-    """
-    source = Source.read(path, "a FANUC program as text (LS)")
-    instructions, positions = sections_of(source)
-    return _Reader(source, instructions, positions_of(source, positions), frames, harmless).program()
-
-
-class _Reader(Reader):
     language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
-    def __init__(
-        self,
-        source: Source,
-        part: slice,
-        positions: Mapping[str, Position],
-        frames: Mapping[str, pin.SE3 | str],
-        harmless: Collection[str],
-    ) -> None:
-        code = Code(source, WORDS, lines="blank", ends=";", part=part)
+    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        source = Source.read(path, "a FANUC program as text (LS)")
+        instructions, positions = sections_of(source)
+        code = Code(source, WORDS, lines="blank", ends=";", part=instructions)
         super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless), "")
-        self.positions, self.frames, self.given, self.words = positions, frames, set(harmless), {}
+        self.positions = positions_of(source, positions)
+        self.frames, self.given, self.words = frames, set(harmless), {}
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return nothing: programs have no parameters in the text."""

@@ -17,48 +17,35 @@ import pinocchio as pin
 from calib.programs.languages.control_flow import State
 from calib.programs.languages.krl_frames import SELECTED, KrlFrames
 from calib.programs.languages.reader import Data, Frame, selected
-from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, Source
 from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
 from calib.programs.languages.visits import Place
 
 SUFFIXES = (".src",)
-_WHAT = "a KRL program"
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 _MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
 _NO_STATEMENTS = "EXT EXTP EXTFCT EXTFCTP IMPORT SIGNAL STRUC ENUM CHANNEL DEFDAT ENDDAT BRAKE"
 
 
-def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
-    """Read a program and the `.dat` file beside it, if there is one.
-
-    Args:
-        path: The `.src` file.
-        frames: `TOOL_DATA[1]`, `BASE_DATA[2]`, ... that it does not set.
-        harmless: Routines of other files that set no data, tool or base, in capitals.
-
-    Raises:
-        DataError: The message names file and line.
-    """
-    beside = [Path(path).with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat")]
-    data_files = [file for file in beside if file.is_file()][:1]
-    reader = _Reader([Source.read(file, _WHAT) for file in (Path(path), *data_files)], frames, harmless)
-    return reader.program()
-
-
 def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
-    reader = _Reader([Source.read(path, "a KRL data list")], {}, ())
+    reader = KrlReader(path, {}, ())
     reader.read_data(0)
     names = [name for name in reader.declared if name.startswith(("TOOL_DATA[", "BASE_DATA["))]
     frames = {name: reader.frame_named(name, reader.flow.start) for name in names}
     return {name: frame.pose if isinstance(frame, Frame) else frame.why for name, frame in frames.items()}
 
 
-class _Reader(KrlFrames):
-    def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(sources, frames, harmless)
+class KrlReader(KrlFrames):
+    """Reads a program and the `.dat` file beside it, if there is one; or a data list alone."""
+
+    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        program = Path(path)
+        data = [program.with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat") if program.suffix.lower() != ".dat"]
+        files = [program, *[file for file in data if file.is_file()][:1]]
+        super().__init__([Source.read(file, "a KRL program") for file in files], frames, harmless)
         self.words = spelled(
             {
                 self.begin: "DEF DEFFCT",

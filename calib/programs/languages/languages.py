@@ -10,14 +10,15 @@ import pinocchio as pin
 from calib.core.base.errors import InputError
 from calib.programs.languages import fanuc, krl, rapid, urscript
 from calib.programs.languages.orientations import read_frames
+from calib.programs.languages.reader import Reader
 from calib.programs.languages.robot_program import RobotProgram
 
 Frames = Mapping[str, "pin.SE3 | str"]
-_READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], RobotProgram]] = {
-    **dict.fromkeys(urscript.SUFFIXES, urscript.read_urscript),
-    **dict.fromkeys(rapid.SUFFIXES, rapid.read_rapid),
-    **dict.fromkeys(krl.SUFFIXES, krl.read_krl),
-    **dict.fromkeys(fanuc.SUFFIXES, fanuc.read_fanuc),
+_READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], Reader]] = {
+    **dict.fromkeys(urscript.SUFFIXES, urscript.UrscriptReader),
+    **dict.fromkeys(rapid.SUFFIXES, rapid.RapidReader),
+    **dict.fromkeys(krl.SUFFIXES, krl.KrlReader),
+    **dict.fromkeys(fanuc.SUFFIXES, fanuc.FanucReader),
 }
 _DECLARING: dict[str, Callable[[Path | str], dict[str, pin.SE3 | str]]] = {
     **dict.fromkeys(rapid.SUFFIXES, rapid.rapid_frames),
@@ -53,4 +54,4 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = (), harmless: 
     if suffix not in _READERS:
         raise InputError(f"{path}: is not a program of a controller; these end in {', '.join(SUFFIXES)}")
     names = harmless if suffix in urscript.SUFFIXES else [name.upper() for name in harmless]
-    return _READERS[suffix](path, known, names)
+    return _READERS[suffix](path, known, names).program()

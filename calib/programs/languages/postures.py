@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, nearest
-from calib.core.numerics.halton import halton
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 from calib.programs.languages.robot_program import Configuration
 from calib.programs.reaching.goals import Goals
@@ -71,7 +71,7 @@ class NominalCell:
 
     def _probes(self, count: int) -> FloatArray:
         lower, upper = self._limits()
-        return lower + (upper - lower) * halton(count + 1, len(lower))[1:]
+        return lower + (upper - lower) * joint_samples(self.robot.mode, count + 1)[1:, : len(lower)]
 
     def _limits(self) -> tuple[FloatArray, FloatArray]:
         n = len(self.robot.home)
@@ -124,7 +124,7 @@ class NominalCell:
         closed = self.robot.close(starts)
         reach = problem(self.robot, goals)
         index = np.flatnonzero(closed.ok)
-        start = Configured(starts[index], closed.passive[index], np.full(len(index), np.inf))
+        start = Configured.unknown(starts[index], closed.passive[index])
         reached = descend(reach, np.zeros(len(index), dtype=np.intp), start)
         tolerance = _REACHED if len(before) >= 6 else _ROUNDED
         solutions = [self._turned(q, before, says) for q in reached.actuated[reached.distance <= tolerance]]

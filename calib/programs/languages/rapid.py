@@ -29,15 +29,12 @@ from calib.programs.languages.robot_program import (
     Configuration,
     LeftOutError,
     ProgramTarget,
-    RobotProgram,
-    Source,
     cells_at,
 )
 from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
-_WHAT = "a RAPID module"
 _OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 _MOVE = re.compile(
     r"(?:MOVE|TRIGG)(?:L|C|J|ABSJ)(?:SYNC|DO|AO|GO|IOS)?|ARC[LC](?:START|END|\d)?|SPOT(?:L|J|ML|MJ)"
@@ -57,23 +54,9 @@ _NONE = 8e9  # external axes that are not there say 9E9
 _QUARTER = np.pi / 2
 
 
-def read_rapid(path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()) -> RobotProgram:
-    """Read a module.
-
-    Args:
-        path: The file.
-        frames: Tools and work objects that it does not declare, by their names in capitals.
-        harmless: Routines of other modules that set no data and no mode of motion, in capitals.
-
-    Raises:
-        DataError: The message names file and line.
-    """
-    return _Reader(Source.read(path, _WHAT), frames, harmless).program()
-
-
 def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     """Return the tools and work objects that a module declares; the reason for those that cannot be used."""
-    reader = _Reader(Source.read(path, _WHAT), {}, ())
+    reader = RapidReader(path, {}, ())
     reader.read()
     return {
         name: f"'{name.lower()}' is set by its module" if reader.uses.is_set(name.partition("{")[0]) else frame
@@ -83,9 +66,11 @@ def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
     }
 
 
-class _Reader(RapidData):
-    def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(source, frames, harmless)
+class RapidReader(RapidData):
+    """Reads a module."""
+
+    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        super().__init__(path, frames, harmless)
         self.words = spelled(
             {
                 self.begin: "PROC FUNC",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 
 import pinocchio as pin
 
@@ -26,14 +27,15 @@ class RapidData(Reader):
     """Reads the data of a module.
 
     Args:
-        source: The module.
+        path: File of the module.
         frames: Tools and work objects that it does not declare, by their names in capitals.
         harmless: Routines of other modules that set no data and no mode of motion, in capitals.
     """
 
     language, assigning, danger = "RAPID", ":=", "change a mode of motion"
 
-    def __init__(self, source: Source, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        source = Source.read(path, "a RAPID module")
         code = Code(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
         super().__init__([source], [code], start, RAPID | set(harmless), "PROC FUNC")

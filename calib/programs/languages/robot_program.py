@@ -196,10 +196,6 @@ class Source:
         """Return file and line of a place in the text."""
         return f"{self.path}, line {self.line(at)}"
 
-    def shown_line(self, at: int) -> str:
-        """Return the rest of a line for a message."""
-        return self.shown(at, self.text.find("\n", at))
-
     def shown(self, start: int, end: int) -> str:
         """Return a piece of the program for a message: one line, not too long."""
         return " ".join(self.text[start : min(end, start + 1000)].split())[:60]

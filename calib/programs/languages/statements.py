@@ -94,7 +94,7 @@ class Statements(ABC):
             raise DataError(f"{path}, line {self.flow.blocks[-1].line}: is not ended; correct it")
         if self.flow.routine:
             raise DataError(f"{path}: routine '{self.flow.routine.lower()}' has no end; correct it")
-        self.flow.finish_all()
+        self.flow.finish()
 
     def end(self, at: int) -> int:
         """Return where the statement that begins at a word ends."""

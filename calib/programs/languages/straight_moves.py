@@ -236,8 +236,7 @@ def _driven(robot: Robot, nominal: Robot, sent: Goals, near: FloatArray) -> Floa
     """
     reach = problem(nominal, sent)
     start = nominal.assemble(near, labels=sent.labels)
-    nothing = np.full(len(near), np.inf)
-    reached = descend(reach, np.arange(len(near)), Configured(start.actuated, start.passive, nothing))
+    reached = descend(reach, np.arange(len(near)), Configured.unknown(start.actuated, start.passive))
     if np.any(reached.distance > TOLERANCE):
         label = sent.labels[int(np.argmax(reached.distance))]
         raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")

@@ -23,7 +23,6 @@ from calib.programs.languages.robot_program import (
     LeftOutError,
     Number,
     ProgramTarget,
-    RobotProgram,
     Source,
     cells_at,
 )
@@ -57,26 +56,13 @@ class _Goal:
         return self.data.place
 
 
-def read_urscript(
-    path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str] = ()
-) -> RobotProgram:
-    """Read a program.
+class UrscriptReader(Reader):
+    """Reads a program; the given frame `TCP` is the tool that it does not set."""
 
-    Args:
-        path: The file.
-        frames: Tools that the program does not set: `TCP`.
-        harmless: Functions defined elsewhere that select no tool.
-
-    Raises:
-        DataError: The message names file and line.
-    """
-    return _Reader(Source.read(path, "a URScript program"), frames.get("TCP"), harmless).program()
-
-
-class _Reader(Reader):
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
 
-    def __init__(self, source: Source, given: pin.SE3 | str | None, harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+        source, given = Source.read(path, "a URScript program"), frames.get("TCP")
         code = Code(source, _WORDS, fold_case=False, lines="outside", ends=";:")
         tool = Unknown(given or _NO_TOOL, whole=True) if not isinstance(given, pin.SE3) else Frame(given)
         super().__init__([source], [code], {"tool": tool}, URSCRIPT | set(harmless), "def thread sec")

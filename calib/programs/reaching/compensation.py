@@ -204,7 +204,7 @@ def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
     reasons = np.array(task.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
-    start = Configured(actual_joints(robot, task.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
+    start = Configured.unknown(actual_joints(robot, task.joints, columns), closed.passive).subset(rows)
     q, before = np.full(task.joints.shape, np.nan), np.full((2, n), np.nan)
     before[:, rows] = replace(reach, goals=task.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     if task.goals.asks_for == "position":
@@ -258,10 +258,9 @@ def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Con
     missed = np.flatnonzero(~reached_goals(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
     won = reached_goals(reach, free)
-    actuated, passive, distance = solutions.actuated.copy(), solutions.passive.copy(), solutions.distance.copy()
-    actuated[missed[won]], passive[missed[won]] = free.actuated[won], free.passive[won]
-    distance[missed[won]] = free.distance[won]
-    return Configured(actuated, passive, distance)
+    together = solutions.copy()
+    together.take(missed[won], free.subset(np.flatnonzero(won)))
+    return together
 
 
 def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:

@@ -63,6 +63,19 @@ class Configured:
     passive: FloatArray
     distance: FloatArray
 
+    @classmethod
+    def unknown(cls, actuated: FloatArray, passive: FloatArray) -> Configured:
+        """Return configurations of which no distance is known yet."""
+        return cls(actuated, passive, np.full(len(actuated), np.inf))
+
+    def copy(self) -> Configured:
+        """Return the same in arrays of its own."""
+        return Configured(self.actuated.copy(), self.passive.copy(), self.distance.copy())
+
+    def take(self, index: IntArray, other: Configured) -> None:
+        """Overwrite the configurations with these indices (n,) by `other`, which has n of them."""
+        self.actuated[index], self.passive[index], self.distance[index] = other.actuated, other.passive, other.distance
+
     def subset(self, index: IntArray) -> Configured:
         """Return the configurations with these indices (n,)."""
         return Configured(self.actuated[index], self.passive[index], self.distance[index])
@@ -135,7 +148,7 @@ class Reach:
         actuated = np.hstack([self.with_uncommanded(index, at.actuated[:, :n]), at.actuated[:, n:]])
         closed = loops.close(self.mechanism, self.mode, actuated, at.passive)
         passive = np.where(closed.ok[:, None], closed.passive, at.passive)
-        return Configured(actuated, passive, np.full(len(index), np.inf))
+        return Configured.unknown(actuated, passive)
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -224,7 +237,7 @@ def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = 
         start: A closed configuration for each.
         iterations: Largest number of trial steps.
     """
-    at = Configured(start.actuated.copy(), start.passive.copy(), np.full(len(index), np.inf))
+    at = Configured.unknown(start.actuated.copy(), start.passive.copy())
     if len(index) == 0:
         return at
     linear = reach.linearise(index, at.actuated, at.passive)

@@ -56,7 +56,7 @@ def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
 def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
     """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
     n, n_joints = start.actuated.shape
-    at = Configured(start.actuated.copy(), start.passive.copy(), start.distance.copy())
+    at = start.copy()
     linear = reach.linearise(index, at.actuated, at.passive)
     hessian, part = np.tile(np.eye(n_joints), (n, 1, 1)), np.ones(n)
     active = np.arange(n)
@@ -79,7 +79,7 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
         hessian[accepted] = _learned(
             hessian[accepted], (reached.actuated - at.actuated[accepted]) / reach.scale, change
         )
-        at.actuated[accepted], at.passive[accepted] = reached.actuated, reached.passive
+        at.take(accepted, reached)
         linear.take(accepted, trial_linear)
         active = active[part[active] > _SHORTEST]
     reached = descend(reach, index, at, 8)
@@ -87,8 +87,7 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
         (start.actuated - near) / reach.scale, axis=1
     )
     kept = np.flatnonzero(~closer | (reached.distance > NEARLY))
-    reached.actuated[kept], reached.passive[kept] = start.actuated[kept], start.passive[kept]
-    reached.distance[kept] = start.distance[kept]
+    reached.take(kept, start.subset(kept))
     return reached
 
 

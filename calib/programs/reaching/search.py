@@ -1,10 +1,9 @@
 """Starts from which goals are searched: the nearest goals that are solved, and configurations spread evenly.
 
 Goals are solved nearest to home first, each from the nearest solved one; those that fail are tried again from other
-neighbours, and then from configurations spread evenly over the joint limits (a Halton sequence, so that the answer is
-always the same). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a
-goal that is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is
-missed.
+neighbours, and then from configurations spread evenly over the joint limits (the same ones however the robot is
+described). The iteration from one start is in `calib.programs.reaching.reaching`. As every search is local, a goal that
+is called out of reach is not proven so, but the spread starts make it unlikely that a reachable one is missed.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.numerics.halton import halton
 from calib.core.robots import loops
 from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.reaching import Configured, Reach, descend
 
@@ -37,7 +36,7 @@ def inside(reach: Reach, q: FloatArray) -> FloatArray:
 def closed_start(robot: Robot, reach: Reach) -> Configured:
     """Return home, moved inside the joint limits where it is not."""
     start = robot.assemble(inside(reach, robot.home))
-    return Configured(start.actuated, start.passive, np.array([np.inf]))
+    return Configured.unknown(start.actuated, start.passive)
 
 
 class Search:
@@ -51,8 +50,8 @@ class Search:
     def __init__(self, reach: Reach, home: Configured) -> None:
         n = len(reach.goals)
         self.reach, self.home = reach, home
-        repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
-        self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
+        self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
+        self.best = reach.stood(np.arange(n), home.subset(np.zeros(n, dtype=np.intp)))
         goal_features = _features(
             reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
         )
@@ -61,7 +60,7 @@ class Search:
     @property
     def solved(self) -> BoolArray:
         """Which goals are reached, (n,)."""
-        return self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
+        return self.best.distance <= self._reached
 
     def run(self, robot: Robot) -> None:
         """Try every start of the module docstring until a goal is reached."""
@@ -77,8 +76,7 @@ class Search:
 
     def keep(self, index: IntArray, solutions: Configured) -> None:
         """Take over what was found for the goals `index`, (n,)."""
-        self.best.actuated[index], self.best.passive[index] = solutions.actuated, solutions.passive
-        self.best.distance[index] = solutions.distance
+        self.best.take(index, solutions)
 
     def _batches(self) -> Iterator[IntArray]:
         """Goals in order of their distance from home's pose, in batches that double in size."""
@@ -92,16 +90,8 @@ class Search:
     def _known(self) -> Configured:
         """Home and all solved configurations."""
         solved = self.best.subset(np.flatnonzero(self.solved))
-        return Configured(
-            *(
-                np.concatenate(parts)
-                for parts in (
-                    (self.home.actuated, solved.actuated),
-                    (self.home.passive, solved.passive),
-                    (self.home.distance, solved.distance),
-                )
-            )
-        )
+        pairs = zip(vars(self.home).values(), vars(solved).values(), strict=True)
+        return Configured(*map(np.concatenate, pairs))
 
     def _improve(self, todo: IntArray, starts: Configured, count: int) -> None:
         """Search for the goals `todo`, each from the `count` nearest starts; keep what is better."""
@@ -113,7 +103,8 @@ class Search:
         )[1]
         index = np.repeat(todo, count)
         solutions = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
-        best = np.argmin(solutions.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
+        misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # of several that reach it, the first
+        best = np.argmin(misses, axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
         self.keep(todo[better], solutions.subset(best[better]))
 
@@ -146,7 +137,7 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
     lower = np.where(np.isfinite(lower), lower, robot.home - turn)
     upper = np.where(np.isfinite(upper), upper, robot.home + turn)
-    sample = halton(_SPREAD, n_actuated)
+    sample = joint_samples(reach.mode, _SPREAD)[:, :n_actuated]
     actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
     closed = loops.close(reach.mechanism, reach.mode, actuated)
-    return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))
+    return Configured.unknown(actuated[closed.ok], closed.passive[closed.ok])

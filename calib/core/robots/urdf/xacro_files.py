@@ -83,6 +83,7 @@ def _main(path: str, *given: str) -> int:
     packages = _Packages(Path(path))
     substitution_args._eval_find = packages.find
     sys.addaudithook(_guard(packages))
+    os.environ.clear()  # no expression reads it from here on
     values = dict(argument.split(":=", 1) for argument in given)
     try:
         text: bytes = _processed(xacro, path, values).toprettyxml(indent="  ", encoding="utf-8")
@@ -178,6 +179,7 @@ class _Packages:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
         self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
         self.found: dict[str, str] = {}
+        self._prefixes, self._roots = _listed("AMENT_PREFIX_PATH"), _listed("ROS_PACKAGE_PATH")
 
     def find(self, name: str) -> str:
         """Return the folder of a package."""
@@ -193,13 +195,16 @@ class _Packages:
 
     def _folders(self, name: str) -> Iterator[Path]:
         yield from (folder for folder in (self.own, *self.own.parents) if (folder / "package.xml").is_file())
-        for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-            yield Path(prefix) / "share" / name
-        roots = [Path(root) for root in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if root]
-        for root in (*list(self.own.parents)[:2], *roots):
+        yield from (Path(prefix) / "share" / name for prefix in self._prefixes)
+        for root in (*list(self.own.parents)[:2], *map(Path, self._roots)):
             yield root / name
             for depth in range(_DEEP):
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
+
+
+def _listed(name: str) -> list[str]:
+    """Folders that a variable of the environment lists."""
+    return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 
 def _is_package(folder: Path, name: str) -> bool:
@@ -213,7 +218,7 @@ def _is_package(folder: Path, name: str) -> bool:
 
 def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    installed = [entry for name in _PACKAGES for entry in os.environ.get(name, "").split(os.pathsep) if entry]
+    installed = [entry for name in _PACKAGES for entry in _listed(name)]
     python = [sys.prefix, sys.base_prefix, *sys.path]
     folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 

@@ -1,0 +1,42 @@
+"""Poses without those at which the robot hits something, and what leaving these out costs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.base.errors import DataError
+from calib.core.data.measurements import Poses
+from calib.core.numerics.identifiability import numerical_rank
+from calib.core.numerics.observability import observability
+from calib.core.robots.pose_check import check_poses
+from calib.core.robots.robot import Robot
+from calib.core.rows.candidates import rows_of_measured
+
+
+def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, str]:
+    """Return the poses at which nothing is hit or hidden, and what to say of the others; "" if there are none.
+
+    Raises:
+        DataError: No pose is free.
+    """
+    check = check_poses(robot, poses.joints)
+    if not check.n_blocked:
+        return poses, ""
+    if check.n_blocked == len(poses):
+        raise DataError(f"{poses.path}: none of the poses is free: {check.summary()}")
+    kept = poses.subset(np.flatnonzero(check.free))
+    return kept, f"left out: {check.summary()}; {worth(robot, kept, poses)}"
+
+
+def worth(robot: Robot, kept: Poses, every: Poses) -> str:
+    """Say what poses are worth beside those that there would be with nothing in the way: O1, or what they determine."""
+    if not np.any(robot.is_free):
+        return "nothing is free to be identified"
+    ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]
+    if ranks[0].rank < ranks[1].rank:
+        return f"they determine {ranks[0].rank} combinations of parameters, and {ranks[1].rank} with nothing in the way"
+    values = [
+        observability(rank.singular_values[: max(ranks[1].rank, 1)], len(poses))["O1"]
+        for rank, poses in zip(ranks, (kept, every), strict=True)
+    ]
+    return f"O1 is {100 * values[0] / values[1]:.1f} % of what it would be with nothing in the way"

@@ -24,6 +24,17 @@ BROUGHT = tuple(
         ("calib.first_descriptions", "duet", "calib.printers.first_files:DUET"),
         ("calib.models", "universal robots", "calib.fleets.atlas:MODELS"),
         ("calib.readers", "programs", "calib.files.formats:FORMATS"),
+        ("calib.parametrisations", "rotary_axes", "calib.redundancy.rotary_axes:rotary_axes"),
+        ("calib.formats", "rotary axes", "calib.redundancy.rotary_axes:FORMATS"),
+        ("calib.parametrisations", "altaz", "calib.redundancy.altaz:altaz"),
+        ("calib.terms", "tube_flexure", "calib.redundancy.altaz:TubeFlexure"),
+        ("calib.kinds", "sighting", "calib.redundancy.sighting:Sighting"),
+        ("calib.kinds", "pointing", "calib.redundancy.pointing:Pointing"),
+        ("calib.kinds", "cable", "calib.redundancy.cable:Cable"),
+        ("calib.kinds", "hole_pattern", "calib.redundancy.hole_pattern:HolePattern"),
+        ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:between_holes"),
+        ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
+        ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted:without_contradicted_fleet"),
     )
 )

@@ -2,7 +2,8 @@
 
 What a package adds is named in its `pyproject.toml`, under these groups of entry points:
 
-    calib.kinds                 a kind of measurement: a class derived from `FrameInstrument` or `JointInstrument`
+    calib.kinds                 a kind of measurement: a class derived from `FrameInstrument`, its `Relation`,
+                                or `JointInstrument`
     calib.terms                 a term of a joint's error: a class derived from `JointTerm`
     calib.reasons               a reason of the verdict: a function of a `Fit` that yields `Reason`
     calib.parametrisations      what takes nominal origins by name and returns a `Parametrisation`
@@ -39,9 +40,11 @@ from calib.core.instruments.kind import (
 )
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
 from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.held import Holds
+from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.checking import check_term
@@ -76,6 +79,8 @@ __all__ = [
     "JointComparison",
     "JointInstrument",
     "JointTerm",
+    "NamedComponent",
+    "NamedOrigins",
     "Noise",
     "Origin",
     "OtherFormat",
@@ -92,6 +97,8 @@ __all__ = [
     "Quantity",
     "Readings",
     "Reason",
+    "RelatedSection",
+    "Relation",
     "ResultUse",
     "Robot",
     "Scene",

@@ -6,6 +6,7 @@ floor writes and computes without asking what is installed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -55,6 +56,9 @@ class Live(Protocol):
     def show(self, told: Any) -> None:
         """Show what is known after the poses measured so far."""
 
+    def remember(self, told: Any) -> None:
+        """Keep what was known after some poses, for the curve towards the goal."""
+
     def close(self) -> None:
         """End it."""
 
@@ -74,6 +78,9 @@ class Pictures(Protocol):
 
     def fleet(self, learned: Any) -> bytes:
         """Return the page of a fleet."""
+
+    def answer(self, subject: object, title: str, text: str, figures: Sequence[tuple[int, str]]) -> bytes:
+        """Return the page of a judgement or of a hand-eye calibration."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
@@ -131,6 +138,21 @@ def fleet(learned: object) -> bytes:
         InputError: Nothing that draws is installed.
     """
     return _installed("--html")[0].fleet(learned)
+
+
+def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]] = ()) -> bytes:
+    """Return the page of a judgement or of a hand-eye calibration.
+
+    Args:
+        subject: Either.
+        title: Heading of the page.
+        text: What the terminal says of it.
+        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    return _installed("--html")[0].answer(subject, title, text, figures)
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -182,7 +182,7 @@ def _(shop):
     return Situation(
         there,
         shop.good_prior,
-        r"joint j3 counted the other way.* errors of the nominal robot are (\d+) times smaller",
+        r"joint j3 has the wrong sign.* the nominal robot fits (\d+) times better",
         (wrong / right,),
         0.3,
     )
@@ -383,7 +383,7 @@ def _(shop):
     fits = []
     for numbers in (turns.as_quat()[:, [3, 0, 1, 2]], turns.as_quat()):
         fits.append(calib.fit(robot, misread.read(shop.new(), robot, q, points, numbers)))
-    return Situation(*fits, "it looks as if .*qw qx qy qz")
+    return Situation(*fits, "probable mistake: .*qw qx qy qz")
 
 
 @situation(Code.POSES_EQUAL, "FAIL")

@@ -241,7 +241,7 @@ Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,A,B,C", Q, lambda T: numbers(T, "xyz"), "a b c are not ZYX, but xyz"),
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,W,P,R", Q, lambda T: numbers(T, "ZYX"), "w p r are not xyz, but ZYX"),
         ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q - Q[:, [1]] * np.eye(6)[2], numbers, "elbow_joint from the horizontal"),
-        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q * [1, 1, -1, 1, 1, 1], numbers, "elbow_joint counted the other way"),
+        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q * [1, 1, -1, 1, 1, 1], numbers, "elbow_joint has the wrong sign"),
         ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q, lambda T: np.roll(numbers(T), 1, axis=0), "1 row above their poses"),
         (
             "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",

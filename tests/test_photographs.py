@@ -380,7 +380,12 @@ def test_ten_minutes_to_hand_eye(tmp_path):
     truth = json.loads((tmp_path / "shots" / "truth.json").read_text())
     away = np.array(result["camera"]["matrix"])[:3, 3] - np.array(truth["camera_in_tool"])[:3, 3]
     assert np.linalg.norm(away) < 1.5e-3
-    assert "<svg" in (tmp_path / "out" / "photographs.html").read_text()
+    page = (tmp_path / "out" / "photographs.html").read_text()
+    assert 'class="verdict PASS"' in page
+    assert (
+        page.count("<svg") == page.count('data-row="') == len(result["images"])
+    )  # each belongs to a mark of the plots
+    assert all(f'id="{name}"' in page for name in ("images", "pixels", "tool"))
     wrong = runner.invoke(group, [*told[:-1], board, "--out", str(tmp_path / "other")])
     assert wrong.exit_code == 2
     assert not (tmp_path / "other").exists()

@@ -7,7 +7,7 @@ angle. So what a move should become follows from the move itself, whatever the r
     python tests/test_programs_run.py 10000 KRL    of one
 """
 
-import sys
+import argparse
 import tempfile
 from pathlib import Path
 
@@ -114,9 +114,14 @@ def test_moves_of_a_corrected_program_differ_by_the_correction_and_by_nothing_el
     assert corrected > 0.3 * (corrected + left)
 
 
-def main(amount, *languages):
-    """Judge so many programs of each language; print how many, and every one that goes elsewhere."""
-    for language in languages or LANGUAGES:
+def main():
+    """Judge many programs of each language; print how many, and every one that goes elsewhere."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("amount", type=int, help="how many of each language")
+    parser.add_argument("languages", nargs="*", metavar="LANGUAGE", help="all if none is given")
+    given = parser.parse_args()
+    amount = given.amount
+    for language in given.languages or LANGUAGES:
         counts, wrong = np.zeros((amount, 2), dtype=int), 0
         with tempfile.TemporaryDirectory() as folder:
             for seed in range(amount):
@@ -133,4 +138,4 @@ def main(amount, *languages):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), *sys.argv[2:])
+    main()

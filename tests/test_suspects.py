@@ -53,7 +53,7 @@ def test_measurements_of_other_poses_show_no_mistake(arm, data):
 def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
     for j in (0, 2, 5, 1, 3, 4)[:amount]:
         wrong = joint_changed(data, lambda q, j=j: q.__setitem__((slice(None), j), -q[:, j]))
-        assert likely_mistake(arm, wrong).startswith(f"it looks as if joint j{j + 1} counted the other way")
+        assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
 
 
 def test_swapped_columns_are_named(arm, data):
@@ -78,30 +78,30 @@ def test_columns_in_another_order_are_named_with_where_each_stands(arm, data, or
 def test_several_signs_are_named_together(arm, data, turned):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
     names = ", ".join(f"j{j + 1}" for j in turned)
-    assert likely_mistake(arm, wrong).startswith(f"it looks as if joints {names} counted the other way: if")
+    assert likely_mistake(arm, wrong).startswith(f"probable mistake: joints {names} have the wrong sign. Corrected")
 
 
 @placed_anew
 @pytest.mark.parametrize(
     ("offsets", "words"),
     [
-        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right):"),
-        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right):"),
+        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right)"),
+        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right)"),
         (
             {2: 180, 4: 180},
             "joint j3 counted from another zero (j3 +180 deg would be right) and joint j5 counted from another zero"
-            " (j5 +180 deg would be right):",
+            " (j5 +180 deg would be right)",
         ),
     ],
 )
 def test_zeros_that_are_quarter_turns_off_are_named(arm, data, offsets, words):
     shift = np.radians([offsets.get(j, 0) for j in range(6)])
-    assert likely_mistake(arm, replace(data, joints=data.joints + shift)).startswith(f"it looks as if {words}")
+    assert likely_mistake(arm, replace(data, joints=data.joints + shift)).startswith(f"probable mistake: {words}")
 
 
 def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, data):
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), 2), np.pi / 2 - q[:, 2]))
-    assert "joint j3 counted from another zero (90 deg - j3 would be right):" in likely_mistake(arm, wrong)
+    assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
 
 
 def test_joint_values_beside_the_wrong_row_are_named(arm, data):
@@ -168,16 +168,16 @@ def with_zeros(arm, data, rows):
 
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
-    zeros = "it looks as if 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
-    assert likely_mistake(arm, wrong).startswith(f"{zeros}: if this is corrected")
+    zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}. Corrected")
     wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
-    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 counted the other way: if this is corrected")
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 has the wrong sign. Corrected")
 
 
 def test_columns_that_are_copies_are_named(arm, data):
     wrong = calib.as_measurements(arm, data, data.points(arm)[..., [0, 0, 2]])
-    copied = "column ball_y were a copy of ball_x: they are equal in every row"
-    assert likely_mistake(arm, wrong) == f"it looks as if {copied}"
+    copied = "column ball_y is a copy of ball_x; they are equal in every row"
+    assert likely_mistake(arm, wrong) == f"probable mistake: {copied}"
 
 
 @pytest.mark.amount(3, 20)
@@ -235,7 +235,7 @@ def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
 def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     robot, data = motoman
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
-    assert "joints S, L, U counted the other way" in likely_mistake(robot, replace(data, joints=signs * data.joints))
+    assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
     zero = np.radians([0, 0, -90, 0, 0, 0, 0])
     assert "(L +90 deg would be right)" in likely_mistake(robot, replace(data, joints=data.joints + zero))
     shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
@@ -255,14 +255,14 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        (1e3, "mm were read as m:"),
-        (1e-3, "m were read as mm:"),
-        (1 / 25.4, "inches were read as mm:"),
-        (1 / 0.0254, "inches were read as m:"),
-        (1 / 304.8, "feet were read as mm:"),
-        (0.1, "cm were read as mm:"),
-        (1 / 2.54, "tenths of an inch were read as mm:"),
-        (0.2, " times as long as the robot's, which no usual unit explains:"),
+        (1e3, "mm were read as m"),
+        (1e-3, "m were read as mm"),
+        (1 / 25.4, "inches were read as mm"),
+        (1 / 0.0254, "inches were read as m"),
+        (1 / 304.8, "feet were read as mm"),
+        (0.1, "cm were read as mm"),
+        (1 / 2.54, "tenths of an inch were read as mm"),
+        (0.2, " times as long as the robot's, which no usual unit explains"),
     ],
 )
 def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):

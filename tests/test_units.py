@@ -40,7 +40,7 @@ def test_signs_of_units_mean_what_their_names_do(sign, dimension, name):
     ("value", "dimension", "message"),
     [
         ("1 deg", "length", "here: unit 'deg' is for an angle; a length is expected (m, mm, um)"),
-        ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad, urad)"),
+        ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad, urad, arcsec)"),
         ("1 inch", "length", "here: unknown unit 'inch'; valid: m, mm, um"),
         ("1 degs", "angle", "here: unknown unit 'degs'; did you mean 'deg'?"),
         ("1 MM", "length", "here: unknown unit 'MM'; did you mean 'mm'?"),

@@ -376,8 +376,11 @@ def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
     content = json.loads((tmp_path / "v.json").read_text())
     assert (content["verdict"], content["n_poses"]) == ("agrees", 25)
     changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 5e-4})
-    bad = run(tmp_path, format_measurements(truth, measured(changed, q, rng)), folder)
+    page = tmp_path / "verify.html"
+    bad = run(tmp_path, format_measurements(truth, measured(changed, q, rng)), folder, "--html", str(page))
     assert bad.exit_code == 3
+    assert 'class="verdict FAIL"' in page.read_text()
+    assert all(f'id="{name}"' in page.read_text() for name in ("readings", "changes"))
     assert bad.stdout.startswith("DRIFTED")
     assert "cannot tell it from a change of" in bad.stdout
 
@@ -414,6 +417,7 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
         (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,x,1\n", (), "column 'reflector_y'"),
         (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,1,1\n", (), "measure more poses"),
         (ONE, ("--change", "joint_3.ry=1 deg"), "needs --plan"),
+        (ONE, ("--plan", "--html", "plan.html"), "is for readings"),
         (ONE, ("--plan", "--change", "joint_3.ry"), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_3.ry="), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "'joint_9.ry' is no parameter or joint zero"),

@@ -6,6 +6,7 @@ import trimesh
 
 import calib
 import medrue
+from viz.bodies import bodies_of, posed_robot
 from viz.geometry import read_shapes
 from viz.shapes import GREY, mesh, primitive, rotation_onto_z, thinned
 
@@ -77,7 +78,7 @@ def test_a_missing_mesh_is_announced_and_drawn_with_rods(tmp_path):
     assert "lost.stl" in notes[0]
     rods = [shape for shape in shapes if shape.body == "upper"]
     assert rods
-    rod = next(shape for shape in rods if "rod" in shape.name)
+    rod = next(shape for shape in rods if shape.name == "upper/body")
     ends = rod.T_body_shape @ np.array([[0, 0, -0.2, 1], [0, 0, 0.2, 1]]).T
     np.testing.assert_allclose(ends[:3].T, [[0, 0, 0], [0.4, 0, 0]], atol=1e-12)
 
@@ -100,6 +101,55 @@ def test_a_urdf_without_shapes_is_drawn_with_rods(tmp_path):
     shapes, notes = read_shapes(robot(tmp_path))
     assert "has no shapes" in notes[0]
     assert {shape.body for shape in shapes} >= {"root", "upper"}
+
+
+def test_missing_meshes_share_one_note(tmp_path):
+    shapes, notes = read_shapes(
+        robot(tmp_path, visual('<mesh filename="lost.stl"/>'), visual('<mesh filename="gone.stl"/>'))
+    )
+    assert len(notes) == 1
+    assert "lost.stl" in notes[0]
+    assert "1 more link: upper" in notes[0]
+    assert {shape.body for shape in shapes} == {"root", "upper"}
+
+
+def ends_in_space(robot, shapes, names):
+    """Where cylinders of these names end, at the robot's home, (n, 2, 3) [m]."""
+    bodies = bodies_of(robot)
+    poses = bodies.poses(posed_robot(robot, bodies, robot.home[None]), 0)
+    places = {name: poses[k] for k, name in enumerate(bodies.names)}
+    found = []
+    for name in names:
+        shape = next(shape for shape in shapes if shape.name == name)
+        half = np.array([[0, 0, -shape.size[1] / 2, 1], [0, 0, shape.size[1] / 2, 1]])
+        found.append((places[shape.body] @ shape.T_body_shape @ half.T)[:3].T)
+    return np.array(found)
+
+
+def test_the_legs_of_a_stewart_platform_reach_from_their_base_joint_to_their_platform_joint():
+    robot = calib.load("docs/examples/stewart.yaml")
+    shapes, notes = read_shapes(robot)
+    assert len(notes) == 1
+    legs = range(1, 7)
+    ends = ends_in_space(robot, shapes, [f"leg_{k}_tip/body" for k in legs])
+    bodies = bodies_of(robot)
+    poses = dict(zip(bodies.names, bodies.poses(posed_robot(robot, bodies, robot.home[None]), 0), strict=True))
+    for k, (one, other) in zip(legs, ends, strict=True):
+        reached = [poses[f"leg_{k}_cylinder"][:3, 3], poses[f"leg_{k}_place"][:3, 3]]
+        distances = [np.linalg.norm(np.array(reached) - end, axis=1).min() for end in (one, other)]
+        assert max(distances) < 1e-6  # the home of the description closes the loops so well
+    assert {shape.body for shape in shapes if shape.kind == "mesh"} == {"base", "platform"}  # plates
+    assert not [shape for shape in shapes if "platform_at" in shape.body]  # six joints that are no mechanism
+    kinds = {shape.name.split("/")[1] for shape in shapes if shape.body.startswith("leg_1")}
+    assert kinds >= {"drum", "sleeve", "closure0"}  # universal, prismatic, ball
+
+
+def test_own_shapes_that_do_not_reach_the_next_joint_are_joined_to_it():
+    robot = calib.load("docs/examples/arm.yaml")
+    shapes, notes = read_shapes(robot)
+    assert notes == ()
+    (ends,) = ends_in_space(robot, shapes, ["link_3/gap0"])
+    np.testing.assert_allclose(np.linalg.norm(ends[1] - ends[0]), np.hypot(0.1, 0.035), atol=1e-12)
 
 
 def test_medrue_has_its_rail_carriage_five_bars_support_and_reflector():

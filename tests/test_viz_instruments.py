@@ -16,14 +16,12 @@ from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Ins
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.rows.observed import predicted_readings
+from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
-from viz.part_plots import part_plots
-from viz.plots import all_plots, error_map
 from viz.pose_sources import from_fit, from_measurements
 from viz.reading_errors import of_measurements, smallest_motion
-from viz.rendering import picture_of, points_of
-from viz.scene import build_scene, joints_of, scene_of_fit
+from viz.scene import build_scene, scene_of_fit
 from viz.scene_data import scene_data
 
 ARM = """\
@@ -126,19 +124,19 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 11
+    assert html.count("<figure") == 12  # the picture, four plots of each part, coverage, causes, parameters
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 
 
-def test_figures_of_a_part_have_its_unit_and_axes(pose_fit):
-    sizes, axes, by_joint = part_plots(pose_fit, joints_of(pose_fit.nominal))
-    assert sizes.title == "Orientation: error before and after"
-    assert "size of the orientation error [mrad]" in sizes.svg
-    assert axes.title == "Orientation: error along each axis"
-    assert "predicted minus measured [mrad]" in axes.svg
-    assert ">rx<" in axes.svg.replace(" ", "")
-    assert "residual [mrad]" in by_joint.svg
+def test_plots_of_a_part_have_its_unit_and_axes(pose_fit):
+    charts = {chart.name: chart for chart in error_charts(pose_fit, scene_of_fit(pose_fit))}
+    assert charts["orientation-errors"].title == "Orientation: error before and after"
+    assert charts["orientation-errors"].panels[0]["x"]["label"] == "error [mrad]"
+    by_joint = charts["orientation-by-joint"].panels
+    assert len(by_joint) == 6
+    assert by_joint[0]["y"]["label"] == "residual [mrad]"
+    assert [layer["label"] for layer in by_joint[0]["layers"] if layer["label"]] == ["rx", "ry", "rz"]
 
 
 def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(tmp_path):
@@ -151,7 +149,6 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert np.isnan(table.sigma).all()
     np.testing.assert_allclose(table.before, robot.positions(data.joints).reshape(-1, 3))
     np.testing.assert_allclose(table.after, fit.robot.positions(data.joints).reshape(-1, 3))
-    assert all_plots(table, joints_of(robot)) == ()
     scene = scene_of_fit(fit)
     (shown_errors,) = scene.readings
     assert (scene.states, scene.shows_poses, scene.n_rows) == (("before", "after"), False, 120)
@@ -165,7 +162,9 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
-    assert html.count("<figure") == 6
+    assert [chart.name for chart in error_charts(fit, scene)] == [
+        f"distance-{name}" for name in ("errors", "planes", "order", "by-joint")
+    ]
     fit.save(tmp_path / "out", pages=False)
     saved = saved_scene = gather(robot, tmp_path / "out").scene
     for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
@@ -200,12 +199,6 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
         assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
         assert headline["sets"][0]["after"] == pytest.approx([after.mean(), after.max()], rel=1e-9)
         assert [item["of"] for item in each] == ["wire", "other", "third"]
-    points, colours = points_of(scene)
-    assert points.shape == colours.shape == (180, 3)  # where the readings have the target
-    positions = fit.robot.positions(fit.identification.data.joints)[:, 0]
-    np.testing.assert_allclose(points[:60], positions, atol=5e-4)  # ten times the noise
-    assert picture_of(scene) != picture_of(dataclasses.replace(scene, decorations=()))
-    assert "Points: identification" in words(undrawn(fit))
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
@@ -217,17 +210,6 @@ def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_p
     assert (fit.identification.data.n_poses, fit.validation.data.n_poses) == (30, 10)
     assert {int(name) % 2 for name in fit.identification.data.names} == {1}
     assert "at poses like the 30 measured" in fit.verdict.claim.region
-    whole = dataclasses.replace(fit.identification, data=calib.as_measurements(robot, q, positions))
-    whole = dataclasses.replace(whole, **{state: _of_all(fit, state) for state in ("before", "after")})
-    assert "at 40 poses" in error_map(whole, fit.robot).text  # not 80, of which 40 would be without any error
-
-
-def _of_all(fit, state):
-    sets = (fit.identification, fit.validation)
-    return {
-        name: np.concatenate([getattr(error_set, state)[name] for error_set in sets])
-        for name in fit.identification.after
-    }
 
 
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):

@@ -1,6 +1,7 @@
 """The live viewer from Python: messages in the right form, input checked, notebooks, no leftovers."""
 
 import base64
+import dataclasses
 import json
 import queue
 import time
@@ -135,7 +136,9 @@ def test_another_fit_is_shown_with_what_is_told(viewer, messages, fit):
         "7",
         60,
     )
-    assert told["history"] == [[40, pytest.approx(0.1), pytest.approx(0.12)]]
+    (row,) = told["history"]
+    assert row[:3] == [40, pytest.approx(0.1), pytest.approx(0.12)]
+    assert row[4] == pytest.approx(1e3 * progress(fit, 40).predicted.high95)  # the upper end of its interval
     assert told["seconds_left"] is None  # one state tells no pace
     assert "goal 0.1 mm: not yet" in told["words"]
     assert messages() == ("reload", "now")
@@ -151,3 +154,21 @@ def test_another_fit_is_shown_with_what_is_told(viewer, messages, fit):
     assert (told["stop"], told["poses_left"], [row[0] for row in told["history"]]) == (True, 0, [40, 50])
     assert set(viewer._server._state) == {"told"}
     assert viewer._server._page == before  # of the same fit
+
+
+def test_the_curve_begins_with_what_was_remembered_and_the_last_pose_says_what_it_changed(viewer, messages, fit):
+    viewer.remember(progress(fit, 20))
+    viewer.show(progress(fit, 40))
+    told = json.loads(messages()[1])
+    assert [row[0] for row in told["history"]] == [20, 40]
+    assert "Changed most" not in told["words"]  # nothing to compare with
+    name = next(name for name in fit.free_names if fit.parameters[name].std > 0)
+    position = [parameter.name for parameter in fit.robot.parameters].index(name)
+    moved = fit.robot.values.copy()
+    moved[position] += 2.5 * fit.parameters[name].std_si
+    viewer.show(progress(dataclasses.replace(fit, robot=fit.robot.with_parameters(moved)), 41))
+    event, data = messages()
+    while event != "told" or "Changed most" not in data:
+        event, data = messages()
+    assert f"Changed most by the last pose: {name}" in json.loads(data)["words"]
+    assert "(2.5 standard deviations)" in json.loads(data)["words"]

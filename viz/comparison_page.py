@@ -10,13 +10,14 @@ import numpy as np
 
 from calib.core.base.version import PROGRAM
 from calib.core.results.comparison_report import Difference, ResultComparison, p_text
+from viz.charts import MANY, Chart, Charts, axis, layer, panel
+from viz.page_parts import chart_parts, places
 from viz.report_page import page_environment
-from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
+from viz.result_charts import forest
 from viz.viewer_page import Page
 
 _SHOWN = 24  # parameters in the figure
-_WIDTH = 4.0  # of figures [inch]: a phone's
-_LINES = ("-", "--", ":", "-.")
+_REAL = ": a real difference"
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ def comparison_page(comparison: ResultComparison, *, command: str = "", created:
     """
     ranked = comparison.ranked()
     rest = [difference for difference in comparison.differences if difference not in ranked]
-    plots = [*([errors_on_same_rows(comparison)] if comparison.sizes else []), intervals(comparison, ranked)]
+    same_rows = errors_on_same_rows(comparison) if comparison.sizes else None
+    charts = Charts(places(same_rows=same_rows, intervals=intervals(comparison, ranked)))
     when = created if created is not None else datetime.now(UTC)
     return Page(
         page_environment()
@@ -58,7 +60,7 @@ def comparison_page(comparison: ResultComparison, *, command: str = "", created:
                 strict=True,
             ),
             lines=[_line(difference) for difference in [*ranked, *rest]],
-            plots=[plot for plot in plots if plot is not None],
+            **chart_parts(charts),
             program=PROGRAM,
             command=command,
             created=when.strftime("%Y-%m-%d %H:%M UTC"),
@@ -78,59 +80,49 @@ def _half(row: dict[str, Any]) -> dict[str, float]:
     return {"value": value, "half": high - value, "std": std}
 
 
-@styled
-def errors_on_same_rows(comparison: ResultComparison) -> Plot:
+def errors_on_same_rows(comparison: ResultComparison) -> Chart:
     """Part of the readings whose error is smaller than a size, for each result."""
-    figure, (axes,) = new_figure(1, 1, (_WIDTH, 2.5 + 0.2 * len(comparison.names)))
-    looks = list(AXES.values())
+    layers = []
     for k, (name, sizes) in enumerate(zip(comparison.names, comparison.sizes, strict=True)):
         part = 100 * (np.arange(len(sizes)) + 1) / len(sizes)
-        line, colour = _LINES[k % len(_LINES)], looks[k % len(looks)][0]
-        axes.plot(
-            np.sort(sizes), part, line, color=colour, label=shortened(name, LONGEST_ENTRY), drawstyle="steps-post"
-        )
-    axes.set(xscale="log", xlabel=f"error after calibration [{comparison.unit}]", ylabel="smaller in [% of readings]")
-    plain_ticks(axes.xaxis)
-    figure.legend(loc="upper center")
-    return finished(
+        texts = [
+            f"{name}: {share:.3g} % are below {size:.3g} {comparison.unit}"
+            for share, size in zip(part, np.sort(sizes), strict=True)
+        ]
+        layers.append(layer("points", name, MANY[k % len(MANY)], x=np.sort(sizes), y=part, texts=texts))
+    x = axis(f"error after calibration [{comparison.unit}]", log=True)
+    return Chart(
         "same-rows",
         "Errors on the same readings",
         f"{len(comparison.sizes[0])} readings that no result used: the further to the left, the better.",
-        figure,
+        (panel(x, axis("smaller in [% of readings]"), layers),),
+        500,
     )
 
 
-@styled
-def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Plot | None:
+def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Chart | None:
     """Differences to the first result in half widths of its 95 % intervals; None where there are no intervals."""
-    shown = [
-        difference
-        for difference in ranked
-        if all(row is not None and row["high95"] is not None for row in difference.rows)
-    ][:_SHOWN]
-    if not shown:
+    known = [d for d in ranked if all(row is not None and row["high95"] is not None for row in d.rows)][:_SHOWN]
+    if not known:
         return None
-    figure, (axes,) = new_figure(1, 1, (_WIDTH, 1.0 + 0.2 * len(shown) * len(comparison.names)))
-    looks = list(AXES.values())
-    for place, difference in enumerate(shown):
-        halves = [_half(row) for row in difference.rows if row is not None]
-        first, width = halves[0]["value"], max(halves[0]["half"], 1e-300)
-        for k, (half, real) in enumerate(zip(halves, (False, *difference.real), strict=True)):
-            at = place + 0.8 * ((k + 0.5) / len(halves) - 0.5)
-            colour, mark = (ORANGE, "D") if real else (GREY if k == 0 else looks[-1][0], "o")
-            x, reach = (half["value"] - first) / width, half["half"] / width
-            axes.errorbar(x, at, xerr=reach, color=colour, marker=mark, markersize=4, capsize=2, linewidth=1)
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.set_xscale("symlog", linthresh=2.0)
-    plain_ticks(axes.xaxis)
-    axes.set_yticks(range(len(shown)), [shortened(difference.name, LONGEST_ENTRY) for difference in shown])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.set_xlabel("difference to the first result,\nin half widths of its 95 % interval")
-    return finished(
+    halves = np.array(
+        [[_half(row)[key] for key in ("value", "half")] for d in known for row in d.rows if row is not None]
+    )
+    values, half = halves.reshape(len(known), -1, 2).transpose(2, 1, 0)  # (n_results, n_shown)
+    width = np.maximum(half[0], 1e-300)
+    groups = []
+    for k, name in enumerate(comparison.names):
+        real = [k > 0 and d.real[k - 1] for d in known]
+        texts = [
+            f"{d.name}, {name}: {value:.6g} ± {reach:.2g} {(d.rows[k] or {})['unit']}{_REAL * is_real}"
+            for d, value, reach, is_real in zip(known, values[k], half[k], real, strict=True)
+        ]
+        groups.append((name, MANY[k % len(MANY)], (values[k] - values[0]) / width, half[k] / width, texts))
+    names = [f"{d.name}{' *' if any(d.real) else ''}" for d in known]
+    return Chart(
         "intervals",
         "Which differences are real",
-        f"Grey: {shortened(comparison.names[0], 40)}; below it the others with their 95 % intervals, orange diamonds"
-        " where a difference is real. Overlapping intervals alone decide nothing. The scale is linear to 2 and"
-        " logarithmic beyond.",
-        figure,
+        f"* marks a real difference to {comparison.names[0]}. Overlapping intervals alone decide nothing.",
+        forest(names, groups, "difference to the first result [half widths of its 95 % interval]"),
+        500,
     )

@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 
 from calib import Fit
 from calib.core.base.errors import InputError, nearest
-from viz.part_plots import draw_histogram, draw_residuals, of_positions
-from viz.plots import draw_course, draw_normal
+from viz.plots import draw_course, draw_histogram, draw_normal, draw_residuals
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable
 from viz.scene import joints_of
@@ -41,7 +40,7 @@ class FitPlots:
     def errors(self, axes: Axes | None = None) -> Axes:
         """Draw how many points have which error, before and after."""
         drawn = _axes(axes)
-        draw_histogram(drawn, of_positions(self._table()))
+        draw_histogram(drawn, self._table())
         drawn.legend()
         return drawn
 
@@ -66,9 +65,9 @@ class FitPlots:
         joint = names[0] if joint is None else joint
         if joint not in names:
             raise InputError(f"no joint '{joint}'{nearest(joint, names)}")
-        drawn, number, errors = _axes(axes), names.index(joint), of_positions(self._table())
-        draw_residuals(drawn, errors, joints_of(self._fit.robot)[number], number)
-        drawn.set_ylabel(f"residual [{errors.unit}]")
+        drawn, number, table = _axes(axes), names.index(joint), self._table()
+        draw_residuals(drawn, table, joints_of(self._fit.robot)[number], number)
+        drawn.set_ylabel("residual [mm]")
         drawn.legend()
         return drawn
 

@@ -8,12 +8,13 @@ import numpy as np
 
 from calib.core.base.version import PROGRAM
 from calib.fleets.fleet import Fleet
+from viz.charts import MANY, Chart, Charts
+from viz.page_parts import chart_parts, places
 from viz.report_page import page_environment
-from viz.svg import AXES, GREY, LONGEST_ENTRY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
+from viz.result_charts import forest
 from viz.viewer_page import Page
 
 _SHOWN = 60  # parameters in the figure
-_MARKS = "os^v<>Dph*"
 
 
 def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
@@ -33,7 +34,7 @@ def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
             fleet=fleet,
             conclusion=fleet.conclusion(),
             notes=fleet.notes,
-            plots=[side_by_side(fleet)],
+            **chart_parts(Charts(places(robots=side_by_side(fleet)))),
             spread=fleet.spread * scale,
             program=PROGRAM,
             command=command,
@@ -44,39 +45,22 @@ def fleet_page(fleet: Fleet, *, command: str = "") -> Page:
     )
 
 
-@styled
-def side_by_side(fleet: Fleet) -> Plot:
+def side_by_side(fleet: Fleet) -> Chart:
     """Each parameter of each robot, from the mean of the fleet, in its spreads."""
-    away = (fleet.values - fleet.mean) / fleet.spread
-    reach = fleet.stds / fleet.spread
+    away, reach = (fleet.values - fleet.mean) / fleet.spread, 1.96 * fleet.stds / fleet.spread
     order = np.argsort(-np.max(np.abs(away), axis=0))[:_SHOWN]
-    figure, (axes,) = new_figure(1, 1, (8.9, 1.2 + 0.24 * len(order)))
-    blue = AXES["z"][0]
+    names = [fleet.parameters[k].name for k in order]
+    groups = []
     for k, member in enumerate(fleet.members):
-        places = np.arange(len(order)) + 0.7 * ((k + 0.5) / len(fleet.members) - 0.5)
-        axes.errorbar(
-            away[k, order],
-            places,
-            xerr=reach[k, order],
-            fmt=_MARKS[k % len(_MARKS)],
-            color=ORANGE if member.odd else blue,
-            markersize=4,
-            linewidth=0.7,
-            label=shortened(member.name, LONGEST_ENTRY) + (" (unlike)" if member.odd else ""),
-        )
-    axes.axvspan(-2.0, 2.0, color=GREY, alpha=0.15, linewidth=0)
-    axes.axvline(0.0, color="black", linewidth=0.8)
-    axes.set_xscale("symlog", linthresh=4.0)
-    plain_ticks(axes.xaxis)
-    axes.set_yticks(range(len(order)), [shortened(fleet.parameters[k].name, 30) for k in order])
-    axes.set_ylim(len(order) - 0.4, -0.6)
-    axes.set_xlabel("difference to the mean of the fleet, in spreads from robot to robot")
-    figure.legend(loc="upper center", ncols=3)
-    return finished(
+        called = member.name + (" (unlike)" if member.odd else "")
+        texts = [f"{called}, {name}: {value:+.2f} spreads" for name, value in zip(names, away[k, order], strict=True)]
+        groups.append((called, MANY[k % len(MANY)], away[k, order], reach[k, order], texts))
+    drawn = forest(names, groups, "difference to the mean of the fleet [spreads from robot to robot]", ("", 2.0))
+    return Chart(
         "side-by-side",
         "Robots side by side",
-        "One mark for each robot, with its standard deviation; parameters in which some robot is furthest off come"
-        " first. The grey band is where 95 % of robots like these are expected. Orange: unlike the others."
-        " The scale is linear to 4 and logarithmic beyond.",
-        figure,
+        "One mark for each robot, with its 95 % interval; parameters in which some robot is furthest off come first."
+        " The grey band is where 95 % of robots like these are expected. A click in the legend hides a robot.",
+        drawn,
+        440,
     )

@@ -1,7 +1,7 @@
-"""The shapes of a robot, read from its URDF: primitives and meshes, stand-ins for what is missing.
+"""The shapes of a robot, read from its URDF: primitives and meshes, plain bodies for what is missing.
 
-A mesh that cannot be loaded is replaced by primitives along the joint origins of its link, so that the robot can
-still be recognised; a note says so. The same stand-ins draw a URDF that has no shapes at all.
+A link whose mesh cannot be loaded is drawn plainly, so that the robot can still be recognised; one note says so for all
+of them. So is a URDF that has no shapes at all.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import numpy as np
 from calib import Robot
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
+from calib.core.base.words import counted
 from calib.core.robots.urdf.links import Link, find_mesh, read_links
 from calib.core.robots.urdf.links import Shape as Visual
-from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
+from viz.plain_links import PlainLinks
+from viz.shapes import GREY, Colour, Shape, mesh, primitive, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
 
@@ -24,26 +26,33 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     """Read the shapes of a robot's URDF.
 
     Returns:
-        The shapes, at least one for each link whose mesh is missing; and notes for the user, one for each thing that
-        could not be drawn as the URDF asks.
+        The shapes; and notes for the user, one for all that could not be drawn as the URDF asks.
     """
-    shapes: list[Shape] = []
-    notes: list[str] = []
+    plain, shapes, missing = PlainLinks(robot), [], {}
     try:
         links = read_links(robot.urdf)
     except UrdfError as error:  # drawing must not stop a calibration
-        notes.append(f"{_first_line(error)}: its shapes cannot be read; drawn as plain rods")
-        links = {}
+        links, notes = {}, [f"{_first_line(error)}: its shapes cannot be read; drawn plainly, from joint to joint"]
+    else:
+        notes = []
     for name, link in links.items():
         try:
-            shapes += _link(name, link, robot.urdf.path)
+            own = _link(name, link, robot.urdf.path)
         except Exception as error:  # the readers of mesh files raise many kinds
-            notes.append(f"link '{name}': {_first_line(error)}; drawn as plain rods")
-            shapes = [shape for shape in shapes if shape.body != name] + stand_ins(robot, name)
+            missing[name] = _first_line(error)
+            own = plain.shapes(name)
+        else:
+            if own and all(shape.kind != "mesh" for shape in own):
+                own += plain.gaps(name, own)
+        shapes += own
     if not shapes:
         if not notes:
-            notes.append(f"{robot.urdf.path}: has no shapes; drawn as plain rods")
-        shapes = [shape for link in robot.urdf.links for shape in stand_ins(robot, link)]
+            notes.append(f"{robot.urdf.path}: has no shapes; drawn plainly, from joint to joint")
+        shapes = [shape for link in robot.urdf.links for shape in plain.shapes(link)]
+    if missing:
+        first, *others = missing
+        more = f", and {counted(len(others), 'more link')}: {', '.join(others)}" if others else ""
+        notes.append(f"link '{first}': {missing[first]}{more}; drawn plainly, from joint to joint")
     return tuple(shapes), tuple(notes)
 
 

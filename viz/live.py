@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib import Progress
+from calib import Fit, Progress
 from calib.core.base.errors import DataError
 from calib.core.base.units import millimetres
 from calib.core.robots.configurations import joint_vector
@@ -48,7 +48,8 @@ class LiveViewer:
 
     def __init__(self, shown: Shown, port: int = 0) -> None:
         self._shown = shown
-        self._history: list[tuple[float | None, ...]] = []  # poses, predicted and unseen error [mm]
+        self._history: list[tuple[float | None, ...]] = []  # poses, predicted and unseen error, their 95 % ends [mm]
+        self._fit: Fit | None = None
         self._pace: list[tuple[float, int]] = []  # when how many poses were measured [s]
         self._server = PageServer(scene_page(shown.scene, live=True).html, port)
 
@@ -126,21 +127,41 @@ class LiveViewer:
 
     def _cockpit(self, told: Progress) -> dict[str, object]:
         """What the page's script reads: the state, its words, the states before it, and how long the rest takes."""
-        known = [
-            millimetres(error.value) if math.isfinite(error.value) else None for error in (told.predicted, told.unseen)
-        ]
-        if self._history and told.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
-            self._history = [row for row in self._history if (row[0] or 0) < told.n_poses]
-            self._pace = []
-        self._history.append((told.n_poses, *known))
+        self.remember(told)
         self._pace = [*self._pace[1 - _PACE :], (time.monotonic(), told.n_poses)]
         (start, first), (end, last) = self._pace[0], self._pace[-1]
         left, each = told.poses_left, (end - start) / (last - first) if last > first else None
         return told.to_dict() | {
-            "words": "\n".join(told.error_lines()),
+            "words": "\n".join((*told.error_lines(), *self._changed(told.fit))),
             "history": self._history,
             "seconds_left": None if left is None or each is None else left * each,
         }
+
+    def remember(self, told: Progress) -> None:
+        """Keep what was known after some poses: the curve towards the goal shows it."""
+        errors = (told.predicted, told.unseen)
+        ends = [end for error in errors for end in (error.low95, error.high95)]
+        known = [millimetres(one) if math.isfinite(one) else None for one in (*(e.value for e in errors), *ends)]
+        if self._history and told.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
+            self._history = [row for row in self._history if (row[0] or 0) < told.n_poses]
+            self._pace = []
+        self._history.append((told.n_poses, *known))
+
+    def _changed(self, fit: Fit | None) -> list[str]:
+        """What the last pose changed: the parameter that moved furthest, counted in its standard deviation."""
+        before, self._fit = self._fit, fit
+        if fit is None or before is None or before.free_names != fit.free_names:
+            return []
+        moved = {
+            name: (fit.parameters[name].value - before.parameters[name].value, fit.parameters[name])
+            for name in fit.free_names
+            if fit.parameters[name].std > 0
+        }
+        if not moved:
+            return []
+        name, (by, estimate) = max(moved.items(), key=lambda item: abs(item[1][0]) / item[1][1].std)
+        share = abs(by) / estimate.std
+        return [f"Changed most by the last pose: {name}, {by:+.4f} {estimate.unit} ({share:.1f} standard deviations)"]
 
     def wait_for_browser(self, timeout: float) -> bool:
         """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""

@@ -5,6 +5,7 @@ Nothing is imported before it is asked for, so that `calib --help` stays quick.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
-__all__ = ["command", "comparison", "figures", "fleet", "live", "pages", "plots", "summary"]
+__all__ = ["answer", "command", "comparison", "figures", "fleet", "live", "pages", "plots", "summary"]
 
 summary = "Show a robot and its calibration in a browser."
 
@@ -51,6 +52,20 @@ def fleet(learned: Fleet) -> bytes:
     from viz.report_page import command_line
 
     return fleet_page(learned, command=command_line()).html.encode()
+
+
+def answer(subject: object, title: str, text: str, figures: Sequence[tuple[int, str]]) -> bytes:
+    """Return the page of a judgement by new measurements, or of a hand-eye calibration.
+
+    Args:
+        subject: An `Acceptance` or a `HandEye`.
+        title: Heading of the page.
+        text: What the terminal says of it.
+        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
+    """
+    from viz.answer_page import answer_page
+
+    return answer_page(subject, title, text, figures).html.encode()
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -1,6 +1,6 @@
-"""The report of a fit, to read and to print: page one for the customer, verdict first; the rest is an annex.
+"""The report of a fit, to look at, to point at and to print: the answer first, then robot, errors and plots together.
 
-No scripts, no requests, all text escaped.
+No requests; only the page's own scripts run; all text escaped.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import re
+import shlex
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -31,20 +32,21 @@ from calib.core.results.sections.grid import GridNumber
 from calib.core.results.sections.noise import noise_found
 from calib.core.results.sections.outliers import outlier_grid
 from calib.core.results.sections.parameters import parameter_grid
-from viz.part_plots import part_plots
-from viz.plots import all_plots, budget_bars, error_map
+from viz.charts import Charts
+from viz.error_charts import conditions, corrections, coverage, error_charts, page_rows
+from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
-from viz.rendering import picture_of, points_of
 from viz.report_tables import extent, headline, judged_by, tolerance_of, worst
-from viz.scene import Scene, joints_of, scene_of_fit
+from viz.result_charts import parameters, waterfall, worth
+from viz.scene import Scene, scene_of_fit
 from viz.scene_data import in_space
-from viz.viewer_page import Page, templates
+from viz.viewer_page import Page, scene_page, templates
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "matplotlib")
+_PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 
 
@@ -86,7 +88,7 @@ def report_page(
             fit=fit,
             robot=fit.nominal,
             verdict=judge(fit),
-            following=next_step(fit),
+            following=_following(fit, command).partition(": "),
             headline=headline(tables, judged_by(fit).main_part),
             space=_space(shown, judged_by(fit).main_part.name),
             accuracy=tables,
@@ -94,7 +96,6 @@ def report_page(
             worth=files_grid(fit),
             budget=budget_grid(fit),
             advice="" if budget is None else budget["advice"],
-            budget_plot=None if budget is None else budget_bars(budget),
             worst=worst(fit),
             extent=extent(table),
             measured_in=measured_in(fit.nominal),
@@ -102,14 +103,12 @@ def report_page(
             record=record(fit),
             signatures=signatures(fit),
             tolerance=tolerance_of(fit),
-            map=error_map(judged_by(fit), fit.robot),
             logo=logo,
-            picture="" if shown is None else picture_of(shown),
             claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
-            pointed=shown is not None and len(points_of(shown)[0]) > 0,
-            pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[shown.shown[0]],
-            plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
             parameters=parameter_grid(fit),
+            has_space=shown is not None,
+            first_plots=_first(shown),
+            **chart_parts(_charts(fit, shown), "" if shown is None else scene_page(shown, embedded=True).html),
             notes=details(fit, brief=True),
             unsure=unsure(fit),
             outliers=outlier_grid(fit),
@@ -124,6 +123,39 @@ def report_page(
             viewer=viewer,
         )
     )
+
+
+def _charts(fit: Fit, scene: Scene | None) -> Charts:
+    """All plots of a report."""
+    plots = places(parameters=parameters(fit), budget=waterfall(fit), worth=worth(fit))
+    if scene is None or not scene.n_rows:
+        return Charts(plots)
+    return Charts(
+        plots
+        | places(
+            errors=(
+                *error_charts(fit, scene),
+                *(chart for chart in (conditions(fit, scene), corrections(fit, scene.joints)) if chart),
+            ),
+            coverage=coverage(scene, fit),
+        ),
+        page_rows(scene),
+    )
+
+
+def _first(scene: Scene | None) -> tuple[str, ...]:
+    """The plots beside the robot in space: those of the first part of readings that come first."""
+    return () if scene is None else tuple(chart for chart in ("errors", "order"))
+
+
+def _following(fit: Fit, command: str) -> str:
+    """What to do next, with the files of the command line that made the fit where it names all of them."""
+    following, words = next_step(fit), shlex.split(command)
+    folder = next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
+    data = fit.identification.data.path
+    if not folder or not {fit.nominal.path, data} <= set(words):
+        return str(following)
+    return following.typed(fit.nominal.path, [data], folder, {})
 
 
 def _space(scene: Scene | None, part: str) -> list[float] | None:
@@ -184,8 +216,6 @@ def versions() -> list[tuple[str, str]]:
 
 def command_line() -> str:
     """Return the command line of this process if it is one of our programs, else nothing."""
-    import shlex
-
     name = Path(sys.argv[0]).name if sys.argv else ""
     if name == "__main__.py":
         return shlex.join(["python", "-m", Path(sys.argv[0]).parent.name, *sys.argv[1:]])

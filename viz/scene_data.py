@@ -85,7 +85,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "map": None if scene.map is None else _map(scene, scene.map),
         "colours": _encode(colours()),
         "point_radius": point_radius(scene),
-        "point_pixels": point_pixels(max((len(rows) for rows in _rows(scene)), default=0)),
+        "point_pixels": point_pixels(max((len(rows) for rows in rows_of(scene)), default=0)),
     }
 
 
@@ -172,7 +172,7 @@ def colours() -> NDArray[np.uint8]:
 def point_radius(scene: Scene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    anchors = np.concatenate([rows.anchors for rows in _rows(scene)])
+    anchors = np.concatenate([rows.anchors for rows in rows_of(scene)])
     grid = max(_SAME * size, 1e-6)  # points of several instruments at one place are one
     points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
     if len(points) < 2:
@@ -203,7 +203,7 @@ def _of_left_out(shown: int, n: int) -> list[str]:
     ]
 
 
-def _rows(scene: Scene) -> list[ReadingErrors]:
+def rows_of(scene: Scene) -> list[ReadingErrors]:
     """The rows that the page has, part by part: points first, as the readings that they are."""
     if not scene.shows_poses:
         return list(scene.readings)
@@ -220,7 +220,7 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
     """What the page shows errors of: names, units, ends of the colours in these units, first enlargements."""
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
-    for rows, enlargements in zip(_rows(scene), factors, strict=True):
+    for rows, enlargements in zip(rows_of(scene), factors, strict=True):
         is_position, scale = rows.part.is_position, _scale(rows)
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
@@ -267,7 +267,7 @@ def _table(scene: Scene) -> dict[str, Any]:
     Of readings that are no positions there are sizes and components of errors, too, in the unit of their part; those of
     points are their arrows.
     """
-    parts, shown = _rows(scene), scene.shown
+    parts, shown = rows_of(scene), scene.shown
     points = scene.poses.subset(shown if scene.shows_poses else shown[:0])
     n_others = sum(map(len, scene.readings))
     codes = [

@@ -95,8 +95,10 @@ def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> by
     if size == PAPER:
         tab.emulate_media(media="print")
     tab.goto(page.as_uri())
-    if tab.query_selector("#pane"):
+    if tab.query_selector("#pane, #charts"):
         tab.wait_for_selector("body[data-ready]")
+    if tab.query_selector("#charts"):
+        tab.evaluate("calibrationReport.all()")
     if action:
         tab.evaluate(action)
     tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

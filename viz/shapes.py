@@ -1,4 +1,4 @@
-"""Shapes to draw: boxes, cylinders, spheres, meshes, and plain rods for links that have none."""
+"""Shapes to draw: boxes, cylinders, spheres and meshes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from calib import Robot
 from calib.core.base.arrays import FloatArray, IntArray
 
 Colour = tuple[float, float, float, float]
@@ -110,28 +109,6 @@ def mesh(
         np.array(vertices, dtype=float),
         np.array(faces, dtype=np.intp),
     )
-
-
-def stand_ins(robot: Robot, link: str) -> list[Shape]:
-    """Rods from the link's frame to the origins of its child joints; a drum at the joint that moves the link."""
-    radius = 0.04 * robot.mechanism.length
-    shapes = []
-    children = [joint for joint in robot.urdf.joints if joint.parent == link]
-    for number, joint in enumerate(children):
-        length = float(np.linalg.norm(joint.xyz))
-        if length > radius:
-            pose = np.eye(4)
-            pose[:3, :3] = rotation_onto_z(np.array(joint.xyz) / length)
-            pose[:3, 3] = np.array(joint.xyz) / 2
-            shapes.append(primitive(f"{link}/rod{number}", link, "cylinder", (0.6 * radius, length), pose))
-    for joint in robot.urdf.joints:
-        if joint.child == link and joint.type in ("revolute", "continuous"):
-            pose = np.eye(4)
-            pose[:3, :3] = rotation_onto_z(np.array(joint.axis))
-            shapes.append(primitive(f"{link}/drum", link, "cylinder", (radius, 2 * radius), pose, DARK))
-        elif joint.child == link and (joint.type == "prismatic" or not children):
-            shapes.append(primitive(f"{link}/block", link, "box", (1.4 * radius,) * 3, np.eye(4), DARK))
-    return shapes
 
 
 def thinned(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:

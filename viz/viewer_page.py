@@ -89,18 +89,24 @@ def templates(**options: Any) -> Environment:
     return Environment(loader=FileSystemLoader(folder), autoescape=True, bytecode_cache=cache, **options)
 
 
-def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
+def viewer_scripts() -> tuple[str, str]:
+    """Return the scripts of a viewer's page: meshcat's, and its own."""
+    folder = files("viz") / "templates"
+    scripts = "\n".join((folder / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS)
+    return in_script(meshcat_script()[0]), in_script('"use strict";\n' + scripts)
+
+
+def scene_page(scene: Scene, *, live: bool = False, report: str = "", embedded: bool = False) -> Page:
     """Return the viewer page of a scene.
 
     Args:
         scene: What to show.
         live: Whether the page listens to the server that sends it.
         report: File beside the page with the report, to link to; none if not given.
+        embedded: Whether the page stands in a frame of another one, which has controls of its own.
     """
     folder = files("viz") / "templates"
-    scripts = "\n".join((folder / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS)
-    code, licences = meshcat_script()
-    meshcat, script = in_script(code), in_script('"use strict";\n' + scripts)
+    meshcat, script = viewer_scripts()
     text = (
         templates()
         .get_template("viewer.html")
@@ -109,7 +115,8 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
             version=VERSION,
             live=live,
             report=report,
-            licences=licences,
+            embedded=embedded,
+            licences=meshcat_script()[1],
             allowed=" ".join(f"'sha256-{digest_of_script(source)}'" for source in (meshcat, script)),
             meshcat=meshcat,
             style=(folder / "viewer.css").read_text(encoding="utf-8"),

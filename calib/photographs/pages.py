@@ -69,7 +69,7 @@ def page(title: str, lines: Sequence[str], pictures: Sequence[Picture]) -> str:
         pictures: Images in their order.
     """
     shown = "".join(f"<p>{escape(line)}</p>\n" for line in lines)
-    figures = "\n".join(_figure(picture) for picture in pictures)
+    figures = "\n".join(figure(picture) for picture in pictures)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
@@ -79,7 +79,8 @@ def page(title: str, lines: Sequence[str], pictures: Sequence[Picture]) -> str:
     )
 
 
-def _figure(picture: Picture) -> str:
+def figure(picture: Picture) -> str:
+    """Return a photograph with what was found in it and its arrows, as HTML."""
     width, height = picture.image.size
     words = f'<span class="{"off" if picture.off else "fine"}">{escape(picture.caption)}</span>'
     if not picture.small or not width:

@@ -131,7 +131,7 @@ def solve_pairs(
     reasons = []
     if inverted * _MUCH_BETTER < left[mount]:
         reasons.append(
-            ("FAIL", "it looks as if these were poses of the camera in the marker: their inverses fit far better")
+            ("FAIL", "probable mistake: these are poses of the camera in the marker; their inverses fit far better")
         )
     if len(left) > 1 and max(left.values()) < _MUCH_BETTER * left[mount]:
         reasons.append(

@@ -12,7 +12,7 @@ import base64
 import binascii
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 from calib.core.base.errors import ComputationError, InputError
 from calib.core.base.files import read_bytes
@@ -43,7 +43,7 @@ def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
     except ValueError:
         private = None
     if not isinstance(private, _library("asymmetric.ed25519").Ed25519PrivateKey):
-        raise _no_key(key, "private")
+        _refuse_key(key, "private")
     return lambda content: base64.b64encode(private.sign(content)).decode() + "\n"
 
 
@@ -62,7 +62,7 @@ def verify(path: str, key: str) -> None:
     lines = read_bytes(path + ENDING, f"the signature of {path}", InputError).splitlines()
     public = _of_kind(key, "public", lambda: _library("serialization").load_pem_public_key(text))
     if not isinstance(public, _library("asymmetric.ed25519").Ed25519PublicKey):
-        raise _no_key(key, "public")
+        _refuse_key(key, "public")
     try:
         public.verify(base64.b64decode(lines[0] if lines else b"", validate=True), content)
     except (import_module("cryptography.exceptions").InvalidSignature, binascii.Error):
@@ -82,8 +82,10 @@ def _of_kind(path: str, kind: str, load: Callable[[], Any]) -> Any:
     try:
         return load()
     except ValueError:
-        raise _no_key(path, kind) from None
+        _refuse_key(path, kind)
 
 
-def _no_key(path: str, kind: str) -> InputError:
-    return InputError(f"{path}: is no {kind} Ed25519 key (PEM), or has another password; '{_MADE[kind]}' makes one")
+def _refuse_key(path: str, kind: str) -> NoReturn:
+    raise InputError(
+        f"{path}: is no {kind} Ed25519 key (PEM), or has another password; '{_MADE[kind]}' makes one"
+    ) from None

@@ -77,6 +77,7 @@ CAPABILITIES = (
     Room("Photographs", None, ("photographs",)),
     Room("Files", None, ("files",)),
     Room("Printers", None, ("printers",)),
+    Room("Redundancy", None, ("redundancy",)),
     Room("Quality", None, ("quality",)),
 )
 ROOMS = (*CORE, *CAPABILITIES)

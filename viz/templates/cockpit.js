@@ -40,15 +40,16 @@ class Cockpit {
   }
 
   /** Predicted and unseen error against poses, and the goal; logarithmic upwards. */
-  curve({ history, goal_mm: goal }) {
+  curve({ history, goal_mm: goal, poses_left: left95 }) {
     const { width, height, left, right, top, bottom } = CURVE;
-    const known = history.flatMap(([, predicted, unseen]) => [predicted, unseen]).filter((value) => value > 0);
+    const known = history.flatMap(([, ...errors]) => errors).filter((value) => value > 0);
     const drawing = document.getElementById("curve");
     drawing.closest("figure").hidden = known.length === 0;
     if (!known.length) return;
     const [low, high] = [Math.min(goal, ...known) / 1.3, Math.max(goal, ...known) * 1.3];
     const counts = history.map(([n]) => n);
-    const [first, last] = [Math.min(...counts), Math.max(...counts, Math.min(...counts) + 1)];
+    const now = counts[counts.length - 1];
+    const [first, last] = [Math.min(...counts), Math.max(now + (left95 || 0), ...counts, Math.min(...counts) + 1)];
     const x = (n) => left + (n - first) / (last - first) * (width - left - right);
     const y = (value) => top + Math.log(high / value) / Math.log(high / low) * (height - top - bottom);
     const node = (name, attributes, text) => {
@@ -62,12 +63,19 @@ class Cockpit {
       return points.length > 1 ? [node("polyline", { class: name, points: points.join(" ") })]
         : points.map((point) => node("circle", { class: name, cx: point.split(",")[0], cy: point.split(",")[1], r: 3 }));
     };
+    const band = (lower, name) => { // the 95 % interval
+      const rows = history.filter((row) => row[lower] > 0 && row[lower + 1] > 0);
+      const edge = (column, along) => along.map((row) => `${x(row[0]).toFixed(1)},${y(row[column]).toFixed(1)}`);
+      return rows.length < 2 ? [] : [node("polygon", { class: name, points: [...edge(lower, rows), ...edge(lower + 1, [...rows].reverse())].join(" ") })];
+    };
+    const reached = history[history.length - 1][1];
+    const way = left95 && reached > 0 ? [node("line", { class: "way", x1: x(now), y1: y(reached), x2: x(now + left95), y2: y(goal) })] : [];
     const ticks = ticksBetween(low, high, true).filter((_, k, all) => all.length <= 5 || k % 2 === 0);
     drawing.replaceChildren(
       ...ticks.flatMap(([value]) => [node("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }),
         node("text", { x: left - 5, y: y(value) + 4, "text-anchor": "end" }, String(Number(value.toPrecision(2))))]),
       node("line", { class: "goal", x1: left, x2: width - right, y1: y(goal), y2: y(goal) }),
-      ...line(1, "predicted"), ...line(2, "unseen"),
+      ...band(3, "predicted"), ...band(5, "unseen"), ...way, ...line(1, "predicted"), ...line(2, "unseen"),
       ...[first, last].map((n, k) => node("text", { x: x(n), y: height - bottom + 15, "text-anchor": k ? "end" : "start" }, String(n))),
       node("text", { x: (left + width - right) / 2, y: height - bottom + 15, "text-anchor": "middle" }, "poses"));
   }

@@ -270,6 +270,20 @@ class Controls {
     savePicture(this.stage, `${title}, ${this.table.n && !this.live ? `pose ${pose}` : pose}`, parts.join("-"));
   }
 
+  /** Mark rows that are selected beside the others, or none of them. @param chosen of each row whether it is selected */
+  select(chosen, any) {
+    if (!this.stage || !this.stage.marks) return;
+    this.stage.marks.select(chosen, any);
+    const first = chosen.indexOf(true);
+    if (first >= 0 && !chosen[this.row]) this.go(first);
+    this.stage.redraw();
+  }
+
+  /** The picture as an address, for paper; nothing where there is no 3D view. */
+  still() {
+    return this.stage ? pictureOf(this.stage, "").toDataURL("image/png") : "";
+  }
+
   resetCamera() {
     if (this.stage) this.stage.look(this.scene.view.direction);
   }

@@ -74,8 +74,15 @@ function wirePicking(controls) {
     const reach = event.pointerType === "touch" ? 24 : 12;
     const row = controls.stage.marks.pick(controls.stage.viewer.camera, event.clientX - box.left, event.clientY - box.top,
                                           box.width, box.height, reach);
-    if (row >= 0) controls.go(row);
+    if (row < 0) return;
+    controls.go(row);
+    document.dispatchEvent(new CustomEvent("picked", { detail: row })); // the report around this page follows
   });
+  // In a page that scrolls, the wheel belongs to the page until the reader has clicked here.
+  if (document.body.classList.contains("embedded")) {
+    window.addEventListener("wheel", (event) => { if (document.activeElement !== pane) event.stopImmediatePropagation(); }, true);
+    pane.addEventListener("pointerdown", () => pane.focus());
+  }
 }
 
 /** Arrow keys step through the poses unless a control of its own uses them. */

@@ -7,7 +7,7 @@ const UNKNOWN = 1e9; // stands for an error that is not known: shaders cannot be
 
 const SHARED_SHADER = `
   attribute vec3 place; attribute vec3 before; attribute vec3 after; attribute vec2 sizes;
-  attribute float group; attribute float shape; attribute float outlier; attribute float part;
+  attribute float group; attribute float shape; attribute float outlier; attribute float part; attribute float dim;
   uniform float chosenPart; uniform float state; uniform float low; uniform float high; uniform float logarithmic;
   uniform float visible[CODES]; uniform sampler2D colours;
   varying vec3 vColour; varying float vShape; varying float vOutlier;
@@ -21,6 +21,7 @@ const SHARED_SHADER = `
     float size = both ? mix(sizes.x, sizes.y, state) : state < 0.5 ? sizes.x : sizes.y;
     float along = logarithmic > 0.5 ? log(max(size, 1e-12) / low) / log(high / low) : (size - low) / (high - low);
     vColour = size < 1e6 ? texture2D(colours, vec2(clamp(along, 0.002, 0.998), 0.5)).rgb : vec3(0.55);
+    vColour = mix(vColour, vec3(0.6), 0.85 * dim); // beside those that are selected
     vShape = shape;
     vOutlier = outlier;
   }`;
@@ -31,8 +32,8 @@ const POINT_VERTEX = `
     colour();
     vec4 seen = modelViewMatrix * vec4(place, 1.0);
     gl_Position = isVisible() ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
-    gl_PointSize = size * max(smallest, pixels * projectionMatrix[1][1] * radius / -seen.z);
-    vEdge = clamp((gl_PointSize - 3.0) / 6.0, 0.3, 1.0); // a full edge would leave small points no colour
+    gl_PointSize = (1.0 - 0.55 * dim) * size * max(smallest, pixels * projectionMatrix[1][1] * radius / -seen.z);
+    vEdge = (1.0 - dim) * clamp((gl_PointSize - 3.0) / 6.0, 0.3, 1.0); // a full edge would leave small points no colour
   }`;
 
 // Shapes tell the groups apart without colour; a cross through one marks an outlier, used or left out.
@@ -155,6 +156,7 @@ class Marks {
     add("part", 1, (row) => part[row]);
     add("group", 1, (row) => group[row]);
     add("shape", 1, (row) => shapes[this.table.kind(row)]);
+    add("dim", 1, () => 0);
     add("outlier", 1, (row) => Number(this.table.isOutlier(row)));
     return geometry;
   }
@@ -204,6 +206,16 @@ class Marks {
       const place = this.ring.geometry.attributes.position;
       place.array.set(this.table.place.slice(3 * row, 3 * row + 3));
       place.needsUpdate = true;
+    }
+  }
+
+  /** Let rows that are not selected stand back. @param chosen of each row whether it is; @param any whether one is */
+  select(chosen, any) {
+    for (const { geometry } of [this.points, this.vectors]) {
+      const { dim } = geometry.attributes;
+      const corners = dim.count / this.table.n;
+      for (let k = 0; k < dim.count; k += 1) dim.array[k] = Number(any && !chosen[Math.floor(k / corners)]);
+      dim.needsUpdate = true;
     }
   }
 

@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    model_validator,
+)
 
 from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.files import read_text
@@ -183,6 +192,16 @@ def _written(length: OwnLength) -> float | str | dict[str, float]:
 
 LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_written)]
 """`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
+
+
+def _positive(length: OwnLength) -> OwnLength:
+    if length.value <= 0:
+        raise ValueError("must be a positive length, or {value, sigma} of one")
+    return length
+
+
+PositiveLengthOrUnknown = Annotated[LengthOrUnknown, AfterValidator(_positive)]
+"""The same of what begins at a positive length."""
 
 
 class _Loader(yaml.SafeLoader):

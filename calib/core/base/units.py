@@ -20,7 +20,7 @@ Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "
 
 PER_SI: dict[Dimension, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e3, "um": 1e6},
-    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3, "urad": 1e6},
+    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3, "urad": 1e6, "arcsec": 648000.0 / math.pi},
     "pixel": {"px": 1.0},
     "time": {"s": 1.0, "min": 1.0 / 60.0, "h": 1.0 / 3600.0},
     "temperature": {"degC": 1.0},

@@ -7,6 +7,7 @@ from dataclasses import replace
 import click
 import numpy as np
 
+from calib import pictures
 from calib.core.base.errors import DataError, InputError, nearest
 from calib.core.base.units import quantity
 from calib.core.base.words import counted
@@ -39,6 +40,7 @@ _DIGITS = 8  # of joint values that are the same in two files [m or rad]
     "--change", metavar="NAME=SIZE", help="With --plan: how many poses show this change, such as 'joint_2.z=0.2 mm'."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the intervals.")
+@click.option("--html", metavar="FILE", help="Write one page: the answer, errors of the readings, changes.")
 @shared_options(json_output=True)
 def command(
     robot: str,
@@ -48,6 +50,7 @@ def command(
     plan: bool,
     change: str | None,
     seed: int,
+    html: str | None,
     output: Output,
 ) -> None:
     """Judge the calibrated ROBOT by measurements DATA (CSV) that its calibration has not seen.
@@ -57,6 +60,9 @@ def command(
     """
     if change and not plan:
         raise InputError("--change: needs --plan; without it, changes are found from the measurements")
+    if plan and html:
+        raise InputError("--html: is for readings; with --plan there are none yet")
+    output.check(html)
     result = result_folder(robot, result)
     model = loaded(robot, output)
     calibrated = load_result(result, model)
@@ -76,7 +82,11 @@ def command(
         acceptance = verify(promise, measured, same_setup=same_setup)
         figures, missing = iso_figures(acceptance.errors, np.random.default_rng(seed))
     output.json({"robot": model.path, "seed": seed, **to_dict(acceptance, figures, missing)})
-    output.say(text_report(acceptance, figures, missing))
+    text = text_report(acceptance, figures, missing)
+    output.say(text)
+    if html is not None:
+        output.write(html, pictures.answer(acceptance, "New measurements of a calibrated robot", text))
+        output.say(f"Written to {html}")
     if acceptance.verdict != "agrees":
         raise click.exceptions.Exit(_NOT_AS_PROMISED)
 

@@ -51,7 +51,7 @@ def condition_columns(
     names = list(robot.description.setups)
     if names:
         columns["setup"] = [names[k] for k in (np.zeros(n_visits, dtype=np.intp) if setups is None else setups)]
-    dimensions = dimensions_of_conditions() if context else {}
+    dimensions = dimensions_of_conditions(robot.terms) if context else {}
     for key, values in context.items():
         cells = shown(values, dimensions[key])
         columns[header(key, dimensions[key])] = ["" if np.isnan(value) else value for value in cells]

@@ -21,7 +21,7 @@ from calib.core.data.instrument_cells import columns_in, named_columns, nearest_
 from calib.core.data.joined_tables import joined_by_word
 from calib.core.data.joining import joined_poses, joined_readings
 from calib.core.data.measurement_columns import APPROACH, header, shown
-from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements
+from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
 from calib.core.data.on_demand import Numbered, Packed
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_writing import format_table
@@ -150,7 +150,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
     labels = Numbered(f"{table.path}, line ", table.lines, called)
     names = Numbered("", range(first + 1, first + 1 + len(labels))) if called is None else called
-    context, approach = conditions_of_table(table, robot)
+    context, approach = conditions_of_table(table, robot, joints)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
@@ -268,8 +268,16 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
         )
 
 
-def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArray], FloatArray | None]:
+def conditions_of_table(
+    table: Table, robot: Robot, joints: FloatArray | None = None
+) -> tuple[dict[str, FloatArray], FloatArray | None]:
     """Return under which conditions the robot is in each row of a table.
+
+    Args:
+        table: The table.
+        robot: Its terms say what they depend on.
+        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then what
+            their order would tell counts as nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
@@ -280,11 +288,17 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
         DataError: Cells that are no numbers, columns that say no direction of gravity, or a direction of approach of a
             joint whose name is misspelt.
     """
-    dimensions, with_gravity = condition_columns(), robot.description.gravity is not None
+    dimensions, with_gravity = condition_columns(robot.terms), robot.description.gravity is not None
     keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]
     context = {key: table.column(key, dimensions[key], gaps=True) for key in keys}
     _check_spelling(table, robot)
     check_read(context, table.path, table.lines)
+    states = {} if joints is None else states_by_order(robot, joints)
+    for term in robot.terms:
+        for column in term.reads():
+            if column not in context and column not in states and joints is not None:
+                raise DataError(f"{table.path}: no column '{column}', on which a joint term of '{term.joint}' depends")
+            context.setdefault(column, states.get(column, np.zeros(len(table.rows))))
     for name in table.names:
         joint = name.removeprefix(APPROACH)
         if joint != name and joint not in robot.joint_names and difflib.get_close_matches(joint, robot.joint_names):

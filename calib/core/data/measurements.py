@@ -345,6 +345,13 @@ def in_setups(robot: Robot, instrument: Instrument, setups: IntArray) -> IntArra
     return setups * (len(robot.pairs(instrument)) // max(1, len(robot.description.setups)))
 
 
+def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
+    """Return what joint terms depend on and the order of commands (n, n_actuated) tells, (n,) each by column."""
+    commands = dict(zip(robot.joint_names, joints.T, strict=True))  # no one commands passive joints
+    states = [term.states_by_order(commands[term.joint]) for term in robot.terms if term.joint in commands]
+    return {column: values for own in states for column, values in own.items()}
+
+
 def directions_of_motion(joints: FloatArray) -> FloatArray:
     """Return the direction in which each joint moved last before each pose: +1, -1, or 0 before its first motion.
 

@@ -117,7 +117,8 @@ class ColumnMap:
                 how.insert(0, f"was scaled by {1 / abs(factor):.4g} +- {2 * size / factor**2:.1g}")
             parts.append(f"{joints_named(name)} {' and '.join(how)} ({value} would be right{why})")
         if turned:
-            parts.insert(bool(moved), f"{joints_named(*turned, shown=len(turned))} counted the other way")
+            have = "has" if len(turned) == 1 else "have"
+            parts.insert(bool(moved), f"{joints_named(*turned, shown=len(turned))} {have} the wrong sign")
         return " and ".join(parts)
 
     def description_line(self, robot: Robot, units: Mapping[str, str | None]) -> str:

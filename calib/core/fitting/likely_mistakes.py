@@ -80,7 +80,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     """
     copied = equal_columns(data, robot)
     if copied:
-        return f"it looks as if column {copied[0][1]} were a copy of {copied[0][0]}: they are equal in every row"
+        return f"probable mistake: column {copied[0][1]} is a copy of {copied[0][0]}; they are equal in every row"
     data = data.subset(np.flatnonzero(np.isfinite(data.points(robot)).all(axis=(1, 2))))
     zeros = zero_visits(data, robot)
     sound = data.subset(np.setdiff1d(np.arange(len(data)), zeros))
@@ -94,7 +94,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     if scales is None or not scales.map.scaled or scales.noise > _HALF * noise:
         return ""
     left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
-    return f"it looks as if {scales.map.words(robot, scales.std)}: if this is corrected, {left}"
+    return f"probable mistake: {scales.map.words(robot, scales.std)}. Corrected, {left}"
 
 
 def _nominal_fits(
@@ -131,10 +131,11 @@ def _nominal_fits(
         if scales is not None and not scales.map.words(robot):  # nothing is scaled: only some poses did not close
             return "", None
         words = words[:1] if scales is None else [prefix + scales.map.words(robot, scales.std)]
-    closer = f"if this is corrected, errors of the nominal robot are {now / best:.0f} times smaller"
-    said = f"it looks as if {', or '.join(words[:3])}: {closer}"
+    said = (
+        f"probable mistake: {', or '.join(words[:3])}. Corrected, the nominal robot fits {now / best:.0f} times better"
+    )
     if len(words) == 1 and first is not None:
-        said += f"; in the description this is {first.description_line(robot, _file_units(data))}"
+        said += f". In the description: {first.description_line(robot, _file_units(data))}"
     return said, None
 
 
@@ -215,7 +216,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
         if robot.description.base.pose == "unknown":  # all reflections of an unknown frame are one
             if order != (0, 1, 2) or sign != (1.0, 1.0, -1.0):
                 continue
-            words = "the measurement frame were left-handed (an axis with the wrong sign, or two axes swapped)"
+            words = "the measurement frame is left-handed (an axis with the wrong sign, or two axes swapped)"
         if words:
             yield Trial(words, with_points(robot, data, points[..., list(order)] * sign))
 

@@ -67,6 +67,9 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
                     f"{data.labels[k]}: says no {condition.column}, which '{term.parameters[0].name}' depends on;"
                     " fill it in, or leave the row out"
                 )
+        missing = next((column for column in term.reads() if column not in data.context), None)
+        if missing is not None:
+            raise DataError(f"{data.path}: no column '{missing}', which '{term.parameters[0].name}' depends on")
     unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
     if not np.any(robot.is_free):
         raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")

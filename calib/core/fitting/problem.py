@@ -294,7 +294,7 @@ class Problem(ReadOnlyArrays):
     def condensed(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, *, alone: bool = False
     ) -> LinearModel:
-        """Return a model of a few rows that have the products of all.
+        """Return a model of a few rows, (n_few, n_unknowns), that have the products of all.
 
         They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
         an evaluation, by all parameters that belong to no family.

@@ -106,8 +106,7 @@ def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
     now = _nominal_error(robot, some, name)
     if not best < _CLOSER * now:
         return ""
-    smaller = f"errors of the nominal robot are {now / max(best, 1e-9):.0f} times smaller"
-    return f"it looks as if {words}; if this is corrected, {smaller}"
+    return f"probable mistake: {words}. Corrected, the nominal robot fits {now / max(best, 1e-9):.0f} times better"
 
 
 def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:

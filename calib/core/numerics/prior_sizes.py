@@ -161,7 +161,7 @@ class FamilyModel:
 
     @staticmethod
     def of(model: LinearModel, unstated: BoolArray, family: IntArray, n_families: int) -> FamilyModel:
-        """Return that of rows."""
+        """Return the model of rows, with `unstated` (n_groups,) and `family` (n_free,)."""
         products = Products.of(model.jacobian, model.residuals, model.layout.group, len(unstated))
         products = replace(products, count=model.layout.counts)
         return FamilyModel(products, model.prior, model.deviations, unstated, family, n_families)

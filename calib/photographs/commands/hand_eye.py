@@ -30,11 +30,12 @@ from calib.photographs.hand_eye_result import Frames, content, files, judge, rep
 from calib.photographs.images import joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
-from calib.photographs.pages import Picture, exaggeration, page
+from calib.photographs.pages import Picture, exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, solve_pairs
 from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
 from calib.photographs.tool_poses import ANGLES, image_names, matched, pose_columns, poses_of, read_tool_poses
+from calib.pictures import answer
 
 _NO_POSES = (
     "give the pose of the tool at each image with --poses FILE; or photographs in a bag with joint states, and"
@@ -153,7 +154,7 @@ def command(
         result = replace(result, mistakes=(*result.mistakes, Mistake("mirrored", text)))
     judgement = judge(result)
     output.say(report(result, named))
-    pages = {"photographs.html": _page(result, named, detected_images, small).encode()}
+    pages = {"photographs.html": _page(result, named, detected_images, small)}
     if judgement.grade != "FAIL" or output.force:
         write_folder(out, files(result, named) | pages, force=output.force)
         output.say(f"Written to {out}: {', '.join(FILES)}")
@@ -278,7 +279,7 @@ def _detected_before(path: str, board: Board) -> list[DetectedImage]:
     return result
 
 
-def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> str:
+def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
     """The photographs with arrows from where points were found to where the calibration puts them."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
@@ -294,8 +295,7 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
         )
     for name, image in off.items():
         pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
-    lines = [
-        *report(result, frames).splitlines(),
-        f"Arrows: from where points were found to where they should be, {factor:g} times as long",
-    ]
-    return page("Hand-eye calibration", lines, pictures)
+    text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
+    numbers = [*range(len(scene)), *[-1] * len(off)]  # images set aside belong to no mark of a plot
+    figures = [(number, figure(picture)) for number, picture in zip(numbers, pictures, strict=True)]
+    return answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 
 import click
+import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.units import quantity
@@ -14,8 +16,10 @@ from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_plan
 from calib.pictures import Live, live
-from calib.planning.progress import Progress
+from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
+
+_BEGINNINGS = 8  # of a file that is there already: so many states lead to the present one
 
 
 @click.command("watch")
@@ -101,6 +105,10 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
     if viewer is not None:
         output.note(viewer.url)
     data = _changed(file, output)
+    if viewer is not None and data is not None:  # the way here, from the first poses on
+        earlier = copy.deepcopy(watch)
+        for part in _beginnings(data):
+            viewer.remember(earlier.update(part))
     while True:
         progress = watch.update(data)
         _tell(progress, output)
@@ -112,6 +120,12 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
         while data is None:
             time.sleep(every)
             data = _changed(file, output)
+
+
+def _beginnings(data: Measurements) -> list[Measurements]:
+    """The first poses of measurements: some counts between few and nearly all, evenly spread on a scale of ratios."""
+    counts = np.unique(np.geomspace(LEAST, max(data.n_poses, LEAST), _BEGINNINGS).astype(int))
+    return [data.subset(np.flatnonzero(data.pose_numbers < count)) for count in counts if count < data.n_poses]
 
 
 def _changed(file: GrowingFile, output: Output) -> Measurements | None:

@@ -65,7 +65,7 @@ class Configured:
 
     @classmethod
     def unknown(cls, actuated: FloatArray, passive: FloatArray) -> Configured:
-        """Return configurations of which no distance is known yet."""
+        """Return configurations, (n, n_driven) and (n, n_passive), of which no distance is known yet."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
     def copy(self) -> Configured:

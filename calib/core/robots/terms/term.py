@@ -296,6 +296,24 @@ class JointTerm(ABC):
         ends = [self.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
+    def reads(self) -> tuple[str, ...]:
+        """Return columns of pure numbers that this one term depends on, beside the conditions of its class.
+
+        `Context.column` has them.
+        """
+        return ()
+
+    def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
+        """Return those of `reads` that follow from the order of commands, where a file does not state them.
+
+        Args:
+            q: Commands of its joint in their order, (n,) [m or rad].
+
+        Returns:
+            (n,) by name.
+        """
+        return {}
+
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""
         return 0.0

@@ -5,7 +5,7 @@ Terms of other packages come in by entry points of the group `calib.terms`, or b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,12 +54,15 @@ else:
     """The entry of a joint term in a robot description."""
 
 
-def condition_columns() -> dict[str, Dimension | None]:
+def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
     """Return the columns of a file that say under which conditions a visit was made, with what they measure.
 
     Those of a term that cannot be loaded are left out: whoever names the term is told why.
+
+    Args:
+        terms: A robot's, some of which read columns of their own.
     """
-    columns = dict(CONTEXT)
+    columns = dict(CONTEXT) | dict.fromkeys(column for term in terms for column in term.reads())
     for name in TERMS:
         with suppress(DescriptionError):
             for condition in TERMS[name].depends_on:

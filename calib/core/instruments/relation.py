@@ -1,0 +1,210 @@
+"""Readings as implicit relations: a kind says what it reads, or what is zero; all else follows.
+
+A reading v is about two frames, a target and one of several places, each on any link of the robot or in the world:
+
+    f(T_ab, u, v, w) = 0
+
+with the unknown numbers u of the instrument and details w of the reading. A kind gives `predict`, and f where that is
+not the prediction minus the reading. Here are the rest: which place a row is about, derivatives, and first values.
+
+Derivatives are central differences of fourth order, whose error, h^4 of truncation and eps / h of rounding, is 1e-12 at
+h = 1e-4 for frames that are a metre apart.
+
+First values are least squares over the open places and the unknown numbers, with the robot as it is, from where they
+are said to be and, where the orientation of a place is not known, from the rotations of a cube. What the readings do
+not tell stays there.
+
+When it fails. A target that is nearer than a millimetre to where f has no derivative; places that readings of so rough
+a robot do not tell apart.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy
+from scipy.spatial.transform import Rotation
+
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.errors import DataError, nearest
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component, PlaceSection
+from calib.core.instruments.camera import cube_rotations
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View
+
+_STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
+_WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
+_ROUNDING = 1e-11  # of the largest derivative: less is none
+_STAY = 1e-3  # weight of leaving where a place is said to be by its scale, against the median residual
+_FEW = 60  # readings from which starts are compared
+_TRIED, _IMPROVED = 5, 50  # evaluations of a start, and of the best ones
+_KEPT = 3
+
+
+class RelatedSection(PlaceSection):
+    """A place that readings are about, on any link."""
+
+    what = "place"
+
+    def place(self, name: str) -> Place:
+        """Return it as a place of this name."""
+        unknown: tuple[Component, ...] = LENGTH_COMPONENTS if self.position == "unknown" else ()
+        unknown += ANGLE_COMPONENTS if self.orientation == "unknown" else ()
+        return Place(name, self.frame, self.xyz, self.rpy, unknown, self.sigma, self.sigma_angle)
+
+
+@dataclass(frozen=True)
+class Relation(FrameInstrument):
+    """A kind of the module docstring. The detail of a reading is the number of its place, where there are several.
+
+    Attributes:
+        from_target: Whether frame a is the target and b the place; if not, the other way round (class attribute).
+        own: Places that its readings are about; none: the measurement frame.
+    """
+
+    from_target: ClassVar[bool] = False
+    own: tuple[Place, ...] = ()
+
+    @abstractmethod
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values); of a kind that touches, how far it is from that."""
+
+    def misses(self, view: View, unknowns: FloatArray, readings: Readings) -> FloatArray:
+        """Return f, (n, n_rows) [SI]: prediction minus reading, unless a kind says more."""
+        return self.predict(view, unknowns, readings.details) - readings.values
+
+    def places(self) -> tuple[Place, ...]:
+        """Return its places."""
+        return self.own
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the target with each place, or with the measurement frame."""
+        names = [place.name for place in self.own] or [base]
+        return tuple((self.target, name) if self.from_target else (name, self.target) for name in names)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return its columns; nothing of a touch, which has no numbers."""
+        return ()
+
+    def text_columns(self) -> tuple[str, ...]:
+        """Return `<name>`, which says which place a row is about; nothing where there is but one."""
+        return (self.name,) if self.touches or len(self.own) > 1 else ()
+
+    def looked_at(
+        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
+    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
+        """Say which place each row is about; an empty cell is no reading."""
+        n, names = len(where), [place.name for place in self.own]
+        which = np.zeros(n, dtype=np.intp)
+        for column in self.text_columns():
+            for k, text in enumerate(texts[column]):
+                if text and text not in names:
+                    raise DataError(
+                        f"{where[k]}, column '{column}': '{self.name}' has no place '{text:.60}'{nearest(text, names)}"
+                    )
+                which[k] = names.index(text) if text else -1
+        return (which >= 0).tolist(), np.maximum(which, 0), self._details(which)
+
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return the name of the place of each reading."""
+        return {column: [self.own[int(which)].name for which in details[:, 0]] for column in self.text_columns()}
+
+    def looks(self) -> tuple[IntArray, FloatArray]:
+        """Return every place."""
+        which = np.arange(max(len(self.own), 1))
+        return which, self._details(which)
+
+    def _details(self, which: IntArray) -> FloatArray:
+        return which[:, None].astype(float)[:, : len(self.text_columns())]
+
+    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the columns side by side; a touch reads nothing, a row of zeros that stands for all."""
+        return np.zeros((1, self.n_rows)) if self.touches else super().values(columns)
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return f with derivatives by differences."""
+        n, width = len(readings), len(unknowns)
+
+        def by(moved: Callable[[float], FloatArray]) -> FloatArray:
+            return np.asarray(sum(weight * moved(k * _STEP) for k, weight in _WEIGHTS) / _STEP)
+
+        def shifted(component: int, step: float) -> FloatArray:
+            change = step * np.eye(3)[component % 3]
+            if component < 3:
+                return self.misses(View(view.rotation, view.translation + change), unknowns, readings)
+            turned = Rotation.from_rotvec(change).as_matrix() @ view.rotation
+            return self.misses(View(turned, view.translation), unknowns, readings)
+
+        by_twist, by_unknown = np.zeros((n, self.n_rows, 6)), np.zeros((n, self.n_rows, width))
+        for component in range(6):
+            by_twist[:, :, component] = by(lambda step, c=component: shifted(c, step))  # type: ignore[misc]
+        for k, parameter in enumerate(self.unknowns):
+            unit = parameter.sigma_si * np.eye(width)[k]
+            change = by(lambda step, unit=unit: self.misses(view, unknowns + step * unit, readings))  # type: ignore[misc]
+            by_unknown[:, :, k] = change / parameter.sigma_si
+        by_twist[np.abs(by_twist) < _ROUNDING * np.nanmax(np.abs(by_twist), initial=0.0)] = 0.0
+        return Comparison(self.misses(view, unknowns, readings), by_twist, by_unknown)
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return first values as the module docstring says, the best ones first."""
+        names = list(dict.fromkeys(name for k in np.unique(scene.readings.pairs) for name in scene.pairs[k]))
+        open_ = [(name, COMPONENTS.index(part)) for name in names for part in scene.unknown[name]]
+        if not len(scene.readings) or not (open_ or self.unknowns):
+            return ()
+        few = np.unique(np.linspace(0, len(scene.readings) - 1, _FEW).astype(np.intp))
+        tried = [_improved(self, scene, start, open_, few, _TRIED) for start in self._starts(scene, names)]
+        every = np.arange(len(scene.readings))
+        kept = [each[1] for each in sorted(tried, key=lambda each: each[0])[:_KEPT]]
+        best = sorted((_improved(self, scene, s, open_, every, _IMPROVED) for s in kept), key=lambda each: each[0])
+        return tuple(guess for _, guess in best)
+
+    def _starts(self, scene: Scene, names: list[str]) -> Iterator[Guess]:
+        """Where places are said to be, and turned as a cube may be where no orientation is expected."""
+        places = {name: scene.places[name] for name in names}
+        yield Guess(places, scene.unknowns)
+        said = {place.name: place.sigma_angle for place in self.own}
+        for name in names:
+            if set(ANGLE_COMPONENTS) <= set(scene.unknown[name]) and said.get(name) is None:
+                for turn in cube_rotations()[1:]:
+                    turned = places[name].copy()
+                    turned[:3, :3] = turned[:3, :3] @ turn
+                    yield Guess(places | {name: turned}, scene.unknowns)
+
+
+def _improved(
+    kind: Relation, scene: Scene, start: Guess, open_: list[tuple[str, int]], chosen: IntArray, most: int
+) -> tuple[float, Guess]:
+    """What is left of f, as a sum of moderate powers, and the least squares of some readings from a start."""
+    readings, n_own = scene.readings.subset(chosen), len(kind.unknowns)
+    scales = np.array([parameter.sigma_si for parameter in kind.unknowns])
+    looks = [(k, np.flatnonzero(readings.pairs == k)) for k in np.unique(readings.pairs)]
+    parts = [(scene.pairs[k], own, scene.links[chosen[own]], readings.subset(own)) for k, own in looks]
+
+    def moved(x: FloatArray) -> Guess:
+        places, steps = dict(start.places), dict[str, FloatArray]()
+        for (name, k), number in zip(open_, x[n_own:], strict=True):
+            steps.setdefault(name, np.zeros(6))[k] = number
+        for name, step in steps.items():
+            places[name] = places[name].copy()
+            places[name][:3, 3] += step[:3]
+            places[name][:3, :3] = places[name][:3, :3] @ Rotation.from_rotvec(step[3:]).as_matrix()
+        assert start.unknowns is not None  # of `_starts`
+        return Guess(places, start.unknowns + scales * x[:n_own])
+
+    def misses(x: FloatArray) -> FloatArray:
+        at, result = moved(x), np.zeros((len(readings), kind.n_rows))
+        assert at.unknowns is not None  # of `moved`
+        for (a, b), own, links, part in parts:
+            seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
+            result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)
+        return np.nan_to_num(result.ravel())
+
+    zero = np.zeros(n_own + len(open_))
+    scale = max(float(np.median(np.abs(misses(zero)))), 1e-6)
+    fitted = scipy.optimize.least_squares(
+        lambda x: np.concatenate([misses(x) / scale, _STAY * x]), zero, loss="soft_l1", max_nfev=most
+    ).x
+    return float(np.sum(np.sqrt(np.abs(misses(fitted))))), moved(fitted)

@@ -1,0 +1,117 @@
+"""Errors of a drive that a second encoder behind it shows: play with memory, and what gives way in proportion.
+
+Play of width 2 r is a stop operator, s in [-1, 1], which says on which side of its play a joint rests:
+
+    s = clip(s_before + (q - q_before) / r, -1, 1)         dq = c s,       c = -r for ideal play
+
+It follows from the order of commands, or is stated, columns `play_<joint>` (`play_<joint>_1`, ... of several). Several
+r, each with its c, make any hysteresis that depends on the path alone and not on time (Prandtl and Ishlinskii). Where
+every motion is longer than 2 r, that is backlash by the direction of approach.
+
+When it fails. s of the first rows is not known: 0, until the joint has moved by 2 r one way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+
+import numpy as np
+from pydantic import Field
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import InputError
+from calib.core.base.parameter import Parameter
+from calib.core.base.sections import Quantity
+from calib.core.base.units import quantity
+from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection, coefficient
+
+_SIZE = {"angle": 1e-3, "length": 1e-4}  # expected, of a coefficient [rad], [m]
+
+
+class PlaySection(TermSection):
+    """A joint's play; `travel` is r, half of the motion that takes the joint through it: one or several."""
+
+    travel: Quantity | list[Quantity]
+
+
+@dataclass(frozen=True)
+class Play(JointTerm):
+    """Play with memory; see the module docstring. `travel` has every r [m or rad]."""
+
+    section = PlaySection
+    cause = "hysteresis"
+    per = "to either side"
+    in_auto = False
+    joint: str
+    parameters: tuple[Parameter, ...]
+    travel: tuple[float, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: PlaySection, sigma: float | None) -> Play:
+        """Return the term that an entry of a robot description means."""
+        given = section.travel if isinstance(section.travel, list) else [section.travel]
+        try:
+            travel = tuple(quantity(each, joint.dimension, "travel") for each in given)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        if not travel or min(travel) <= 0:
+            raise ValueError("travel must be positive: half of the motion that takes the joint through its play")
+        numbers = [""] if len(travel) == 1 else [f"_{k + 1}" for k in range(len(travel))]
+        size = sigma or _SIZE[joint.dimension]
+        return cls(
+            joint.name, tuple(coefficient(f"{joint.name}.play{k}", joint.dimension, size) for k in numbers), travel
+        )
+
+    def reads(self) -> tuple[str, ...]:
+        """Return `play_<joint>`, or one column for each r."""
+        return tuple(f"play_{self.joint}{parameter.name.rpartition('.play')[2]}" for parameter in self.parameters)
+
+    def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
+        """Return s of every r."""
+        return {name: stop_states(q / r) for name, r in zip(self.reads(), self.travel, strict=True)}
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return s of every r, (n, n_coefficients)."""
+        return np.column_stack([context.column(name) for name in self.reads()])
+
+
+def stop_states(way: FloatArray) -> FloatArray:
+    """Return s of the stop operator of commands (n,) in parts of r, (n,)."""
+    steps = [b - a for a, b in pairwise(way.tolist())]
+    states = list(accumulate(steps, lambda s, step: min(1.0, max(-1.0, s + step)), initial=0.0))
+    return np.array(states[: len(way)])
+
+
+class InProportionSection(TermSection):
+    """What gives way in proportion to a `column` of the file: a torque, force or current, as pure numbers."""
+
+    column: str = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class InProportion(JointTerm):
+    """dq = c x, with x of a column of the file: a drive that winds up under the torque or current that it states."""
+
+    section = InProportionSection
+    cause = "load (compliance)"
+    follows_command = False
+    in_auto = False
+    joint: str
+    parameters: tuple[Parameter, ...]
+    column: str
+
+    @classmethod
+    def of(cls, joint: Joint, section: InProportionSection, sigma: float | None) -> InProportion:
+        """Return the term that an entry of a robot description means."""
+        name, size = f"{joint.name}.per_{section.column}", sigma or _SIZE[joint.dimension]
+        return cls(joint.name, (coefficient(name, joint.dimension, size),), section.column)
+
+    def reads(self) -> tuple[str, ...]:
+        """Return its column."""
+        return (self.column,)
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return x, (n, 1)."""
+        return context.column(self.column)[:, None]

@@ -1,0 +1,67 @@
+"""Rotary axes of a machining centre: where each axis of rotation is, under the names of ISO 230-1, and as a table.
+
+Joints `a`, `b` and `c` turn about x, y and z at their zeros. Each may lie off along both other axes, and be tilted
+about them: EX0C and EY0C, EA0C and EB0C of the axis C, and so on. What is measured are centres of balls on the table,
+which a probe in the spindle finds at several angles (`touch`, a socket that moves with the table).
+
+The table has a point of each axis and its direction, in machine coordinates, all other axes at zero. How a controller
+calls these numbers its manual says (rotation centres, vectors of the kinematics).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calib.core.base.errors import DescriptionError
+from calib.core.base.sections import Component
+from calib.core.base.units import millimetres
+from calib.core.robots.file_formats import Format, FormatFile
+from calib.core.robots.held import Holds
+from calib.core.robots.named_origins import NamedComponent, NamedOrigins
+from calib.core.robots.parameters import Origin
+from calib.core.robots.robot import Robot
+
+NAME = "rotary_axes"
+_LINEAR: tuple[Component, ...] = ("x", "y", "z")
+_ROTARY: tuple[Component, ...] = ("rx", "ry", "rz")
+_OFF, _TILT = 0.5e-3, 1e-3  # expected [m], [rad]
+
+
+def rotary_axes(origins: Mapping[str, Origin]) -> NamedOrigins:
+    """Return the parametrisation of the rotary axes that a machine has.
+
+    Raises:
+        DescriptionError: It has none.
+    """
+    joints = [(k, name) for k, name in enumerate("abc") if name in origins]
+    if not joints:
+        raise DescriptionError("parametrisation 'rotary_axes': the URDF has no joint 'a', 'b' or 'c'")
+    table: list[NamedComponent] = []
+    for own, joint in joints:
+        across = [k for k in range(3) if k != own]
+        table += [NamedComponent(f"E{'XYZ'[k]}0{joint.upper()}", joint, _LINEAR[k], 1, _OFF, "mm") for k in across]
+        table += [NamedComponent(f"E{'ABC'[k]}0{joint.upper()}", joint, _ROTARY[k], 1, _TILT, "mrad") for k in across]
+    return NamedOrigins(tuple(table), origins)
+
+
+def _table(robot: Robot, lines: Sequence[str]) -> FormatFile:
+    """A point and the direction of each rotary axis as CSV."""
+    zero, text = np.zeros((1, len(robot.joint_names))), [f"# {line}" for line in lines]
+    text.append("axis,x [mm],y [mm],z [mm],i,j,k")
+    for joint in (joint for joint in robot.urdf.joints if joint.name in ("a", "b", "c")):
+        pose = robot.forward(zero, joint.name)[0]
+        point, direction = millimetres(pose[:3, 3]), pose[:3, "abc".index(joint.name)]
+        text.append(
+            ",".join([joint.name.upper(), *(f"{n + 0.0:.5f}" for n in point), *(f"{n:.8f}" for n in direction)])
+        )
+    statement = "a point of each axis of rotation and its direction in machine coordinates, all other axes at zero"
+    return FormatFile(("\n".join(text) + "\n").encode(), statement)
+
+
+def _has_rotary_axes(robot: Robot) -> bool:
+    return robot.description.parametrisation == NAME
+
+
+FORMATS = (Format("rotary-axes", Holds.ORIGINS, _has_rotary_axes, _table),)

@@ -1,0 +1,59 @@
+"""Sightings: points that a sensor on any link sees in its own axes, each on any link or in the world.
+
+    p_ab = (x, y, z),      a: the sensor, which is the target; b: the point
+
+Such as a ball at rest that a scanner or a depth camera on the hand sees; taxels of a skin, whose places in it are the
+readings, that a finger of the same robot touches.
+
+When it fails. A hand that never turns about some axis does not tell sensor and point apart along it: their heights, on
+a robot that turns about the vertical alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pydantic import Field
+
+from calib.core.base.arrays import FloatArray
+from calib.core.base.sections import PositiveLength
+from calib.core.instruments.kind import Column, InstrumentSection, Part, View
+from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import RelatedSection, Relation
+
+
+class SightingSection(InstrumentSection):
+    """A sensor that sees points in three dimensions.
+
+    Attributes:
+        target: The sensor; the instrument's own name if left out.
+        points: What it sees, by name.
+        sigma: Noise of each coordinate [m]: one number, or three.
+    """
+
+    target: str | None = None
+    points: dict[str, RelatedSection] = Field(min_length=1)
+    sigma: PositiveLength | tuple[PositiveLength, PositiveLength, PositiveLength] | None = None
+
+
+@dataclass(frozen=True)
+class Sighting(Relation):
+    """Coordinates of a point in the axes of the target: three rows."""
+
+    section = SightingSection
+    parts = (Part("sighting", ("x", "y", "z"), "length"),)
+    from_target = True
+
+    @classmethod
+    def of(cls, name: str, section: SightingSection) -> Sighting:
+        """Return the instrument that an entry of a robot description means."""
+        own = tuple(point.place(key) for key, point in section.points.items())
+        return cls(name, section.target or name, own, noise=Noise((PartNoise.of(section.sigma, 3),)))
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return `<name>_x`, `_y`, `_z`."""
+        return tuple(Column(f"{self.name}_{axis}", "length") for axis in self.parts[0].axes)
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return p_ab, (n, 3) [m]."""
+        return view.translation

@@ -1,0 +1,137 @@
+"""One answer as a page: a robot judged by new measurements, or a hand-eye calibration with its photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.version import PROGRAM
+from calib.core.judging.acceptance import Acceptance
+from calib.photographs.hand_eye import HandEye
+from viz.charts import COLOURS, Chart, Charts, PageRows, axis, layer, panel
+from viz.page_parts import chart_parts, places
+from viz.report_page import command_line, page_environment
+from viz.result_charts import forest
+from viz.viewer_page import Page
+
+_SHOWN = 24  # changes
+_GRADES = {"agrees": "PASS", "unlike poses": "CHECK"}  # of what new measurements say; all else is FAIL
+
+
+def answer_page(
+    subject: object, title: str, text: str, figures: Sequence[tuple[int, str]], *, created: datetime | None = None
+) -> Page:
+    """Return the page of an answer.
+
+    Args:
+        subject: An `Acceptance` or a `HandEye`.
+        title: Heading of the page.
+        text: What the terminal says of it.
+        figures: HTML of pictures, each with the number of the image that it belongs to (-1: of none).
+        created: Time to print; now if not given.
+
+    Raises:
+        TypeError: It is neither.
+    """
+    if isinstance(subject, HandEye):
+        charts = _of_images(subject)
+        grade = next((line.split()[-1] for line in text.splitlines() if line.startswith("Verdict:")), "CHECK")
+    elif isinstance(subject, Acceptance):
+        charts, grade = _of_new_readings(subject), _GRADES.get(subject.verdict, "FAIL")
+    else:
+        raise TypeError(f"no page of {type(subject).__name__}")
+    first, *rest = [part for part in text.splitlines() if part.strip()]
+    split = next((k for k, line in enumerate(rest) if line.startswith(("Smallest", "Changes", "ISO 9283"))), len(rest))
+    when = created if created is not None else datetime.now(UTC)
+    return Page(
+        page_environment()
+        .get_template("answer.html")
+        .render(
+            title=title,
+            grade=grade,
+            first=first,
+            lines=rest[:split],
+            table="\n".join(rest[split:]),
+            figures=figures,
+            program=PROGRAM,
+            command=command_line(),
+            created=when.strftime("%Y-%m-%d %H:%M UTC"),
+            **chart_parts(charts),
+        )
+    )
+
+
+def _of_images(result: HandEye) -> Charts:
+    """How far off each image and each point is, and how alike images that were used and left out are."""
+    scene = result.scene
+    used, left, board = (result.by_image(v) for v in (result.pixels, result.left.pixels, result.board))
+    texts = tuple(
+        f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {millimetres(b):.3f} mm on the board"
+        for name, u, o, b in zip(scene.names, used, left, board, strict=True)
+    )
+    images = np.arange(len(scene))
+    rows = PageRows(texts, tuple(images.tolist()), ("circle",) * len(images))
+    by_image = panel(
+        axis("image", names=()),
+        axis("error [px RMS]"),
+        [
+            layer("points", "used", COLOURS["after"], x=images + 1.0, y=used, rows=images),
+            layer("points", "left out in turn", COLOURS["x"], x=images + 1.0, y=left, rows=images),
+        ],
+    )
+    points = layer("points", "", COLOURS["after"], x=result.pixels[:, 0], y=result.pixels[:, 1], rows=scene.image)
+    cloud = panel(axis("across [px]"), axis("down [px]"), [points], equal=True)
+    positions = panel(
+        axis("x of the tool [mm]"),
+        axis("y of the tool [mm]"),
+        [
+            layer(
+                "points", "", COLOURS["after"], x=millimetres(scene.tool[:, 0, 3]), y=millimetres(scene.tool[:, 1, 3]),
+                rows=images,
+            )
+        ],
+        equal=True,
+    )  # fmt: skip
+    plots = (
+        Chart("images", "Error of each image", "An image far above the others is off.", (by_image,), 500),
+        Chart("pixels", "Predicted minus found", "A cloud around zero is noise; a shift or a tail is not.", (cloud,)),
+        Chart("tool", "Where images were taken", "Seen from above; more spread determines more.", (positions,)),
+    )
+    return Charts(places(images=plots), rows)
+
+
+def _of_new_readings(acceptance: Acceptance) -> Charts:
+    """Errors of new readings, and the change of each parameter that they show."""
+    errors, part = acceptance.errors, acceptance.errors.main_part
+    scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
+    sizes, names = [], []
+    for instrument, its_part, columns in errors.parts():
+        if its_part.name == part.name:
+            sizes.append(scale * np.linalg.norm(errors.after[instrument.name][:, columns], axis=1))
+            names += [errors.data.names[visit] for visit in errors.data.readings[instrument.name].visits]
+    size = np.concatenate(sizes)
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    rows = PageRows(
+        tuple(f"pose {name}: {part.name} error {value:.3g} {unit}" for name, value in zip(names, size, strict=True)),
+        tuple(numbers[name] for name in names),
+        ("circle",) * len(names),
+    )
+    every = np.arange(len(size))
+    layers = [layer("points", "", COLOURS["after"], x=every + 1.0, y=size, rows=every)]
+    if part.is_position and np.isfinite(acceptance.promised):
+        expected = [millimetres(acceptance.promised)] * 2
+        layers.append(layer("line", "expected RMS", COLOURS["x"], x=[1.0, float(len(size))], y=expected))
+    readings = panel(axis("reading"), axis(f"error [{unit}]"), layers)
+    changes = acceptance.changes[:_SHOWN]
+    texts = [f"{change.name}: {change.z:+.1f} standard deviations" for change in changes]
+    z = np.array([change.z for change in changes])
+    reach = np.full(len(z), acceptance.coverage_factor)
+    drawn = forest([change.name for change in changes], [("", COLOURS["after"], z, reach, texts)], "change [std]")
+    plots = (
+        Chart("readings", "Errors of the new readings", "Predicted minus read.", (readings,), 500),
+        Chart("changes", "Which change explains them", "Each alone, with its 95 % interval.", drawn, 440),
+    )
+    return Charts(places(readings=plots), rows)

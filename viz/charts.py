@@ -1,0 +1,116 @@
+"""Plots of pages as content: what is drawn where, and of which poses, for the script that draws them (`charts.js`).
+
+A chart is a row of panels, a panel a stack of layers. A layer has columns of numbers, and of each mark the row of the
+page's table that it belongs to, so that hover and selection mean the same pose in every plot, in space and in tables.
+Marks that belong to no row have texts of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from viz.svg import AXES, STATES
+
+_DIGITS = 5  # of a number in a plot
+COLOURS = {"before": STATES["before"][0], "after": STATES["after"][0], **{name: look[0] for name, look in AXES.items()}}
+"""Colours of states and axes."""
+MANY = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
+"""Colours of results and robots beside each other."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One plot of a page.
+
+    Attributes:
+        name: Short name, unique on the page.
+        title: What it shows.
+        text: How to read it.
+        panels: What `panel` returns, side by side where there is room.
+        wide: Smallest width of a panel [px].
+    """
+
+    name: str
+    title: str
+    text: str
+    panels: tuple[dict[str, Any], ...]
+    wide: int = 300
+
+
+def axis(label: str, *, log: bool = False, ends: Sequence[float] | None = None, names: Sequence[str] = ()) -> Any:
+    """Return an axis of a panel.
+
+    Args:
+        label: Quantity and unit.
+        log: Whether it is logarithmic.
+        ends: What it shows; what the marks need if not given.
+        names: Categories, the first at the top or on the left, in place of numbers.
+    """
+    shown = None if ends is None else [float(value) for value in ends]
+    return {"label": label, "log": log, "ends": shown, "names": list(names)}
+
+
+def panel(x: Any, y: Any, layers: Sequence[Any], *, title: str = "", height: int = 300, equal: bool = False) -> Any:
+    """Return a panel; `equal`: a unit is as long on both axes."""
+    return {"x": x, "y": y, "layers": list(layers), "title": title, "height": height, "equal": equal}
+
+
+def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[str, Any]:
+    """Return a layer.
+
+    Args:
+        kind: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band` (left, right).
+        label: Its entry in the legend; none if empty.
+        colour: Of all its marks; that of the page's text if empty.
+        columns: Numbers, rows, texts, or colours of its marks.
+    """
+    return {
+        "kind": kind,
+        "label": label,
+        "colour": colour,
+        **{name: json_values(values) for name, values in columns.items()},
+    }
+
+
+def json_values(values: ArrayLike) -> Any:
+    """Return values (n,) as JSON has them: numbers with few digits, None for unknown; whatever else as it is."""
+    array = np.asarray(values)
+    if array.dtype.kind != "f":
+        return array.tolist()
+    return [None if not np.isfinite(value) else float(f"{value:.{_DIGITS}g}") for value in array.ravel()]
+
+
+@dataclass(frozen=True)
+class PageRows:
+    """What the page knows of each row of its table.
+
+    Attributes:
+        texts: What hover says.
+        poses: Number of the pose that each row is of: rows of one pose are selected together.
+        marks: Shape of each row's mark, as Bokeh calls it.
+    """
+
+    texts: tuple[str, ...] = ()
+    poses: tuple[int, ...] = ()
+    marks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Charts:
+    """The plots of a page, by the part of the page that they belong to, and the rows that they are about."""
+
+    by_place: Mapping[str, tuple[Chart, ...]]
+    rows: PageRows = field(default_factory=PageRows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return them as the page's script reads them."""
+        charts = [chart for part in self.by_place.values() for chart in part]
+        return {
+            "rows": {"texts": self.rows.texts, "poses": self.rows.poses, "marks": self.rows.marks},
+            "charts": {chart.name: {"panels": chart.panels, "wide": chart.wide} for chart in charts},
+        }

@@ -1,0 +1,285 @@
+"""Plots of errors, of each part of readings: their distribution, where they are, and what they follow."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from calib import Fit
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
+from calib.core.fitting.error_sets import STATES
+from calib.core.robots.joint_errors import actual_joints, term_columns
+from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
+from viz.poses import EXCLUDED, VALIDATION
+from viz.reading_errors import ReadingErrors
+from viz.remarks import tolerance
+from viz.scene import Joint, Scene
+from viz.scene_data import colours, rows_of
+
+_MM = PER_SI["length"]["mm"]
+_MEANS = 12  # places along a joint at which residuals are averaged
+_CELLS = 9  # along the longer side of a plane
+_PAIRED = 6  # joints whose ranges are drawn in pairs; of more, neighbours only
+
+
+def page_rows(scene: Scene) -> PageRows:
+    """Return what hover says of each row of the page, its pose and its mark."""
+    texts, keys, marks = [], [], []
+    for rows in rows_of(scene):
+        scale, unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
+        sizes = {state: scale * rows.sizes(state) for state in STATES}
+        several = len(set(rows.targets)) > 1 or not rows.part.is_position
+        for k, (label, group, bad, target) in enumerate(
+            zip(rows.labels, rows.group, rows.outlier, rows.targets, strict=True)
+        ):
+            errors = [f"{sizes[state][k]:.3g} {unit} {state}" for state in STATES if np.isfinite(sizes[state][k])]
+            who = f", {target}" if several else ""
+            state = ", left out" if group == EXCLUDED else ", outlier" if bad else ""
+            what = "" if rows.part.is_position else f"{rows.part.name} "
+            texts.append(f"pose {label} ({group}{state}){who}: {what}error {', '.join(errors) or 'unknown'}")
+            keys.append((group == VALIDATION, label))
+            marks.append("x" if bad and group != EXCLUDED else "cross" if bad else
+                         "diamond" if group == VALIDATION else "circle")  # fmt: skip
+    numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    return PageRows(tuple(texts), tuple(numbers[key] for key in keys), tuple(marks))
+
+
+def error_charts(fit: Fit, scene: Scene) -> tuple[Chart, ...]:
+    """Return the plots of every part of readings."""
+    charts: list[Chart] = []
+    first = 0
+    for rows in rows_of(scene):
+        of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
+        first += len(rows)
+        if len(rows):
+            charts += [of_part.distribution(), of_part.planes(), of_part.order(), of_part.by_joint()]
+    return tuple(charts)
+
+
+def coverage(scene: Scene, fit: Fit) -> Chart | None:
+    """Return the poses in pairs of joints, within the limits of the joints; None where there are no pairs."""
+    joints, first, values, rows = scene.joints, 0, [], []
+    for part in rows_of(scene):
+        values.append(part.joints)
+        rows.append(np.arange(first, first + len(part)))
+        first += len(part)
+    n = len(joints)
+    pairs = list(combinations(range(n), 2)) if n <= _PAIRED else [(k, k + 1) for k in range(n - 1)]
+    if not pairs or not first:
+        return None
+    every, number = np.concatenate(values), np.concatenate(rows)
+    _, one = np.unique(every, axis=0, return_index=True)  # a pose once
+    limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
+
+    def along(k: int) -> Any:
+        joint, own = joints[k], joints[k].per_si * every[:, k]
+        low, high = (joint.per_si * end for end in limits.get(joint.name, (-np.inf, np.inf)))
+        reach = max(float(np.ptp(own)), 1e-3)
+        within = np.isfinite([low, high]).all() and high - low < 8 * reach
+        ends = [low, high] if within else [own.min() - 0.05 * reach, own.max() + 0.05 * reach]
+        return axis(f"{joint.name} [{joint.unit}]", ends=ends), own[one]
+
+    panels = []
+    for a, b in pairs:
+        (x, across), (y, up) = along(a), along(b)
+        panels.append(panel(x, y, [layer("points", x=across, y=up, rows=number[one])], height=190))
+    return Chart(
+        "coverage",
+        "Where the joints were",
+        "Each pair of joints within its limits (or, without near ones, its measured range): what is empty was not"
+        " measured.",
+        tuple(panels),
+        190,
+    )
+
+
+def corrections(fit: Fit, joints: tuple[Joint, ...]) -> Chart | None:
+    """Return what the joint terms that were fitted add to each joint, at the poses measured; None without terms."""
+    if not fit.robot.terms:
+        return None
+    data = fit.identification.data
+    added = actual_joints(fit.robot, data.joints, term_columns(fit.robot, data.joints, data.conditions))
+    added = added[:, : len(joints)] - data.joints
+    panels = []
+    for k, joint in enumerate(joints):
+        if not np.any(added[:, k]):
+            continue
+        values, change = joint.per_si * data.joints[:, k], joint.per_si * added[:, k]
+        texts = [f"pose {name}: {by:+.4f} {joint.unit}" for name, by in zip(data.names, change, strict=True)]
+        points = layer("points", "", COLOURS["after"], x=values, y=change, texts=texts)
+        panels.append(
+            panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"joint error [{joint.unit}]"), [points], height=240)
+        )
+    text = "What the joint terms that were fitted add to the command; without them, this would be left."
+    return Chart("joint-errors", "Fitted errors of the joints", text, tuple(panels), 280) if panels else None
+
+
+def conditions(fit: Fit, scene: Scene) -> Chart | None:
+    """Return temperature and time of the poses in the order of measurement, where the file has them."""
+    data = fit.identification.data
+    row_of: dict[str, int] = {}
+    for row, label in enumerate(label for part in rows_of(scene) for label in part.labels):
+        row_of.setdefault(label, row)
+    panels = []
+    for name, unit in (("temperature", "degC"), ("time", "s")):
+        values = data.context.get(name)
+        if values is None:
+            continue
+        chosen = [k for k, label in enumerate(data.names) if label in row_of]
+        if chosen and np.ptp(values[chosen]) > 0:
+            rows = np.array([row_of[data.names[k]] for k in chosen])
+            points = layer("points", "", COLOURS["after"], x=data.places[chosen] + 1.0, y=values[chosen], rows=rows)
+            panels.append(
+                panel(axis("pose, in the order of measurement"), axis(f"{name} [{unit}]"), [points], height=220)
+            )
+    text = "Compare with the errors in the order of measurement: select what stands out there."
+    return Chart("conditions", "Conditions while measuring", text, tuple(panels), 400) if panels else None
+
+
+class _Part:
+    """Plots of one part of readings; `numbers`: its rows in the page's table, (n,)."""
+
+    def __init__(self, rows: ReadingErrors, numbers: IntArray, joints: tuple[Joint, ...], asked: str) -> None:
+        self._rows, self._numbers, self._joints = rows, numbers, joints
+        self._scale, self._unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
+        self._limit = self._scale * quantity(asked, "length", "tolerance") if asked and rows.part.is_position else None
+        self._sizes: dict[str, FloatArray] = {state: self._scale * rows.sizes(state) for state in STATES}
+
+    def _called(self, name: str, title: str) -> tuple[str, str]:
+        """Name and title of a chart; those of positions need not say of what they are."""
+        if self._rows.part.is_position:
+            return name, title
+        what = self._rows.part.name
+        return f"{what.replace(' ', '-')}-{name}", f"{what.capitalize()}: {title[0].lower()}{title[1:]}"
+
+    def distribution(self) -> Chart:
+        """Which share of errors is smaller than a size, before and after."""
+        layers = []
+        for state in STATES:
+            known = np.flatnonzero(self._sizes[state] > 0)
+            order = known[np.argsort(self._sizes[state][known], kind="stable")]
+            share = 100 * (np.arange(len(order)) + 1) / max(len(order), 1)
+            layers.append(layer("line", "", COLOURS[state], x=self._sizes[state][order], y=share))
+            layers.append(
+                layer("points", state, COLOURS[state], x=self._sizes[state][order], y=share, rows=self._numbers[order])
+            )
+        extra = ""
+        if self._limit is not None:
+            layers.append(layer("line", "tolerance", COLOURS["x"], x=[self._limit] * 2, y=[0.0, 100.0]))
+            extra = " The tolerance is the upright line."
+        x = axis(f"error [{self._unit}]", log=True)
+        return Chart(
+            *self._called("errors", "Error before and after"),
+            "The share of errors that are smaller: the further to the left, the better. The scale is logarithmic."
+            + extra,
+            (panel(x, axis("smaller [%]", ends=[0, 101]), layers),),
+            600,
+        )
+
+    def planes(self) -> Chart:
+        """Errors after calibration on three planes, with the mean of each cell."""
+        places, size = _MM * self._rows.anchors, self._sizes["after"]
+        known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(size))
+        known = known[np.argsort(size[known], kind="stable")]  # the largest on top
+        ordinary = size[known[~self._rows.outlier[known]]]
+        highest = float(ordinary.max()) if len(ordinary) else 1.0
+        palette = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b, _ in colours().tolist()]
+
+        def painted(values: FloatArray) -> list[str]:
+            return [palette[int(255 * min(1.0, value / max(highest, 1e-12)))] for value in values]
+
+        panels = []
+        for across, up, view in ((0, 1, "from above"), (0, 2, "from the side"), (1, 2, "from the front")):
+            x, y = places[known, across], places[known, up]
+            cells = _cells(x, y, size[known]) if len(known) else None
+            layers = [] if cells is None else [
+                layer("cells", x=cells[0], y=cells[1], width=cells[3], height=cells[3], colours=painted(cells[2]),
+                      texts=[f"mean error here {value:.3g} {self._unit}" for value in cells[2]])
+            ]  # fmt: skip
+            layers.append(layer("points", x=x, y=y, rows=self._numbers[known], colours=painted(size[known])))
+            names = "xyz"
+            panels.append(
+                panel(axis(f"{names[across]} [mm]"), axis(f"{names[up]} [mm]"), layers, title=view, equal=True)
+            )
+        return Chart(
+            *self._called("planes", "Errors over the workspace, after calibration"),
+            f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers beyond). A square is the mean of what was"
+            " measured in it; where there is none, nothing was measured.",
+            tuple(panels),
+        )
+
+    def order(self) -> Chart:
+        """Errors in the order in which they are in the file."""
+        layers = []
+        for state in STATES:
+            known = np.flatnonzero(self._sizes[state] > 0)
+            layers.append(
+                layer(
+                    "points",
+                    state,
+                    COLOURS[state],
+                    x=known + 1.0,
+                    y=self._sizes[state][known],
+                    rows=self._numbers[known],
+                )
+            )
+        y = axis(f"error [{self._unit}]", log=True)
+        return Chart(
+            *self._called("order", "Errors in the order of measurement"),
+            "Steps or slopes show that something changed while measuring. Validation poses, and those left out,"
+            " follow the others.",
+            (panel(axis("reading"), y, layers, height=240),),
+            600,
+        )
+
+    def by_joint(self) -> Chart:
+        """What is left against each joint, with the local mean of each component."""
+        left, axes = self._scale * self._rows.residuals("after"), self._rows.part.axes
+        usual = ~self._rows.outlier
+        looks = list("xyz")
+        panels = []
+        for number, joint in enumerate(self._joints):
+            values, layers = joint.per_si * self._rows.joints[:, number], []
+            for k, (name, component) in enumerate(zip(axes, left.T, strict=False)):
+                colour, known = COLOURS[looks[k % 3]], np.flatnonzero(np.isfinite(component))
+                layers.append(
+                    layer("points", name, colour, x=values[known], y=component[known], rows=self._numbers[known])
+                )
+                layers.append(
+                    layer(
+                        "line", "", colour, **_local_mean(values[known[usual[known]]], component[known[usual[known]]])
+                    )
+                )
+            panels.append(
+                panel(axis(f"{joint.name} [{joint.unit}]"), axis(f"residual [{self._unit}]"), layers, height=240)
+            )
+        return Chart(
+            *self._called("by-joint", "What is left against each joint"),
+            "Predicted minus measured, with its local mean: a line that bends away from zero is an error of that joint"
+            " that no parameter describes.",
+            tuple(panels),
+            280,
+        )
+
+
+def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArray]:
+    """Means of a component over neighbours along a joint, with about as many in each."""
+    order = np.argsort(values, kind="stable")
+    pieces = [piece for piece in np.array_split(order, min(_MEANS, max(1, len(order) // 5))) if len(piece)]
+    return {
+        "x": np.array([values[piece].mean() for piece in pieces]),
+        "y": np.array([component[piece].mean() for piece in pieces]),
+    }
+
+
+def _cells(x: FloatArray, y: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Middle (x, y), mean error and width of the cells of a plane in which something was measured."""
+    width = max(float(np.ptp(x)), float(np.ptp(y)), 1e-6) / _CELLS
+    columns, lines = (np.minimum((v - v.min()) // width, _CELLS - 1).astype(int) for v in (x, y))
+    numbers, of_cell, count = np.unique(columns * _CELLS + lines, return_inverse=True, return_counts=True)
+    mean = np.bincount(of_cell, size) / count
+    column, line = np.divmod(numbers, _CELLS)
+    return x.min() + (column + 0.5) * width, y.min() + (line + 0.5) * width, mean, np.full(len(mean), width)

@@ -1,0 +1,75 @@
+"""What pages with plots have in common: scripts, the policy that allows these alone, and formats of numbers.
+
+Scripts of packages are compressed, and unpacked by the browser after the page's text has been painted.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import gzip
+import json
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from viz.charts import Chart, Charts
+from viz.viewer_page import digest_of_script, in_script, viewer_scripts
+
+_BOKEH = ("bokeh", "bokeh-api")
+
+
+def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
+    """Return what the templates of pages with plots need.
+
+    Args:
+        charts: The plots.
+        viewer: The viewer's page, to stand in a frame of this one; none if empty.
+    """
+    script = in_script((files("viz") / "templates" / "charts.js").read_text(encoding="utf-8"))
+    libraries = [] if not any(charts.by_place.values()) else [(name, *_library(name)) for name in _BOKEH]
+    digests = [digest_of_script(script), *(digest for _, _, digest in libraries)]
+    if viewer:  # a frame's page needs the leave of the page around it, too
+        digests += map(digest_of_script, viewer_scripts())
+    return {
+        "charts": charts.by_place,
+        "script": script,
+        "packed": [
+            ("charts", pack(json.dumps(charts.to_dict(), allow_nan=False, separators=(",", ":")))),
+            *((name, text) for name, text, _ in libraries),
+            *([("viewer-page", pack(viewer))] if viewer else []),
+        ],
+        "allowed": " ".join(f"'sha256-{digest}'" for digest in digests),
+        "licence": _licence(),
+    }
+
+
+def pack(text: str) -> str:
+    """Return text compressed, as letters; the same text gives the same letters."""
+    return base64.b64encode(gzip.compress(text.encode("utf-8"), 9, mtime=0)).decode("ascii")
+
+
+def places(**charts: Chart | tuple[Chart, ...] | None) -> dict[str, tuple[Chart, ...]]:
+    """Return plots by the part of the page that they belong to."""
+    return {
+        name: () if given is None else given if isinstance(given, tuple) else (given,) for name, given in charts.items()
+    }
+
+
+def _bokeh() -> Path:
+    package = find_spec("bokeh")  # importing it would take a second, and its scripts are all that is needed
+    assert package is not None, "it is among the requirements"
+    return Path(str(package.origin)).parent
+
+
+@functools.cache
+def _library(name: str) -> tuple[str, str]:
+    """A script of Bokeh, compressed, and its digest."""
+    code = (_bokeh() / "server" / "static" / "js" / f"{name}.min.js").read_text(encoding="utf-8")
+    return pack(code), digest_of_script(code)
+
+
+@functools.cache
+def _licence() -> str:
+    return (_bokeh() / "LICENSE.txt").read_text(encoding="utf-8")

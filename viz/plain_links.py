@@ -1,0 +1,247 @@
+"""Links that have no shapes of their own, drawn plainly: bodies from joint to joint, and joints as what they are.
+
+What holds a link are its anchors: the joint that moves it, the joints that it carries, and the points where loops close
+on it. The body is a capsule between two anchors and the hull around more, so that a leg reaches from its base joint to
+its platform joint. Widths follow from the robot's own distances.
+
+A prismatic joint is a sleeve, and its link reaches back into it, as far as it is out at home. A joint at which several
+axes meet is drawn once: two make a universal joint, three a ball, as does a loop that closes in three directions.
+
+Passive joints that slide and turn at one place, such as six between base and platform, are no mechanism: loops hold
+what hangs on them. Neither they nor the links between them are drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from calib import Robot
+from calib.core.base.arrays import FloatArray
+from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
+
+_RADIUS = 0.045  # of the typical distance between two anchors
+_THIN = 0.6  # of the radius: bodies that passive joints move, such as rods
+_SAME = 1e-3  # of the robot's length: nearer anchors are one
+_TURNING = ("revolute", "continuous")
+_BALL = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
+
+
+@dataclass(frozen=True, eq=False)
+class PlainLinks:
+    """The links of a robot, to be drawn plainly.
+
+    Attributes:
+        robot: The robot.
+    """
+
+    robot: Robot
+
+    def shapes(self, link: str) -> list[Shape]:
+        """Return the plain shapes of a link: its body, and the joints at which it is moved and loops close."""
+        if link in self._floating:
+            return []
+        return [*self.body(link), *self._joint(link), *self._closures(link)]
+
+    def body(self, link: str) -> list[Shape]:
+        """Return the body of a link between its anchors; nothing where it has only one."""
+        anchors = self._anchors(link)
+        moved_by = self._moved_by.get(link)
+        passive = moved_by is not None and moved_by.name in self.robot.mechanism.passive
+        radius = self._radius * (_THIN if passive else 1.0)
+        if len(anchors) < 2:
+            return []
+        if len(anchors) == 2:
+            return _capsule(f"{link}/body", link, anchors[0], anchors[1], radius)
+        around = np.array([direction / np.linalg.norm(direction) for direction in np.array(_BALL, dtype=float)])
+        points = (anchors[:, None] + radius * around).reshape(-1, 3)
+        hull = scipy.spatial.ConvexHull(points)
+        inwards = np.einsum("ij,ij->i", _normals(points[hull.simplices]), hull.equations[:, :3]) < 0
+        faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+        return [mesh(f"{link}/body", link, points, faces)]
+
+    @cached_property
+    def _moved_by(self) -> dict[str, Any]:
+        """The joint that carries each link, by the link's name."""
+        return {joint.child: joint for joint in self.robot.urdf.joints}
+
+    @cached_property
+    def _carries(self) -> dict[str, list[Any]]:
+        """The joints that each link carries."""
+        carried: dict[str, list[Any]] = {}
+        for joint in self.robot.urdf.joints:
+            carried.setdefault(joint.parent, []).append(joint)
+        return carried
+
+    @cached_property
+    def _home(self) -> dict[str, float]:
+        """Value of each joint at home [m or rad]."""
+        mechanism = self.robot.mechanism
+        configurations = self.robot.assemble(self.robot.home[None, :])
+        values = mechanism.all_joints(configurations.actuated, configurations.passive)[0]
+        return dict(zip(mechanism.origin_names, values.tolist(), strict=True))
+
+    @cached_property
+    def _floating(self) -> frozenset[str]:
+        """Links between passive joints that slide and turn at one place."""
+        return frozenset(
+            joint.parent
+            for run in map(self._run, self._moved_by)
+            if _floats(run, self.robot.mechanism.passive)
+            for joint in run[1:]
+        )
+
+    def _run(self, link: str) -> list[Any]:
+        """The moving joints at one place that end with the one that moves a link, from base to tip."""
+        run: list[Any] = []
+        while link in self._moved_by and self._moved_by[link].type != "fixed":
+            joint = self._moved_by[link]
+            run.insert(0, joint)
+            if np.linalg.norm(joint.xyz) > self._same or len(self._carries[joint.parent]) > 1:
+                break
+            link = joint.parent
+        return run
+
+    @property
+    def _same(self) -> float:
+        return _SAME * float(self.robot.mechanism.length)
+
+    @cached_property
+    def _closed_on(self) -> dict[str, list[str]]:
+        """On which links loops close, and how: `ball`, or `drum` where the link still turns about one axis."""
+        mechanism = self.robot.mechanism
+        links: dict[int, str] = {}
+        for name, index in mechanism.frames.items():
+            if name in self.robot.urdf.links:
+                links.setdefault(index, name)
+        closed: dict[str, list[str]] = {}
+        for loop in mechanism.loops:
+            kind = "" if loop.full_pose else "ball" if len(loop.rows) == 3 else "drum"
+            for index in (loop.a, loop.b):
+                if index in links:
+                    closed.setdefault(links[index], []).append(kind if index == loop.a else "")
+        return closed
+
+    def _anchors(self, link: str) -> FloatArray:
+        """Where joints and loops hold a link, in its frame, (n, 3) [m]."""
+        points: list[FloatArray] = []
+        run = self._run(link)
+        if link in self._moved_by and (link in self._closed_on or not _floats(run, self.robot.mechanism.passive)):
+            points.append(np.zeros(3))
+        for joint in self._carries.get(link, []):
+            if _floats(self._longest_run(joint), self.robot.mechanism.passive):
+                continue
+            points.append(np.array(joint.xyz, dtype=float))
+            if joint.type == "prismatic":  # the sleeve
+                points.append(points[-1] + 0.5 * self._out(joint, in_parent=True))
+        if link in self._moved_by and self._moved_by[link].type == "prismatic" and points:
+            points.append(-self._out(self._moved_by[link], in_parent=False))
+        if link not in self._moved_by and len(points) < 2:  # an arm stands on its root link's origin
+            points.append(np.zeros(3))
+        kept: list[FloatArray] = []
+        for point in points:
+            if all(np.linalg.norm(point - other) > self._same for other in kept):
+                kept.append(point)
+        return np.array(kept).reshape(-1, 3)
+
+    def _out(self, joint: Any, *, in_parent: bool) -> FloatArray:
+        """How far a prismatic joint is out at home, (3,) [m]: in the frame of its parent, or of its own link."""
+        import pinocchio as pin
+
+        way = self._home.get(joint.name, 0.0) * np.array(joint.axis, dtype=float)
+        turned: FloatArray = pin.rpy.rpyToMatrix(*joint.rpy) @ way if in_parent else way
+        return turned
+
+    def _longest_run(self, joint: Any) -> list[Any]:
+        """The moving joints at one place that begin with a joint."""
+        link = joint.child
+        while len(self._carries.get(link, [])) == 1:
+            following = self._carries[link][0]
+            if following.type == "fixed" or np.linalg.norm(following.xyz) > self._same:
+                break
+            link = following.child
+        return self._run(link)
+
+    @cached_property
+    def _radius(self) -> float:
+        """Radius of bodies: of what is typical between neighbouring joints [m]."""
+        length = float(self.robot.mechanism.length)
+        gaps = [float(np.linalg.norm(joint.xyz)) for joint in self.robot.urdf.joints]
+        gaps += [abs(self._home.get(joint.name, 0.0)) for joint in self.robot.urdf.joints if joint.type == "prismatic"]
+        known = [gap for gap in gaps if gap > 10 * self._same]
+        return _RADIUS * float(np.median(known)) if known else _RADIUS * length
+
+    def _joint(self, link: str) -> list[Shape]:
+        """The joint that moves a link, and an end where nothing follows."""
+        radius, run = self._radius, self._run(link)
+        if not run:
+            end = link in self._moved_by and link not in self._carries and link not in self._closed_on
+            return [primitive(f"{link}/end", link, "box", (1.6 * radius,) * 3, np.eye(4), DARK)] if end else []
+        joint = run[-1]
+        if _floats(run, self.robot.mechanism.passive):
+            return []
+        along = np.eye(4)
+        along[:3, :3] = rotation_onto_z(np.array(joint.axis, dtype=float))
+        if joint.type == "prismatic":
+            along[:3, 3] = -self._out(joint, in_parent=False) * 0.5
+            box = (2.4 * radius, 2.4 * radius, 3.2 * radius)
+            return [primitive(f"{link}/sleeve", link, "box", box, along, DARK)]
+        turning = [other for other in self._longest_run(run[0]) if other.type in _TURNING]
+        if len(turning) > 2:
+            return [primitive(f"{link}/ball", link, "sphere", (1.6 * radius,), np.eye(4), DARK)]
+        size = (1.5 * radius, 3.0 * radius) if len(turning) < 2 else (0.9 * radius, 3.6 * radius)
+        return [primitive(f"{link}/drum", link, "cylinder", size, along, DARK)]
+
+    def _closures(self, link: str) -> list[Shape]:
+        """The joints at which loops close on a link."""
+        shapes = []
+        for number, kind in enumerate(self._closed_on.get(link, [])):
+            name = f"{link}/closure{number}"
+            if kind == "ball":
+                shapes.append(primitive(name, link, "sphere", (1.6 * self._radius,), np.eye(4), DARK))
+            elif kind == "drum":
+                size = (1.5 * self._radius, 3.0 * self._radius)
+                shapes.append(primitive(name, link, "cylinder", size, np.eye(4), DARK))
+        return shapes
+
+    def gaps(self, link: str, drawn: list[Shape]) -> list[Shape]:
+        """Return capsules to the joints of a link that its own primitive shapes do not reach."""
+        shapes = []
+        boxes = [shape.corners() for shape in drawn]
+        for number, joint in enumerate(self._carries.get(link, [])):
+            point = np.array(joint.xyz, dtype=float)
+            reached = [np.all(box.min(axis=0) <= point) and np.all(point <= box.max(axis=0)) for box in boxes]
+            if joint.type != "fixed" and not any(reached) and np.linalg.norm(point) > self._same:
+                shapes += _capsule(f"{link}/gap{number}", link, np.zeros(3), point, self._radius, drawn[0].colour)
+        return shapes
+
+
+def _floats(run: list[Any], passive: tuple[str, ...]) -> bool:
+    """Whether joints at one place let a link slide and turn freely."""
+    sliding = [joint for joint in run if joint.type == "prismatic"]
+    return len(sliding) > 1 and all(joint.name in passive for joint in run)
+
+
+def _capsule(
+    name: str, link: str, start: FloatArray, end: FloatArray, radius: float, colour: Any = None
+) -> list[Shape]:
+    """A rod with round ends."""
+    length = float(np.linalg.norm(end - start))
+    pose, ends = np.eye(4), [np.eye(4), np.eye(4)]
+    pose[:3, :3] = rotation_onto_z((end - start) / length)
+    pose[:3, 3] = (start + end) / 2
+    ends[0][:3, 3], ends[1][:3, 3] = start, end
+    painted = {} if colour is None else {"colour": colour}
+    return [
+        primitive(name, link, "cylinder", (radius, length), pose, **painted),
+        *[primitive(f"{name}-end{k}", link, "sphere", (radius,), at, **painted) for k, at in enumerate(ends)],
+    ]
+
+
+def _normals(triangles: FloatArray) -> FloatArray:
+    normals: FloatArray = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals

@@ -1,0 +1,139 @@
+"""Plots of what a fit found: its parameters, the causes of the error, and what files are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib import Fit
+from calib.core.results.sections.budget import budget_table
+from calib.core.results.sections.files_held import files_grid
+from calib.core.results.sections.grid import GridNumber
+from viz.charts import COLOURS, Chart, axis, layer, panel
+
+_LINE, _LINES = 20, 19  # height of a line with a name [px], and most lines: half a page of paper
+
+
+def forest(
+    names: Sequence[str],
+    groups: Sequence[tuple[str, str, Any, Any, list[str]]],
+    label: str,
+    band: tuple[str, float] | None = None,
+) -> tuple[dict[str, Any], ...]:
+    """Return panels with a line for each name: marks with intervals, on the same scale in all.
+
+    Args:
+        names: Names, the first at the top.
+        groups: Of each set of marks its label, its colour, values (n,) and half intervals (n,), NaN where there is
+            none, and what hover says of each.
+        label: Of the axis along which they are.
+        band: Its entry in the legend, and half the width of a band around zero; None for none.
+    """
+    reach = max(np.nanmax(np.abs(values) + np.nan_to_num(half), initial=0.0) for _, _, values, half, _ in groups)
+    end = 1.05 * max(float(reach), band[1] if band else 0.0, 1e-9)
+    each = max(1, _LINES // max(1, (len(groups) + 1) // 2))
+    pieces = [slice(first, first + each) for first in range(0, len(names), each)]
+    return tuple(_piece(names[piece], [
+        (called, colour, values[piece], half[piece], texts[piece]) for called, colour, values, half, texts in groups
+    ], axis(label, ends=[-end, end]), band) for piece in pieces)  # fmt: skip
+
+
+def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str, float] | None) -> dict[str, Any]:
+    """Some lines of a forest."""
+    layers = [] if band is None else [layer("band", band[0], COLOURS["before"], left=[-band[1]], right=[band[1]])]
+    layers.append(layer("line", x=[0.0, 0.0], y=[-0.5, len(names) - 0.5]))
+    for k, (label, colour, values, half, texts) in enumerate(groups):
+        at = np.arange(len(names)) + (0.7 * ((k + 0.5) / len(groups) - 0.5) if len(groups) > 1 else 0.0)
+        layers.append(layer("bars", "", colour, y=at, left=values - half, right=values + half, thick=0.12, texts=texts))
+        layers.append(layer("points", label, colour, x=values, y=at, texts=texts))
+    height = 90 + _LINE * max(1, (len(groups) + 1) // 2) * len(names)
+    return panel(x, axis("", names=names), layers, height=height)
+
+
+def parameters(fit: Fit) -> Chart | None:
+    """Return the change of every free parameter of the robot with its interval, in sigmas of what was expected."""
+    own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+    if not own:
+        return None
+    found = [fit.parameters[p.name] for p in own]
+    sigma = np.array([p.sigma for p in own])
+    change = np.array([one.value - one.nominal for one in found]) / sigma
+    half = np.array([one.high95 - one.value for one in found]) / sigma
+    texts = [
+        f"{one.name}: {one.nominal:.4f} → {one.value:.4f} {one.unit}, 95 % from {one.low95:.4f} to {one.high95:.4f};"
+        f" prior ± {one_sigma:.3g} {one.unit}; {one.status}"
+        for one, one_sigma in zip(found, sigma.tolist(), strict=True)
+    ]
+    drawn = forest(
+        [one.name for one in found],
+        [("change", COLOURS["after"], change, half, texts)],
+        "change [standard deviations of what was expected]",
+        ("expected beforehand (95 %)", 2.0),
+    )
+    return Chart(
+        "forest",
+        "Parameters: change, 95 % interval, and what was expected",
+        "Beyond the band, the robot is further from its drawing than expected; an interval that is as wide as the band"
+        " says that the measurements told little.",
+        drawn,
+        440,
+    )
+
+
+def waterfall(fit: Fit) -> Chart | None:
+    """Return what each cause took away from the error before calibration, and what is left."""
+    budget = budget_table(fit)
+    if budget is None:
+        return None
+    causes, unit = budget["causes"], budget["unit"]
+    squares = np.array([max(row["mean_square"], 0.0) for row in causes])
+    ends = np.sqrt(np.maximum(np.cumsum(squares[::-1])[::-1], 0.0))  # what is left before each cause goes
+    starts = np.append(ends[1:], 0.0)
+    texts = [
+        f"{row['cause']}: {row['rms']:.3g} {unit} RMS, {100 * row['share']:.2g} % of the mean square"
+        if np.isfinite(row["rms"])
+        else f"{row['cause']}: {row['remark']}"
+        for row in causes
+    ]
+    names = [row["cause"] for row in causes]
+    bars = layer("bars", "", COLOURS["after"], y=np.arange(len(names)), left=starts, right=ends, thick=0.7, texts=texts)
+    return Chart(
+        "waterfall",
+        "Causes of the error before calibration",
+        f"From {budget['rms_before']:.3g} {unit} at the top, each cause takes away its part; squares add up.",
+        (
+            panel(
+                axis(f"RMS error [{unit}]", ends=[0, 1.03 * ends[0]]),
+                axis("", names=names),
+                [bars],
+                height=90 + 30 * len(names),
+            ),
+        ),
+        600,
+    )
+
+
+def worth(fit: Fit) -> Chart | None:
+    """Return how far off each kind of file is: RMS and 95 % limit."""
+    grid = files_grid(fit)
+    if grid is None:
+        return None
+    unit = grid.title.split(", ")[1].split(" ")[0]
+    names = [str(row[0]) for row in grid.rows]
+
+    def numbers(column: int) -> Any:
+        cells = [row[column] for row in grid.rows]
+        return np.array([cell.value if isinstance(cell, GridNumber) else np.nan for cell in cells])
+
+    rms, limit = numbers(1), numbers(2)
+    texts = [f"{n}: RMS {r:.3g} {unit}" + (f", 95 % limit {m:.3g} {unit}" if np.isfinite(m) else "")
+             for n, r, m in zip(names, rms, limit, strict=True)]  # fmt: skip
+    places = np.arange(len(names))
+    layers = [
+        layer("bars", "95 % limit", COLOURS["before"], y=places, left=0 * rms, right=limit, thick=0.4, texts=texts),
+        layer("bars", "RMS", COLOURS["after"], y=places, left=0 * rms, right=rms, thick=0.7, texts=texts),
+    ]
+    shown = panel(axis(f"error [{unit}]"), axis("", names=names), layers, height=90 + 34 * len(names))
+    return Chart("worth", "What files are worth", "The shorter, the better.", (shown,), 600)

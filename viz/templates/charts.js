@@ -1,0 +1,289 @@
+// Plots that respond: each mark knows the row of the page's table that it is of, so that hover, and a selection in a plot,
+// in space or in a table, mean the same poses everywhere. Bokeh draws them; each is drawn when it first comes near the
+// window, and all of them before the page is printed.
+"use strict";
+
+const TOUCH = window.matchMedia("(pointer: coarse)").matches;
+
+/** An element with attributes and children. */
+function element(name, attributes, ...children) {
+  const node = document.createElement(name);
+  Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+  node.append(...children);
+  return node;
+}
+
+/** The poses that are selected, and who shows them. */
+class Selection {
+  /** @param rows of the page's table: texts, poses, marks */
+  constructor(rows) {
+    this.rows = rows;
+    this.poses = new Set();
+    this.followers = [];
+    document.getElementById("unselect").addEventListener("click", () => this.choose([]));
+    document.querySelectorAll("main [data-row]").forEach((node) => this.offer(node));
+  }
+
+  /** @param rows whose poses are selected; none: all are as they were */
+  choose(rows) {
+    const poses = new Set(rows.map((row) => this.rows.poses[row]));
+    this.poses = poses;
+    this.followers.forEach((follow) => follow());
+    this.tell();
+  }
+
+  /** Let an element with a row select its pose, and show when it is selected. */
+  offer(node) {
+    const row = Number(node.dataset.row);
+    const choose = () => this.choose([row]);
+    node.addEventListener("click", choose);
+    node.addEventListener("keydown", (event) => { if (event.key === "Enter") choose(); });
+    this.followers.push(() => node.classList.toggle("chosen", this.has(row)));
+  }
+
+  has(row) {
+    return row !== null && this.poses.has(this.rows.poses[row]);
+  }
+
+  /** What is selected, in words. */
+  tell() {
+    const box = document.getElementById("selected");
+    box.hidden = this.poses.size === 0;
+    const rows = this.rows.texts.filter((_, row) => this.has(row));
+    const text = rows.length === 1 ? rows[0] : `${this.poses.size} ${this.poses.size === 1 ? "pose" : "poses"} selected: ${rows.slice(0, 3).join("; ")}${rows.length > 3 ? " …" : ""}`;
+    box.querySelector("span").textContent = text;
+  }
+}
+
+/** One chart: its panels in a grid that has room for them, and the numbers behind it. */
+class Chart {
+  constructor(name, { panels, wide }, selection) {
+    this.node = document.getElementById(name);
+    this.panels = panels;
+    this.selection = selection;
+    this.sources = [];
+    this.grid = this.node.querySelector(".panels");
+    this.small = wide < 250;
+    this.grid.style.setProperty("--wide", `${wide}px`);
+    this.grid.replaceChildren(...panels.map(({ height }) => element("div", { class: "panel", style: `min-height: ${height}px` })));
+    this.node.querySelector("details").addEventListener("toggle", () => this.table(), { once: true });
+    selection.followers.push(() => this.follow());
+  }
+
+  /** Draw all panels, once. */
+  async draw() {
+    if (this.drawn) return;
+    this.drawn = true;
+    const style = getComputedStyle(document.documentElement);
+    this.ink = style.getPropertyValue("--ink").trim();
+    this.line = style.getPropertyValue("--line").trim();
+    this.node.dataset.dark = String(window.matchMedia("(prefers-color-scheme: dark)").matches); // paper turns it round
+    this.views = await Promise.all(this.panels.map((panel, k) => {
+      this.grid.children[k].replaceChildren();
+      return Bokeh.Plotting.show(this.figure(panel), this.grid.children[k]);
+    }));
+    this.follow();
+    this.node.dataset.drawn = "true";
+  }
+
+  /** Draw again, in the colours of the page as it is now. */
+  again() {
+    if (!this.drawn) return;
+    this.views.forEach((view) => view.clear && view.clear());
+    [this.drawn, this.sources] = [false, []];
+    this.draw();
+  }
+
+  figure({ x, y, layers, title, height, equal }) {
+    const range = ({ log, ends, names }, turned) => (names.length ? new Bokeh.Range1d({ start: turned ? names.length - 0.5 : -0.5, end: turned ? -0.5 : names.length - 0.5 })
+      : ends ? new Bokeh.Range1d({ start: ends[0], end: ends[1] }) : new Bokeh.DataRange1d({ range_padding: log ? 0.02 : 0.06 }));
+    const figure = new Bokeh.Plotting.Figure({
+      height, sizing_mode: "stretch_width", title: title || null, x_axis_label: x.label, y_axis_label: y.label || null,
+      x_axis_type: x.log ? "log" : "linear", y_axis_type: y.log ? "log" : "linear",
+      x_range: range(x, false), y_range: range(y, true), match_aspect: equal, tools: "pan,wheel_zoom,box_zoom,box_select,tap,reset,save",
+      toolbar_location: "above", background_fill_color: null, border_fill_color: null, outline_line_color: null,
+      lod_threshold: null,
+    });
+    this.look(figure, x, y, height);
+    const own = []; // what a selection in this panel changes
+    const hovered = layers.flatMap((layer) => this.layer(figure, layer, own));
+    figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));
+    figure.toolbar.logo = null;
+    figure.toolbar.autohide = !TOUCH;
+    const select = figure.toolbar.tools.find((tool) => tool.type === "BoxSelectTool");
+    figure.toolbar.active_drag = TOUCH ? null : select;
+    if (figure.legend.items.length > 0) {
+      Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", label_text_color: this.ink, label_text_font_size: "12px",
+        background_fill_alpha: 0, border_line_color: null, click_policy: "hide", padding: 0, margin: 0 });
+      figure.add_layout(figure.legend, "above");
+    } else figure.legend.visible = false;
+    return figure;
+  }
+
+  look(figure, x, y, height) {
+    for (const [axes, { names, log }] of [[figure.xaxes, x], [figure.yaxes, y]]) {
+      for (const axis of axes) {
+        Object.assign(axis, { axis_label_text_color: this.ink, major_label_text_color: this.ink, axis_line_color: this.ink, major_tick_line_color: this.ink,
+          minor_tick_line_color: null, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal", major_label_text_font_size: "12px" });
+        if (names.length) {
+          axis.ticker = new Bokeh.FixedTicker({ ticks: names.map((_, k) => k), minor_ticks: [] });
+          axis.major_label_overrides = new Map(names.map((name, k) => [k, name]));
+        } else if (!log && height < 220) axis.ticker.desired_num_ticks = 3;
+        if (log) axis.formatter = new Bokeh.BasicTickFormatter({ use_scientific: false });
+      }
+    }
+    for (const grid of figure.center.filter((part) => part.type === "Grid")) Object.assign(grid, { grid_line_color: this.line, grid_line_alpha: 0.7 });
+    if (figure.title) Object.assign(figure.title, { text_color: this.ink, text_font_size: "13px" });
+  }
+
+  /** Draw a layer; what hover finds of it. */
+  layer(figure, { kind, label, colour, ...columns }, own) {
+    const paint = colour || this.ink;
+    const known = label ? { legend_label: label } : {};
+    if (kind === "line") {
+      figure.line(columns.x, columns.y, { line_color: paint, line_width: 1.5, ...known });
+      return [];
+    }
+    if (kind === "band") {
+      figure.add_layout(new Bokeh.BoxAnnotation({ left: columns.left[0], right: columns.right[0], fill_color: paint, fill_alpha: 0.18, line_color: null }));
+      return [];
+    }
+    const { rows } = this.selection;
+    const n = (columns.x || columns.y).length;
+    const all = (value) => new Array(n).fill(value);
+    const data = { ...columns, rows: columns.rows || all(null), colour: columns.colours || all(paint),
+      text: columns.rows ? columns.rows.map((row) => rows.texts[row]) : columns.texts || all(""),
+      mark: columns.rows ? columns.rows.map((row) => rows.marks[row]) : all("circle") };
+    delete data.thick;
+    const source = new Bokeh.ColumnDataSource({ data });
+    const field = (name) => ({ field: name });
+    let drawn;
+    if (kind === "points") {
+      drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? 4 : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
+        line_color: columns.colours ? this.ink : field("colour"), line_width: columns.colours ? 0.4 : 1.2, nonselection_alpha: 0.12, ...known });
+    } else if (kind === "bars") {
+      drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.7,
+        line_color: null, ...known });
+    } else {
+      drawn = figure.rect({ x: field("x"), y: field("y"), width: field("width"), height: field("height"), source, fill_color: field("colour"), fill_alpha: 0.45, line_color: null });
+    }
+    if (columns.rows) {
+      this.sources.push(source);
+      own.push(source);
+      source.selected.properties.indices.change.connect(() => this.take(own));
+    }
+    return columns.rows || columns.texts ? [drawn] : [];
+  }
+
+  /** A reader selected marks of a panel, whose sources change one after another. */
+  take(own) {
+    if (this.following) return;
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => this.selection.choose(own.flatMap(({ selected, data }) => selected.indices.map((k) => data.rows[k]))));
+  }
+
+  /** Show what is selected. */
+  follow() {
+    this.following = true;
+    for (const source of this.sources) {
+      const chosen = source.data.rows.flatMap((row, k) => (this.selection.has(row) ? [k] : []));
+      source.selected.indices = chosen;
+    }
+    this.following = false;
+  }
+
+  /** The numbers behind the chart, a line for each mark; a click on a line selects its pose. */
+  table() {
+    const { texts } = this.selection.rows;
+    const lines = this.panels.flatMap(({ x, y, layers, title }) => layers.filter(({ kind }) => kind !== "line" && kind !== "band").flatMap((layer) => {
+      const at = (values, k) => (values === undefined || values[k] === null ? "" : String(values[k]));
+      return (layer.x || layer.y).map((_, k) => {
+        const row = layer.rows ? layer.rows[k] : null;
+        const what = row === null ? (layer.texts || [])[k] || (y.names || [])[k] || "" : texts[row];
+        const line = element("tr", {}, element("th", { scope: "row" }, what), ...[title || layer.label, at(layer.x || layer.right, k), layer.x ? at(layer.y, k) : ""].map((text) => element("td", {}, text)));
+        if (row !== null) {
+          line.dataset.row = row;
+          line.tabIndex = 0;
+          line.classList.toggle("chosen", this.selection.has(row));
+          this.selection.offer(line);
+        }
+        return line;
+      });
+    }));
+    const { x, y } = this.panels[0];
+    this.node.querySelector("details div").replaceChildren(element("table", { class: "numbers" },
+      element("thead", {}, element("tr", {}, ...["what", "", x.label, y.label].map((text) => element("th", { scope: "col" }, text)))), element("tbody", {}, ...lines)));
+  }
+}
+
+/** Text that the page holds compressed. */
+async function unpack(id) {
+  const bytes = Uint8Array.from(atob(document.getElementById(id).textContent), (letter) => letter.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+}
+
+/** Run a script that the page holds compressed; the page's policy knows it by its digest. */
+async function run(id) {
+  document.body.append(element("script", {}, await unpack(id)));
+}
+
+/** The robot in space: the same page as the viewer, in a frame; and its picture, where the page is printed. */
+class Space {
+  constructor(selection) {
+    this.frame = document.getElementById("space");
+    this.selection = selection;
+  }
+
+  async open() {
+    this.frame.srcdoc = await unpack("viewer-page");
+    await new Promise((done) => { this.frame.addEventListener("load", done, { once: true }); });
+    const page = this.frame.contentDocument;
+    this.viewer = this.frame.contentWindow.calibrationViewer;
+    page.addEventListener("picked", (event) => this.selection.choose([event.detail]));
+    this.selection.followers.push(() => this.viewer.select(this.viewer.table.n ? Array.from({ length: this.viewer.table.n }, (_, row) => this.selection.has(row)) : [],
+      this.selection.poses.size > 0));
+    for (const button of document.querySelectorAll("[data-press]")) {
+      const pressed = page.getElementById(button.dataset.press);
+      button.hidden = !pressed || !!pressed.closest("[hidden]");
+      const show = () => button.setAttribute("aria-pressed", String(pressed.checked));
+      button.addEventListener("click", () => { pressed.click(); document.querySelectorAll("[data-press]").forEach((other) => other.dispatchEvent(new Event("shown"))); });
+      button.addEventListener("shown", show);
+      show();
+    }
+    document.getElementById("turn").addEventListener("click", (event) => { event.target.hidden = true; });
+    document.getElementById("turn").hidden = !TOUCH;
+    if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
+    document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
+    this.keep();
+    window.addEventListener("beforeprint", () => this.keep());
+    document.body.dataset.space = "true";
+  }
+
+  /** Keep the picture for paper. */
+  keep() {
+    const url = this.viewer.still();
+    if (url) document.getElementById("still").src = url;
+  }
+}
+
+async function startReport() {
+  await new Promise((painted) => { requestAnimationFrame(() => setTimeout(painted, 0)); });
+  const { rows, charts } = JSON.parse(await unpack("charts"));
+  const selection = new Selection(rows);
+  const drawn = Object.entries(charts).map(([name, chart]) => new Chart(name, chart, selection));
+  window.calibrationReport = { selection, charts: drawn };
+  if (document.getElementById("space")) await new Space(selection).open();
+  await run("bokeh");
+  await run("bokeh-api");
+  Bokeh.set_log_level("error");
+  const near = new IntersectionObserver((entries) => entries.filter(({ isIntersecting }) => isIntersecting)
+    .forEach(({ target }) => drawn.find(({ node }) => node === target).draw()), { rootMargin: "300px" });
+  drawn.forEach(({ node }) => near.observe(node));
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((chart) => chart.again()));
+  document.body.dataset.ready = "true";
+  const rest = async () => { for (const chart of drawn) { await chart.draw(); await new Promise((next) => { setTimeout(next, 30); }); } };
+  window.calibrationReport.all = rest;
+  (window.requestIdleCallback || setTimeout)(rest);
+}
+
+window.addEventListener("DOMContentLoaded", startReport);

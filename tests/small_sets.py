@@ -13,7 +13,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from simulated_places import lacking
 
 import calib
 from calib.core.base.threads import one_blas_thread
@@ -22,8 +21,19 @@ from calib.core.robots.terms.terms import listed_terms
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 KINDS = ("nothing", "gain", "harmonics", "curve", "compliance", "bending", "lacking")
 SIZES, N_UNSEEN, NOISE = (30, 45, 60), 300, 3e-5
+LACKING = 3e-4  # about how far a joint is off by what no term describes [rad]
 WORSE = 1.03
 """Ratio of errors from which a choice of terms has done harm."""
+
+
+def lacking(q, rng):
+    """What joints are off by that no term describes, (n, n_joints) [rad]."""
+    off, n = np.zeros_like(q), q.shape[1]
+    size = LACKING * np.exp(rng.uniform(np.log(0.3), np.log(3)))
+    for j in range(n):
+        waves = [np.sin(rng.uniform(0.5, 3) * q[:, k] + rng.uniform(0, 2 * np.pi)) for k in rng.integers(0, n, 2)]
+        off[:, j] = size * rng.standard_normal() * waves[0] * waves[1]
+    return off
 
 
 def true_robot(robot, kind, rng):

@@ -120,6 +120,43 @@ def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(sma
     np.testing.assert_allclose(covariance, b @ kept.covariance @ b.T + noise, rtol=1e-6)
 
 
+def test_blocks_that_are_left_out_are_predicted_by_a_solution_without_their_rows(small):
+    solved, weight = MixedModel.of(small).solved(LOGS), np.array([2.0, 0.5])
+    block = np.arange(20) % 3
+    squares = solved.left_out_squares(block[[small.pose[places[0]] for places in solved.model.poses]], weight)
+    for k in range(3):
+        there, others = np.flatnonzero(block[POSES] == k), np.flatnonzero(block[POSES] != k)
+        kept = MixedModel.of(
+            MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others], small.stated, POSES[others],
+                      small.levers[others])
+        ).solved(LOGS)  # fmt: skip
+        errors = small.values[there] - small.columns[there] @ kept.coefficients
+        assert squares[k] == pytest.approx(np.sum(weight[GROUPS[there]] * errors**2), rel=1e-6)
+
+
+def test_what_a_block_alone_decides_is_no_error_of_it(small):
+    """The place of a setup is a flat column of its rows: what they say together with it does not change their error."""
+    columns = np.column_stack([small.columns, np.where(POSES < 10, 1.0, 0.0)])
+    family, none = np.append(FAMILY, FLAT), np.zeros((60, 0))
+    squares = []
+    for moved in (0.0, 7.0):
+        values = small.values + np.where(POSES < 10, moved, 0.0)
+        solved = MixedModel.of(
+            MixedRows(columns, values, family, GROUPS * 0, small.stated[:1], POSES, none)
+        ).solved(LOGS[:3])  # fmt: skip
+        at = np.array([small.pose[places[0]] for places in solved.model.poses])
+        squares.append(solved.left_out_squares((at >= 10).astype(int), np.ones(1)))
+    np.testing.assert_allclose(squares[1], squares[0], rtol=1e-6)
+    assert squares[0][0] > 1.0
+
+
+def test_a_model_without_a_family_is_that_of_size_zero(small):
+    model = MixedModel.of(small)
+    without, none = model.without(np.array([True, False])).solved(LOGS), model.solved(np.array([-20.0, *LOGS[1:]]))
+    assert without.cost == pytest.approx(none.cost, rel=1e-9)
+    np.testing.assert_allclose(without.coefficients, none.coefficients, atol=1e-9)
+
+
 def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch):
     """Restricted likelihood: within = MSW, between^2 = (MSB - MSW) / n, where the prior of the size is flat."""
     monkeypatch.setattr("calib.core.numerics.size_search._slope", lambda at: np.zeros(len(at.logs)))

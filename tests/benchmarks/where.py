@@ -21,7 +21,7 @@ import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.calibrating import file_robots
 from calib.core.fitting import curvature, fit, regions, solving
-from calib.core.fitting.terms import term_choice
+from calib.core.fitting.terms import term_sizes
 from calib.core.judging import claim, error_budget, residual_patterns, verdict
 from calib.core.robots import continuation, kinematics
 from calib.core.rows import jacobian
@@ -95,7 +95,7 @@ def works(folder):
     }
     if folder:
         robot, data = evaluations.ur10(folder / "ur10_tracker", 1000)
-        parts = {"choice of terms": term_choice.choose_terms, **fits}
+        parts = {"sizes of terms": term_sizes.size_terms, **fits}
         yield "`--terms auto`, UR10, 1000 poses", lambda: calib.fit(robot, data, terms="auto").to_dict(), parts
     with tempfile.TemporaryDirectory() as name:
         arm = calib.load(evaluations.EXAMPLES / "arm.yaml")

@@ -62,8 +62,8 @@ class Contribution(Enum):
     )
     UNDECIDED = (
         "undecided terms",
-        "joint terms that the data neither show nor exclude",
-        "numerics.undecided",
+        "the sizes of joint terms, of those too that the data neither show nor exclude",
+        "fitting.terms.term_sizes",
         (Sureness.INTERVAL, Sureness.POSITION),
     )
     JOINT_ERRORS = (

@@ -1,7 +1,7 @@
 """Calibration: a fit, judged, and fitted again where the judgement asks for it.
 
-Order of work: (1) joint terms, if asked for: those that earn their place (`calib.core.fitting.terms.term_choice`); what
-a section of the description says, such as that on a fleet, is left out where the readings contradict it; (2) the fit
+Order of work: (1) joint terms, if asked for, as large as readings show (`calib.core.fitting.terms.term_sizes`); what a
+section of the description says, such as that on a fleet, is left out where the readings contradict it; (2) the fit
 (`calib.core.fitting.fit`), which is that of step 1 where no term was added; (3) outliers left out and all done again,
 if asked for; (4) poses left out in turn for cross-validation, if asked for; also where noise is so far above its
 statement that nothing else can prove the result.
@@ -34,7 +34,7 @@ from calib.core.fitting.likely_mistakes import likely_mistake, zeros_in_words
 from calib.core.fitting.outliers import Outlier, left_out_with
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.terms.candidate_terms import TermChoice, missing_terms
-from calib.core.fitting.terms.term_choice import choose_terms
+from calib.core.fitting.terms.term_sizes import size_terms
 from calib.core.fitting.validation import cross_validate, n_folds
 from calib.core.judging import findings
 from calib.core.judging.rules_noise import unproven
@@ -67,7 +67,7 @@ def calibrate(
         executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
-            targets placed, the minimum found, its uncertainty and errors known; the choice of terms, with a fit of its
+            targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with a fit of its
             own; each further start; each fold; each fit without outliers.
 
     Raises:
@@ -145,7 +145,7 @@ def _with_terms(
     elif terms == "auto":
         first = replace(settings, starts=1)
         minimum = minimum_of(robot, first, data, validation, steps=steps)
-        choice = choose_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
+        choice = size_terms(fit_at(minimum, first, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
         if choice.sections == described:
             return robot, choice, minimum, None

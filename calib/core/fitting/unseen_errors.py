@@ -14,9 +14,9 @@ its parameters are known only so well. The noise of the readings there counts, t
       du = C J_k^T (1 - H_k)^-1 r_k
 
   A pose that decides some direction alone, such as the place of a setup of its own, is not among them: no other pose
-  foretells it. Where joint terms were chosen by the same poses, these errors are too small: the terms are those that
-  suit them. What is expected of poses left out, whichever terms are there, is told by the mixed model of all of them
-  (`calib.core.fitting.terms.term_trials`). Where that is more, the mean of both squares is stated.
+  foretells it. Where the same poses told which joint terms there are, and how large, these errors are too small. What
+  is expected then, by the model of all terms (`calib.core.fitting.terms.term_sizes`), takes their place, and `limit95`
+  changes in proportion.
 
 Of the errors at n such poses (of positions: distances between predicted and read, the mean over repeats of a pose) are
 stated
@@ -72,8 +72,8 @@ def foretold_accuracy(fit: Fit) -> Accuracy | None:
         return None
     seen = of_errors(foretold, SeenAt.ONE_BY_ONE)
     expected = math.nan if fit.terms is None else fit.terms.expected_rms
-    more = max(1.0, math.sqrt(0.5 + 0.5 * (expected / seen.rms) ** 2)) if expected > seen.rms > 0.0 else 1.0
-    return replace(seen, rms=more * seen.rms, limit95=more * seen.limit95)
+    times = expected / seen.rms if expected > 0.0 < seen.rms else 1.0
+    return replace(seen, rms=times * seen.rms, limit95=times * seen.limit95)
 
 
 def of_errors(errors: ErrorSet, poses: SeenAt) -> Accuracy:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from calib.core.base.units import millimetres
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.term_choice import LEAST_POSES
+from calib.core.fitting.terms.term_sizes import LEAST_POSES
 from calib.core.fitting.validation import stretches
 from calib.core.judging.reasons import Answer
 from calib.core.judging.rules_model import why_no_origins

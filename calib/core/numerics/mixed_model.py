@@ -49,13 +49,13 @@ Reference: patterson1971; harville1977; mackay1992.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import of_equal_length
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, Part
@@ -156,6 +156,12 @@ class MixedModel(ReadOnlyArrays):
             if part.family >= 0:
                 squares[part.family] = np.sum((derivative[:, part.members] @ part.aside) ** 2, axis=1)
         return squares
+
+    def without(self, families: BoolArray) -> MixedModel:
+        """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""
+        kept = ~np.append(families, [False, False])[self.family]
+        parts = tuple(part.empty if part.family >= 0 and families[part.family] else part for part in self.parts)
+        return replace(self, parts=parts, x=self.x[:, kept], family=self.family[kept])
 
     def solved(self, logs: FloatArray) -> SolvedModel:
         """Solve it with sizes whose logarithms are given, (n_sizes,)."""
@@ -280,17 +286,40 @@ class SolvedModel(ReadOnlyArrays):
         """That of u of the condensed columns, (n, n)."""
         return self.scale[:, None] * self.inverse * self.scale
 
+    def left_out_squares(self, block: IntArray, weight: FloatArray) -> FloatArray:
+        """Return weighted squares of errors of blocks of poses, each predicted by all others, (n_blocks,).
+
+        Directions that a block alone decides, such as the place of a setup, are not counted.
+
+        Args:
+            block: Block of each pose in the order of `MixedModel.poses`, from 0 on, (n_poses,).
+            weight: Of each group of rows, (n_groups,).
+        """
+        weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
+        for k in range(len(squares)):
+            places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
+            unit, inner = self._kept_without(places)
+            values, vectors = linalg.eigh(inner)
+            told = values > _DECIDES
+            error = (vectors[:, told] / values[told]) @ (vectors[:, told].T @ (self.left[places] / unit))
+            squares[k] = np.sum(weights[places] * (unit * error) ** 2)
+        return squares
+
+    def _kept_without(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Roots of V of some rows (k,), and Q of these rows in units of these, (k, k)."""
+        unit = np.sqrt(self.variance[places])
+        spanned, z = self._spanned[places] / unit[:, None], self.z[places] / unit[:, None]
+        return unit, np.eye(len(places)) - spanned @ z.T
+
     def left_out(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).
 
         The pose is predicted by all others. A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            over = 1.0 / self.variance[places, None]
-            inner = np.diag(over[:, 0]) - (over * self._spanned[places]) @ (over * self.z[places]).T
-            unit = np.sqrt(self.variance[places])
-            values, vectors = linalg.eigh(unit[:, None] * inner * unit)
+            unit, inner = self._kept_without(places)
+            values, vectors = linalg.eigh(inner)
             if values[0] > _DECIDES:
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))
                 covariance = root @ root.T
-                yield places, covariance @ (turn @ (self.left[places] * over[:, 0])), covariance
+                yield places, covariance @ (turn @ (self.left[places] / unit**2)), covariance

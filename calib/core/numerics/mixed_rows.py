@@ -90,6 +90,12 @@ class Part(ReadOnlyArrays):
     aside: FloatArray
     family: int
 
+    @property
+    def empty(self) -> Part:
+        """The same columns, with coefficients of zero."""
+        nothing = np.zeros((len(self.members), 0))
+        return Part(self.members, nothing, nothing, self.family)
+
     @staticmethod
     def of(members: IntArray, columns: FloatArray, family: int) -> Part:
         """Return that of the columns of a family, (n_rows, n)."""

@@ -117,11 +117,6 @@ class Products:
                 square[g] += right @ right
         return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
 
-    def only(self, use: IntArray) -> Products:
-        """Return those of some columns, by place (n_used,)."""
-        gram = self.gram.take(use, 1).take(use, 2)  # a third of the time of both at once
-        return Products(gram, self.pull[:, use], self.square, self.count)
-
     def times(self, scales: FloatArray) -> Products:
         """Return those of rows times the scales of their groups, (n_groups,)."""
         squares = scales**2
@@ -170,11 +165,6 @@ class FamilyModel:
         products = Products.of(model.jacobian, model.residuals, model.layout.group, len(unstated))
         products = replace(products, count=model.layout.counts)
         return FamilyModel(products, model.prior, model.deviations, unstated, family, n_families)
-
-    def freedom(self, solved: SizedModel) -> float:
-        """Return how many degrees of freedom are left for noise."""
-        used = len(self.deviations) - solved.share(self.prior)
-        return float(np.sum(self.products.count)) - used
 
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
         """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""
@@ -282,20 +272,3 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
         if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
             break
     return scales, sizes
-
-
-def log_evidence(model: FamilyModel, solved: SizedModel, scales: FloatArray) -> float:
-    """Return the log marginal likelihood of the rows with scales and sizes of families, up to a constant.
-
-    Coefficients with a prior are integrated over it, the others over all values; so only models whose parameters
-    without a prior are the same can be compared.
-
-    Args:
-        model: The rows, by their products.
-        solved: The model with the sizes and scales.
-        scales: Of the groups, (n_groups,).
-    """
-    cost = float(np.sum(model.products.left(solved.step) / scales**2)) + model.prior.cost(solved.reached)
-    sizes = np.diag(solved.root) / solved.factor
-    determinant = 2.0 * float(model.products.count @ np.log(scales)) - 2.0 * float(np.sum(np.log(sizes)))
-    return -0.5 * (determinant + cost)

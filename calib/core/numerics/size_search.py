@@ -49,19 +49,22 @@ _ROUNDS = 80
 _HOPELESS = 1e6  # damping beyond which no step lowers the cost
 
 
-def likeliest_sizes(model: MixedModel, start: FloatArray | None = None) -> SolvedModel:
+def likeliest_sizes(model: MixedModel, start: FloatArray | None = None, zero: BoolArray | None = None) -> SolvedModel:
     """Return the model solved with the sizes of the largest posterior density.
 
     Args:
         model: The model.
         start: Logarithms of the sizes to begin with, (n_sizes,); by the module docstring if not given.
+        zero: Sizes that are held at their bound, (n_sizes,); none if not given.
     """
     bounds = _Bounds.of(model)
-    at = model.solved(np.clip(bounds.first if start is None else start, bounds.least, None))
+    none = np.zeros(len(bounds.least), dtype=bool) if zero is None else zero
+    begin = np.clip(bounds.first if start is None else start, bounds.least, None)
+    at = model.solved(np.where(none, bounds.least, begin))
     damping = 1e-3
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
-        free = ~((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0))
+        free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
         if not np.any(free) or np.max(np.abs(gradient[free])) < _STANDS / 2.0:
             break
         information = at.information + np.diag(_curvature(at))
@@ -132,6 +135,11 @@ def drawn_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray
     steps = scipy.linalg.solve_triangular(lower.T, rng.standard_normal((len(at.logs), n)), lower=False).T
     bounds = _Bounds.of(at.model)
     return np.clip(np.log(np.abs(np.exp(at.logs) + steps) + 1e-300), bounds.least, bounds.most)
+
+
+def least_sizes(model: MixedModel) -> FloatArray:
+    """Return logarithms of sizes that are as good as zero, (n_sizes,)."""
+    return _Bounds.of(model).least
 
 
 def information_by_size(at: SolvedModel) -> FloatArray:

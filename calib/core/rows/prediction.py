@@ -270,16 +270,6 @@ class UndecidedTerms(ReadOnlyArrays):
     names: tuple[str, ...]
     spread: FloatArray
 
-    @staticmethod
-    def of(terms: tuple[TermSection, ...], kinds: Sequence[Mapping[str, FloatArray]]) -> UndecidedTerms:
-        """Return them from the directions of each kind, (k,) of each parameter, by its name [SI]."""
-        names = tuple(dict.fromkeys(name for kind in kinds for name in kind))
-        blocks = []
-        for kind in kinds:
-            nothing = np.zeros_like(next(iter(kind.values())))
-            blocks.append(np.stack([kind.get(name, nothing) for name in names]))
-        return UndecidedTerms(terms, names, np.concatenate(blocks, axis=1))
-
     def added_to(self, robot: Robot) -> Robot:
         """Return a robot with these terms beside its own, coefficients zero."""
         return robot.with_terms((*robot.description.terms, *self.terms))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import ValidationError
@@ -18,6 +18,8 @@ from calib.core.robots.terms.term import Condition, JointTerm, TermSection
 from calib.core.robots.terms.terms import TERMS
 from calib.core.rows.prediction import UndecidedTerms
 
+TELLS = 3.0
+"""Log evidence from which a kind is surely there: odds of 20 to 1 (kass1995)."""
 _OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
 _SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
 
@@ -45,13 +47,19 @@ class Candidate:
             term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
         )
 
-    def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
-        """Return its entries, coefficients being expected to be this many times as large as is usual."""
-        sigma = {term.joint: float(factor * term.parameters[0].sigma_si) for term in self.of(robot)}
+    def resized(self, robot: Robot, factors: Mapping[str, float]) -> tuple[TermSection, ...]:
+        """Return its entries for some joints, with coefficients that are so many times as large as is usual.
+
+        Args:
+            robot: A robot that has its terms.
+            factors: Of each joint.
+        """
+        terms = self.of(robot)
+        sigma = {t.joint: float(factors[t.joint] * t.parameters[0].sigma_si) for t in terms if t.joint in factors}
         resized: list[TermSection] = []
         for section in self.sections:
             by_joint = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
-            if section.joint == "all" and len(set(by_joint.values())) == 1:
+            if section.joint == "all" and len(set(by_joint.values())) == 1 and all(t.joint in sigma for t in terms):
                 by_joint = {"all": next(iter(by_joint.values()))}
             resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in by_joint.items()]
         return tuple(resized)
@@ -63,33 +71,26 @@ class TriedTerm:
 
     Attributes:
         term: Its name.
-        added: Whether it was added.
-        evidence: By how much the log marginal likelihood rose with it; NaN where it was not tried.
-        before, after: Root mean square of the main part of the readings without it and with it, each block of poses
-            left out in turn [SI]; NaN where it was not tried.
-        why: Why it was left out; empty where it was added.
-        size: How many times as large as is usual its coefficients are, the largest of a curve's joints; NaN where it
-            was not added.
-        together: Kinds that were added together with it, because the data cannot tell them from it; evidence and errors
-            are then those of all of them.
-        alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
-            marginal likelihood is with each of them alone.
+        added: Whether it is fitted.
+        evidence: By how much the log likelihood is higher with it, beside all other kinds; NaN where it was not asked.
+        size: How many times as large as is usual its coefficients are, the largest of its joints.
+        size95: The 95 % interval of that.
+        joints: For which joints it is fitted, where each has a size of its own.
+        why: Why the measurements cannot show it; empty where they can.
     """
 
     term: str
     added: bool = False
     evidence: float = float("nan")
-    before: float = float("nan")
-    after: float = float("nan")
-    why: str = ""
     size: float = float("nan")
-    together: tuple[str, ...] = ()
-    alike: Mapping[str, float] = field(default_factory=dict)
+    size95: tuple[float, float] = (float("nan"), float("nan"))
+    joints: tuple[str, ...] = ()
+    why: str = ""
 
     @property
     def proven(self) -> bool:
-        """Whether it was added, and the data say that it is of this kind and no other."""
-        return self.added and not self.alike
+        """Whether it is surely there."""
+        return self.added and self.evidence >= TELLS
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,9 @@ class TermChoice:
         requested: `auto`, `none`, or the list that was asked for.
         sections: The entries that it has.
         tried: Of `auto`, what was found about each kind of term, those that were added first.
-        undecided: Of `auto`, what terms that were not added leave uncertain; None if nothing.
-        expected_rms: Of `auto`, how far off poses that are left out are expected to be, whichever terms are there: the
-            root mean square of the main part of the readings [SI]; NaN where it is not known.
+        undecided: Of `auto`, what the sizes of all kinds leave uncertain; None if nothing.
+        expected_rms: Of `auto`, how far off poses that are left out are expected to be: the root mean square of the
+            main part of the readings [SI]; NaN where it is not known.
     """
 
     requested: str
@@ -113,7 +114,7 @@ class TermChoice:
 
     @property
     def automatic(self) -> bool:
-        """Whether terms were chosen by what the data say of them."""
+        """Whether the data say which terms there are."""
         return self.requested == "auto"
 
 

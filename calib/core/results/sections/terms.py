@@ -4,31 +4,25 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-import numpy as np
-
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, quantity_text
 from calib.core.base.words import listed
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.candidate_terms import not_known
+from calib.core.fitting.terms.candidate_terms import TriedTerm, not_known
 from calib.core.fitting.terms.joint_curves import joint_curves
-from calib.core.fitting.terms.term_choice import TELLS
 from calib.core.robots.terms.terms import TERMS
+
+_NONE = "none, because the measurements show none"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
     """Return what was asked for, the entries, what choosing them found, and where curves hold."""
-    part = fit.identification.main_part
-    scale, choice = error_scale(part.dimension), fit.terms
+    choice = fit.terms
     tried = [] if choice is None else choice.tried
     return {
         "asked": None if choice is None else choice.requested,
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
         "undecided": [section.model_dump(mode="json") for section in fit.undecided.terms] if fit.undecided else [],
-        "unit": ERROR_UNIT[part.dimension],
-        "tried": [
-            {**asdict(trial), "before": scale * trial.before, "after": scale * trial.after, "proven": trial.proven}
-            for trial in tried
-        ],
+        "tried": [{**asdict(trial), "proven": trial.proven} for trial in tried],
         "curves": [
             {
                 "joint": curve.joint,
@@ -45,52 +39,47 @@ def terms_table(fit: Fit) -> dict[str, object]:
 
 
 def terms_lines(fit: Fit) -> list[str]:
-    """Return what choosing joint terms found: what each brought, what was left out and why."""
+    """Return what was found about each kind of joint term: how large it is, and whether it is surely there."""
     if fit.terms is None or not fit.terms.automatic:
         return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.requested}"]
-    added: list[str] = []
-    left: list[str] = []
-    refused: list[str] = []
-    shown: set[str] = set()
-    for trial in fit.terms.tried:
-        if trial.term in shown:
-            continue
-        shown |= set(trial.together)
-        if np.isnan(trial.evidence):
-            refused.append(f"{trial.term} ({trial.why})")
-        else:
-            dimension = fit.identification.main_part.dimension
-            scale, unit = error_scale(dimension), ERROR_UNIT[dimension]
-            numbers = (
-                f"poses of blocks left out {scale * trial.before:.4f} -> {scale * trial.after:.4f} {unit} RMS,"
-                f" log evidence {trial.evidence:+.1f}"
-            )
-            others = listed([_rival(kind, less) for kind, less in trial.alike.items() if kind not in trial.together])
-            alike = f"; its kind is not certain, and may be {others}" if others else ""
-            which = "; the data do not show which, so they were added together" if trial.together else ""
-            name = " or ".join([trial.term, *trial.together])
-            (added if trial.added else left).append(
-                f"{name} ({trial.why}{': ' if trial.why else ''}{numbers}{which}{alike})"
-            )
-    count = len(fit.terms.tried)
-    lines = [f"Joint terms added: {listed(added, '; ', count) or 'none, because none improves the prediction'}"]
-    lines += [f"Joint terms left out: {listed(left, '; ', count)}"] if left else []
-    return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', count)}"] if refused else [])
+    tried, count = fit.terms.tried, len(fit.terms.tried)
+    added = [_found(trial) for trial in tried if trial.added]
+    left = [_found(trial) for trial in tried if not (trial.added or trial.why)]
+    refused = [f"{trial.term} ({trial.why})" for trial in tried if trial.why]
+    lines = [f"Joint terms added: {listed(added, '; ', count) or _NONE}"]
+    lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
+    lines += [f"The measurements do not say whether there are: {listed(left, '; ', count)}"] if left else []
+    return lines + ([f"Joint terms that they cannot show: {listed(refused, '; ', count)}"] if refused else [])
 
 
-def _rival(kind: str, less: float) -> str:
-    """What speaks for another kind of term whose log evidence is lower by `less`."""
-    evidence = f"log evidence {abs(less):.1f} {'lower' if less > 0 else 'higher'}"
-    return f"{kind} ({evidence}{', but blocks are predicted as well' if less >= TELLS else ''})"
+def _found(trial: TriedTerm) -> str:
+    """A kind of term and its size, in words."""
+    low, high = trial.size95
+    if not trial.added:
+        return f"{trial.term} (up to {high:.2g} times what is usual)"
+    of = f" of {listed(list(trial.joints))}" if trial.joints else ""
+    sure = "surely there" if trial.proven else "probably there"
+    size = f"{trial.size:.2g} times what is usual ({low:.2g} to {high:.2g})"
+    return f"{trial.term}{of} ({size}, {sure}: log evidence {trial.evidence:+.1f})"
+
+
+def _coefficients(fit: Fit, kind: str) -> list[str]:
+    """Return what the measurements say of each coefficient of a kind that has one for each joint, in a line."""
+    terms = [term for term in fit.robot.terms if type(term) is TERMS[kind] and len(term.parameters) == 1]
+    found = [fit.parameters[term.parameters[0].name] for term in terms]
+    clear = [c for c in found if abs(c.value_si) > float(c.half95_si)]
+    sizes = [f"{c.name} {c.value:+.2g} {c.unit} ({c.low95:+.2g} to {c.high95:+.2g})" for c in clear]
+    open_ = f"{len(found) - len(clear)} more that the measurements do not tell from zero"
+    said = [*sizes, *([open_] if len(clear) < len(found) else [])]
+    return [f"Coefficients of {kind}: {listed(said, '; ', len(said))}"] if found else []
 
 
 def terms_added(fit: Fit) -> list[str]:
-    """Return which joint terms were chosen, in a line; none where none were looked for."""
+    """Return which joint terms were added, in a line; none where none were looked for."""
     if fit.terms is None or not fit.terms.automatic:
         return []
-    added = [trial for trial in fit.terms.tried if trial.added]
-    names = dict.fromkeys(" or ".join(sorted([trial.term, *trial.together])) for trial in added)
-    return [f"Joint terms added: {', '.join(names) or 'none, because none improves the prediction of poses left out'}"]
+    added = [trial.term for trial in fit.terms.tried if trial.added]
+    return [f"Joint terms added: {', '.join(added) or _NONE}"]
 
 
 def terms_not_shown(fit: Fit) -> list[str]:

@@ -39,6 +39,7 @@ class Coupling(JointTerm):
     depends_on = (Condition.ANOTHER_JOINT,)
     per = "per rad or m of it"
     counts_turns = True
+    differs = True
     joint: str
     parameters: tuple[Parameter, ...]
     other: int

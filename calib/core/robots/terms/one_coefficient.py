@@ -75,6 +75,7 @@ class Gain(OneCoefficient):
     word = "gain"
     cause = "gain and harmonics"
     counts_turns = True
+    differs = True
     expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
 
     def formula(self, j: int) -> Formula:
@@ -105,6 +106,7 @@ class Drift(OneCoefficient):
     depends_on = (Condition.TIME,)
     per = "per hour"
     follows_command = False
+    in_auto = False
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
 
     def formula(self, j: int) -> Formula:
@@ -120,6 +122,7 @@ class Temperature(OneCoefficient):
     depends_on = (Condition.TEMPERATURE,)
     per = "per kelvin"
     follows_command = False
+    in_auto = False
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
 
     def formula(self, j: int) -> Formula:

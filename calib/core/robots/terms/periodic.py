@@ -138,6 +138,7 @@ class Curve(_Periodic):
     """A smooth curve over a turn, or over the stroke of a prismatic joint."""
 
     cause = "joint curves"
+    differs = True
     section = CurveSection
 
     @classmethod

@@ -188,6 +188,7 @@ class JointTerm(ABC):
             not show it (class attribute).
         counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
         in_auto: Whether it is tried if it is not named which terms a robot has (class attribute).
+        differs: Whether joints differ in how large it is: a ratio or a belt is wrong at one of them (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -200,6 +201,7 @@ class JointTerm(ABC):
     follows_command: ClassVar[bool] = True
     counts_turns: ClassVar[bool] = False
     in_auto: ClassVar[bool] = True
+    differs: ClassVar[bool] = False
     joint: str
     parameters: tuple[Parameter, ...]
 

@@ -1,0 +1,342 @@
+"""How large each kind of joint error is: all kinds at once in one model, in place of a choice of them.
+
+Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
+show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
+(`calib.core.numerics.mixed_model`), or one for each joint where joints differ (`JointTerm.differs`): its coefficients
+are normal with a size that is found by restricted likelihood, together with the noise and with an error of each joint
+that is another one at each pose, which stands for what no kind describes.
+
+Which kinds are fitted. From the model of all, kinds are left out one by one, those of most coefficients first. A kind
+stays where both are true:
+
+    prediction   blocks of poses left out are predicted better, by more than one standard error over the blocks: boxes
+                 of joint space; where there are several setups, boxes of each. Squares of errors count. Likelihood
+                 trusts the model, and asks for any kind that looks like what no kind describes; poses left out at
+                 random have neighbours that were kept, so that a curve through errors of any cause seems to predict
+    evidence     the log likelihood is higher with it by odds of 20 to 1 (kass1995), times the number of kinds: of many
+                 that are not there, one looks as if it were
+
+A kind that was left out is asked again beside those that stay. One that stays is surely there if the log likelihood is
+higher by odds of 20 to 1 with it beside all other kinds, too: of kinds that look alike, one may stay, none is claimed.
+
+What follows:
+
+    terms        kinds that stay are fitted, as any robot is, with the sigma that was found
+    undecided    the other kinds may be there, too, and sizes are uncertain. With coefficients u and covariance C of
+                 sizes of all kinds that are drawn from what the rows leave open, cov u = mean of C + covariance of u:
+                 what that is more than C of the fitted sizes stands beside the covariance of the fit
+    expected     how far off poses are that are left out, each predicted by all others: from the same model
+
+What was measured on real robots (`docs/theory/joint_terms.md`). Weighing the fit itself by the error of joints was no
+better on one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape.
+Time and temperature are no kinds of this model unless they are named: an error that grows with them was worse on every
+part of a file that lay outside their range.
+
+When it fails. Joint errors of many milliradians look curved. Blocks of a small part of joint space are neighbours of
+each other: what predicts them need not hold elsewhere. Of kinds that look alike, one stays.
+
+Reference: breiman1984; kass1995; patterson1971; roberts2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.errors import DataError
+from calib.core.base.threads import one_blas_thread
+from calib.core.data.pose_groups import boxes
+from calib.core.fitting.fitted import Fit
+from calib.core.fitting.regions import BLOCKS
+from calib.core.fitting.terms.candidate_terms import TELLS, Candidate, TermChoice, TriedTerm, candidates, missing_terms
+from calib.core.fitting.validation import stretches
+from calib.core.numerics import linalg
+from calib.core.numerics.mixed_model import MixedModel, SolvedModel
+from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
+from calib.core.numerics.size_search import drawn_sizes, least_sizes, likeliest_sizes
+from calib.core.robots.terms.term import TermSection
+from calib.core.rows.observed import observe
+from calib.core.rows.prediction import UndecidedTerms
+from calib.core.rows.rows import Scales
+from calib.core.rows.unknowns import Unknowns
+
+LEAST_POSES = 16
+"""Different poses below which no sizes are found."""
+_SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows show it
+_SHOWS = 1.0  # rise of the log likelihood by a family that they show
+_POSES = 500  # that tell the sizes
+_DRAWS = 24
+_LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
+_LIMITS = (0.025, 0.975)
+
+
+@one_blas_thread
+def size_terms(fit: Fit) -> TermChoice:
+    """Return the terms of the joints' errors with the sizes that measurements show.
+
+    Args:
+        fit: The fit with the terms that its robot has anyway.
+
+    Raises:
+        DataError: Too few poses.
+    """
+    data, described = fit.identification.data, fit.robot.description.terms
+    if len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+        raise DataError(
+            f"{data.path}: finding which joint terms are there needs at least {LEAST_POSES} different poses; name the"
+            " terms (--terms curve,gain), or measure more"
+        )
+    kinds = candidates(fit.robot, data)
+    if fit.computed:
+        why = "nothing is left to explain: these data were computed, not measured"
+        return TermChoice("auto", described, tuple(TriedTerm(candidate.term, why=why) for candidate in kinds))
+    asked = tuple(candidate for candidate in kinds if not (candidate.refused or candidate.doubt))
+    model = _TermModel(fit, asked)
+    tried = [model.outcome(c) if c in asked else TriedTerm(c.term, why=c.refused or c.doubt) for c in kinds]
+    sections = (*described, *(section for candidate in asked for section in model.entries(candidate)))
+    tried.sort(key=lambda term: not term.added)
+    return TermChoice("auto", sections, tuple(tried), model.undecided(sections), model.expected_rms())
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Coefficients of one size.
+
+    Attributes:
+        term: Their kind.
+        joint: Their joint; empty for those of all joints.
+    """
+
+    term: str
+    joint: str = ""
+
+
+class _TermModel:
+    """The mixed model of all kinds around a fit.
+
+    Args:
+        fit: The fit.
+        kinds: The kinds.
+    """
+
+    def __init__(self, fit: Fit, kinds: Sequence[Candidate]) -> None:
+        self._fit = fit
+        self._sections = tuple(section for candidate in kinds for section in candidate.sections)
+        self.robot = fit.robot.with_terms((*fit.robot.description.terms, *self._sections))
+        self._unknowns = Unknowns.of(self.robot)
+        owner = {
+            p.name: _Family(candidate.term, term.joint if term.differs else "")
+            for candidate in kinds
+            for term in candidate.of(self.robot)
+            for p in term.parameters
+        }
+        own = [self._unknowns.families[k] if k >= 0 else "" for k in self._unknowns.family]
+        labels = [owner.get(name, _Family(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
+        self._families = [family for family in dict.fromkeys(labels) if family.term]
+        numbers = {family: k for k, family in enumerate(self._families)}
+        self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
+        self._solved = dict[frozenset[str], SolvedModel]()
+        self._asked = np.array([family in owner.values() for family in self._families], dtype=bool)
+
+    @cached_property
+    def _read(self) -> IntArray:
+        """Rows that tell the sizes."""
+        layout = self._fit.whitening.layout
+        poses = np.unique(layout.pose_of_row)
+        some = poses[:: -(-len(poses) // _POSES)]
+        return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
+
+    @cached_property
+    def _at(self) -> SolvedModel:
+        """The model with its likeliest sizes."""
+        fit, layout = self._fit, self._fit.whitening.layout
+        data, near = fit.identification.data, fit.configurations.passive
+        observed = observe(
+            self.robot, self.robot.assemble(data.joints, near, data.labels, data.conditions), data.readings
+        )
+        ones, deviations = np.ones(len(layout.groups)), self._unknowns.deviations(self.robot.values)
+        weighing = fit.whitening.weighing(fit.scales.ratios)
+        rows = fit.whitening.rows(observed, ones, self._unknowns, deviations).weighted(fit.weights).whitened(weighing)
+        by_joint = fit.whitening.joint_columns(observed)[:, : len(fit.robot.joint_names)]
+        levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
+        levers = levers if weighing is None else weighing.whiten(levers)
+        read = self._read
+        found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
+        noise = NoiseOfRows(layout.group[read], found, layout.pose_of_row[read])
+        columns, residuals = rows.jacobian[read], rows.residuals[read]
+        mixed = MixedRows.of(columns, residuals, rows.prior, rows.deviations, self._family, noise, levers[read])
+        return likeliest_sizes(MixedModel.of(mixed))
+
+    def _without_families(self, families: BoolArray) -> SolvedModel:
+        """The model without some families, (n_families,), and with the likeliest sizes of the others."""
+        zero = np.arange(len(self._at.logs)) < len(families)
+        zero[: len(families)] = families
+        return likeliest_sizes(self._at.model.without(families), self._at.logs, zero)
+
+    @cached_property
+    def _blocks(self) -> IntArray:
+        """Block of each pose of the model by the module docstring, (n_poses,)."""
+        data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
+        setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
+        layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
+        visits = layout.visit[layout.reading[self._read[[places[0] for places in self._at.model.poses]]]]
+        each = np.unique(setups[visits])
+        for setup in each:
+            there = np.flatnonzero(setups == setup)
+            parts = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
+            for part in parts:
+                block[there[part]], start = start, start + 1
+        return np.unique(block[visits], return_inverse=True)[1]
+
+    def _with(self, kinds: frozenset[str]) -> SolvedModel:
+        """The model with some of the kinds that were asked."""
+        if kinds not in self._solved:
+            self._solved[kinds] = self._without_families(self._asked & ~np.isin(self._terms, list(kinds)))
+        return self._solved[kinds]
+
+    def _squares(self, at: SolvedModel) -> FloatArray:
+        """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
+        bare = self._with(frozenset())
+        rows, left = bare.model.rows, bare.left
+        sums, counts = (np.bincount(rows.group, values, len(rows.stated)) for values in (left**2, np.ones(len(left))))
+        return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
+
+    def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
+        """Whether a kind earns its place among some by the module docstring."""
+        at, without = self._with(kinds | {kind}), self._with(kinds - {kind})
+        fewer = self._squares(without) - self._squares(at)
+        clearly = float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
+        return clearly and without.cost - at.cost > TELLS + float(np.log(len(self._every)))
+
+    @cached_property
+    def _every(self) -> frozenset[str]:
+        """Kinds that were asked."""
+        return frozenset(map(str, self._terms[self._asked]))
+
+    @cached_property
+    def _chosen(self) -> SolvedModel:
+        """The model with the kinds that earn their place."""
+        every = kinds = self._every
+        seen = set[frozenset[str]]()
+        while kinds not in seen:
+            seen.add(kinds)
+            idle = next((kind for kind in self._by_freedom(kinds) if not self._earns(kind, kinds)), None)
+            if idle is not None:
+                kinds -= {idle}
+                continue
+            more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
+            kinds |= {min(more, key=lambda kind: self._with(kinds | {kind}).cost)} if more else kinds
+        return self._with(kinds)
+
+    @cached_property
+    def _least(self) -> FloatArray:
+        """Logarithms of sizes that are as good as zero, (n_sizes,)."""
+        return least_sizes(self._at.model)
+
+    def _shown(self, k: int) -> bool:
+        """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
+        logs = self._chosen.logs[: len(self._families)]
+        least = logs <= self._least[: len(logs)]
+        if least[k]:
+            return False
+        return self._without_families(least | (np.arange(len(logs)) == k)).cost - self._chosen.cost > _SHOWS
+
+    @cached_property
+    def _there(self) -> BoolArray:
+        """Which families are fitted, (n_families,)."""
+        large = np.exp(self._chosen.logs[: len(self._families)]) > _SMALL
+        return np.array([some or self._shown(k) for k, some in enumerate(large)], dtype=bool)
+
+    @cached_property
+    def _terms(self) -> NDArray[np.str_]:
+        """Kind of each family, (n_families,)."""
+        return np.array([family.term for family in self._families], dtype=np.str_)
+
+    def _by_freedom(self, kinds: frozenset[str]) -> list[str]:
+        """Some kinds, that of most coefficients that rows decide first."""
+        at = self._with(kinds)
+        decided = 1.0 - np.diag(at.inverse)
+        return sorted(kinds, key=lambda kind: -np.sum(decided[np.isin(at.model.family, self._members(kind))]))
+
+    def _members(self, kind: str) -> IntArray:
+        return np.flatnonzero(self._terms == kind)
+
+    def entries(self, candidate: Candidate) -> tuple[TermSection, ...]:
+        """Return the entries of a kind that are fitted, with the sigma that was found."""
+        factors = dict[str, float]()
+        terms = candidate.of(self.robot)
+        for k in (k for k in self._members(candidate.term) if self._there[k]):
+            joints = [term.joint for term in terms if self._families[k].joint in ("", term.joint)]
+            factors |= dict.fromkeys(joints, float(np.exp(self._chosen.logs[k])))
+        if any(p.family for term in terms for p in term.parameters):  # the fit finds its size again
+            section = candidate.sections[0]
+            return tuple(section.model_copy(update={"joint": joint}) for joint in factors)
+        return candidate.resized(self.robot, factors)
+
+    def outcome(self, candidate: Candidate) -> TriedTerm:
+        """Return what was found about a kind."""
+        members = self._members(candidate.term)
+        there = [k for k in members if self._there[k]]
+        most = max(members, key=lambda k: self._chosen.logs[k])
+        low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)
+        return TriedTerm(
+            candidate.term,
+            bool(there),
+            self._with(self._every - {candidate.term}).cost - self._at.cost if there else float("nan"),
+            float(np.exp(self._chosen.logs[most])),
+            (float(low), float(high)),
+            tuple(self._families[k].joint for k in there if self._families[k].joint),
+        )
+
+    @cached_property
+    def _draws(self) -> FloatArray:
+        """Logarithms of sizes that the rows leave open, (n_draws, n_sizes)."""
+        return drawn_sizes(self._at, _DRAWS, np.random.default_rng(self._fit.seed))
+
+    def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
+        """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
+        model = self._at.model
+        logs = self._chosen.logs.copy()
+        logs[: len(self._families)][~self._there] = self._least[: len(self._families)][~self._there]
+        fitted = model.solved(logs)
+        more, steps = -fitted.covariance, []
+        for draw in self._draws:
+            solved = model.solved(draw)
+            more += solved.covariance / _DRAWS
+            steps.append(solved.scale * solved.v - fitted.scale * fitted.v)
+        more += np.array(steps).T @ np.array(steps) / _DRAWS
+        felt = np.linalg.norm(model.x, axis=0) + 1e-30
+        values, vectors = linalg.eigh(felt[:, None] * more * felt)
+        kept = values > _LITTLE * max(float(values[-1]), 0.0)
+        if not np.any(kept):
+            return None
+        condensed = vectors[:, kept] * np.sqrt(values[kept]) / felt[:, None]
+        spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
+        spread *= self._unknowns.scales[:, None]
+        names = [k for k, row in enumerate(spread) if np.any(row)]
+        others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
+        return UndecidedTerms(others, tuple(self._unknowns.names[k] for k in names), spread[names])
+
+    def expected_rms(self) -> float:
+        """Return how far off poses that are left out are expected to be: root mean square of the main part [SI].
+
+        NaN where each pose stands alone, where no terms are fitted, and where poses have several readings: the shape of
+        what these share is not known, and that of joints may be far from it.
+        """
+        fit, layout = self._fit, self._fit.whitening.layout
+        if layout.n_readings > len(np.unique(layout.pose)) or not np.any(self._there & self._asked):
+            return float("nan")
+        weighing = fit.whitening.weighing(fit.scales.ratios)
+        std = np.full(layout.n_rows, np.nan)
+        for places, _, covariance in self._chosen.left_out():
+            std[self._read[places]] = np.sqrt(np.diag(covariance))
+        std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
+        scales = Scales(np.ones(len(layout.groups)), np.zeros(len(fit.scales.ratios)))
+        expected = replace(fit.identification, after=fit.whitening.read(std, scales))
+        lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
+        return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")

@@ -27,8 +27,8 @@ from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 
-NOT_OURS = ("dh", "mdh", "ur-kinematics", *FIRMWARES)
-"""Formats that hold no closed loops, or only those of delta printers."""
+NOT_OURS = ("dh", "mdh", "ur-kinematics", "rotary-axes", *FIRMWARES)
+"""Formats that hold no closed loops, only those of delta printers, or rotary axes."""
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROBOT = REPOSITORY / "urdf" / "medrue.yaml"
 URDF = REPOSITORY / "urdf" / "medrue.urdf"

@@ -271,7 +271,7 @@ def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, ru
     assert "calibrated.urdf was not written: it is worse than the nominal robot:" in run.err
     assert "file_withheld" in json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["codes"]
     assert "(--force writes it)" in run.err
-    assert "(withheld)" in run.out
+    assert "withheld: urdf" in run.out
     left = {path.name for path in (tmp_path / "out").iterdir()}
     assert "calibrated.urdf" not in left
     assert {"result.json", "parameters.csv", "residuals.csv", "fit.npz"} <= left

@@ -444,6 +444,8 @@ def test_a_controller_gets_where_each_axis_of_rotation_is(tmp_path):
     assert np.array(c.split(",")[1:], dtype=float) == pytest.approx([*(1e3 * point), *along], abs=1e-5)
     arm = calib.load(write_six_axis(tmp_path))
     assert "rotary-axes" not in formats_that_hold(Holds.ORIGINS, arm)
+    with pytest.raises(calib.InputError, match="is for a robot with 'parametrisation: rotary_axes'"):
+        FORMATS[0].write(arm, [])
     with pytest.raises(calib.DescriptionError, match="the URDF has no joint 'a', 'b' or 'c'"):
         load(tmp_path, "arm.yaml", ARM + "targets: {pin: {frame: l6}}\nparametrisation: rotary_axes\n")
 

@@ -98,7 +98,7 @@ def test_the_command_line_tells_a_guess_in_one_line(data, tmp_path, run_calib):
         ("J{} deg", "{} [mm]", "column 'J1 deg': write its unit in brackets: 'J1 [deg]'"),
         ("J{} (grad)", "{} [mm]", "column 'J1 (grad)': unknown unit 'grad'; did you mean 'rad'?"),
         ("J{} [deg]", "reflector_{}_mm", "column 'reflector_x_mm': write its unit in brackets: 'reflector_x [mm]'"),
-        ("J{} [deg]", "{} (in)", "column 'x (in)': unknown unit 'in'; valid: deg, m, mm"),
+        ("J{} [deg]", "{} (in)", "column 'x (in)': unknown unit 'in'; valid: arcsec, deg, m, mm, mrad, rad, um, urad"),
     ],
 )
 def test_a_unit_that_is_written_otherwise_is_named(robot, data, joint, axis, message):

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError
+from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.sections import Component
 from calib.core.base.units import millimetres
 from calib.core.robots.file_formats import Format, FormatFile
@@ -48,6 +48,8 @@ def rotary_axes(origins: Mapping[str, Origin]) -> NamedOrigins:
 
 def _table(robot: Robot, lines: Sequence[str]) -> FormatFile:
     """A point and the direction of each rotary axis as CSV."""
+    if not _has_rotary_axes(robot):
+        raise InputError(f"{robot.path}: format 'rotary-axes' is for a robot with 'parametrisation: {NAME}'")
     zero, text = np.zeros((1, len(robot.joint_names))), [f"# {line}" for line in lines]
     text.append("axis,x [mm],y [mm],z [mm],i,j,k")
     for joint in (joint for joint in robot.urdf.joints if joint.name in ("a", "b", "c")):

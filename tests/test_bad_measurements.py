@@ -14,6 +14,7 @@ from calib.exporting.formats import JOINT_TABLES
 from calib.printers import COMMENTS as FIRMWARES
 
 SIGMA = 4e-5
+NOT_FOR_ARMS = ("ur-kinematics", "rotary-axes", JOINT_TABLES, *FIRMWARES)
 ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m]" for axis in "xyz")])
 UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
@@ -157,7 +158,7 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     assert result["verdict"]["forced"] is True
     assert (folder / "out" / "calibrated.urdf").exists()
     assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
-    for file_format in (item for item in formats() if item not in ("ur-kinematics", JOINT_TABLES, *FIRMWARES)):
+    for file_format in (item for item in formats() if item not in NOT_FOR_ARMS):
         target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
         run = run_calib(
             "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target

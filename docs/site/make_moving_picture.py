@@ -13,11 +13,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from make_poster import FIGURES, fitted, poses_of
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import calib
-from make_poster import FIGURES, fitted, poses_of
 from viz.scene import build_scene, scene_of_fit
 from viz.screenshots import chromium
 from viz.viewer_page import scene_page

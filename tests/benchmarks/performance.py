@@ -245,33 +245,12 @@ did not converge. This table alone: `python tests/benchmarks/evaluations.py --da
 """
     yield from evaluations.table(robots)
     yield """
-## Rows that are not spread
-
-Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, 67 of each sort, from the same
-start, with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are
-fewer fits, rows that do not determine the robot were refused. This table alone:
-`python tests/benchmarks/evaluations.py --subsets 67 --data FOLDER`. The fit that does not converge is of 20 rows on
-which a length wants to be infinite, an arc a line: it ends early, and its verdict, FAIL, names the length. Of fits that
-take more than 20 evaluations, or more than MINPACK's, the second table says after how many the cost is within 1e-8, and
-within 1e-12, of the lowest: by the fit, and by SciPy's three solvers, within 300. Where a valley bends, none is fast;
-elsewhere MINPACK ended before it was as near.
-"""
-    yield from evaluations.subset_table(evaluations.clustered(folder), SUBSETS)
-    yield """
 ## Growth
 
 Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. This table alone:
 `python tests/benchmarks/growth.py --data FOLDER`.
 """
     yield from growth.table(folder, max(rounds // 5, 1))
-    yield """
-## Where the time goes
-
-Shares of processor time, by Python's profiler, which makes small functions look slower than they are. What compiled
-code takes counts for the function that calls it; what is not named is spread over many parts. This table alone:
-`python tests/benchmarks/where.py --data FOLDER`.
-"""
-    yield from where.table(folder)
 
 
 def main():

@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 import scipy
 import waiting
-import where
 import whole_commands
 from hand_written import Arm, fit
 from timing import fast, least
@@ -36,7 +35,6 @@ ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of t
 SAME_COST = 1e-6
 """Relative difference of costs up to which two fits reached the same minimum."""
 
-SUBSETS = 67
 """Subsets of each sort: 201 of each robot."""
 NUMBA = find_spec("numba") is not None
 

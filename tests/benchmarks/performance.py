@@ -34,7 +34,6 @@ ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of t
 }
 SAME_COST = 1e-6
 """Relative difference of costs up to which two fits reached the same minimum."""
-
 NUMBA = find_spec("numba") is not None
 
 

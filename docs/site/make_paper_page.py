@@ -7,7 +7,8 @@
     python docs/site/make_paper_page.py out/poses.json out/study out/experiment out/touch
 
 The page has places `<!-- begin study/table2.csv -->` ... `<!-- end -->`; what is between them is replaced. A CSV
-becomes a table without what `LEFT_OUT` names, `poses.json` a table of where the poses are. Figures of the page are copied to docs/figures/paper.
+becomes a table without what `LEFT_OUT` names, `poses.json` a table of where the poses are. Figures of the page are
+copied to docs/figures/paper.
 """
 
 from __future__ import annotations

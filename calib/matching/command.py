@@ -31,7 +31,9 @@ from calib.matching.result import FILES
     is_flag=True,
     help="Do not try joint terms (gravity, couplings) where joint origins explain too little.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the simulated rounding.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the simulated rounding."
+)
 @click.option(
     "-o",
     "--out",

@@ -73,7 +73,11 @@ _READINGS = "readings.csv"
     help="How long the output is on while the instrument reads.",
 )
 @click.option(
-    "--output-number", type=click.IntRange(min=-1), default=1, show_default=True, help="Digital output that triggers the instrument; -1: none."
+    "--output-number",
+    type=click.IntRange(min=-1),
+    default=1,
+    show_default=True,
+    help="Digital output that triggers the instrument; -1: none.",
 )
 @click.option("--third-joint", type=click.Choice(THIRD_JOINT), help="FANUC: what the third joint of the URDF is.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")

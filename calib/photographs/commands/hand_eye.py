@@ -63,7 +63,11 @@ FILES = (
 @click.option(
     "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
 )
-@click.option("--robot", metavar="ROBOT", help="Robot (YAML description or URDF), if --poses has joint values; it is not calibrated.")
+@click.option(
+    "--robot",
+    metavar="ROBOT",
+    help="Robot (YAML description or URDF), if --poses has joint values; it is not calibrated.",
+)
 @click.option("--angles", type=click.Choice(ANGLES), help="Meaning of columns rx, ry, rz.")
 @click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
 @click.option(

@@ -30,9 +30,10 @@ LEFT_OUT = {
     "study/table2.csv": {"standard error"},
     "experiment/table3.csv": {"redundant", "yes"},
     "experiment/table4.csv": {"standard error"},
+    "experiment/table5.csv": {"both sides"},
     "experiment/pose_count.csv": {"either side", "standard error", "RMS y", "RMS z"},
-    "touch/world.csv": {"spread"},
-    "touch/shape.csv": {"spread"},
+    "touch/world.csv": {"spread", "std"},
+    "touch/shape.csv": {"spread", "std"},
     "touch/methods.csv": {"cannot see"},
 }
 """Words of columns' headers, and of a row's first or last cell, that the page does without."""

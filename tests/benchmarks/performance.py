@@ -7,7 +7,6 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 """
 
 import argparse
-import resource
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from hand_written import Arm, fit
 from timing import fast, least
 
 import calib
-from calib.core.base.threads import one_blas_thread
 from calib.core.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
@@ -71,7 +69,7 @@ def with_loops(rounds):
 
 
 def kinematics(rounds):
-    """Rows of the table of kinematics, MedRUE's 420 poses after a step of the parameters; and page faults of a step."""
+    """Rows of the table of kinematics, MedRUE's 420 poses after a step of the parameters."""
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)
     moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))
     seed, solved = robot.assemble(q).passive, moved.assemble(q)
@@ -100,13 +98,8 @@ def kinematics(rounds):
     }
     quick = {f"{name} compiled": fast(function) for name, function in columns.items() if NUMBA}
     taken = least(rounds, loop=loop, **columns, **quick)
-    one_blas_thread(ours)()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    one_blas_thread(ours)()
-    faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
     units = {name: taken["loop"] * (len(some) / len(q) if " 84 " in name else 1.0) for name in columns}
-    rows = [[name, *(ratio(taken.get(key), units[name]) for key in (name, f"{name} compiled"))] for name in columns]
-    return rows, faults
+    return [[name, *(ratio(taken.get(key), units[name]) for key in (name, f"{name} compiled"))] for name in columns]
 
 
 def fits(problems, rounds):
@@ -165,33 +158,25 @@ the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, a
 
 ## Kinematics through closed loops
 
-The table has the work for MedRUE at 420 poses after a small step of the parameters, and whole fits. The unit is
-Pinocchio's own loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and
-without reading the result.
+Work for each of 420 poses of MedRUE after a small step of the parameters, and of whole fits. The unit is one call of
+Pinocchio's `computeJointJacobians` from Python.
 
-With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once
-for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
-once use it, and so does code under `with calib.core.robots.acceleration.compiled():`. Where nothing is compiled yet,
-only work that takes longer than compiling does: a study of 1700 draws of 84 poses, a fit of 35 000.
+With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once for each
+version. Studies of many calibrations and work on thousands of poses use it, and so does code under `with
+calib.core.robots.acceleration.compiled():`.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
-    rows, faults = kinematics(rounds)
-    for row in rows:
+    for row in kinematics(rounds):
         yield f"| {' | '.join(row)} |"
     yield """
-Three robots with loops, 420 poses each: the work that is called *both* above, after a smaller step of the parameters:
+The work called *both* above for three robots with loops, after a smaller step of the parameters:
 
 | robot | parameters | over Pinocchio's loop | with `fast` |
 |---|---:|---:|---:|"""
     for row in with_loops(rounds):
         yield f"| {' | '.join(map(str, row))} |"
-    yield f"""
-Half of Stewart's step without numba is Pinocchio's three sweeps and LAPACK's systems of 18 equations for each pose.
-One more step of a fit, without numba, takes no new memory (page faults: {faults}). Twists in the world serve all
-frames, and joints that move none of them, or all of them alike, are not in the model.
-"""
-    yield """\
+    yield """
 ## A fit against a hand-written one
 
 `tests/benchmarks/hand_written.py` is a fit for one serial arm: batched numpy, Gauss-Newton steps, no checks, no

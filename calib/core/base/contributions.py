@@ -74,7 +74,7 @@ class Contribution(Enum):
     )
     FRAME = (
         "frame",
-        "positions are told in the robot's own base, laid where positions agree best; where that is does not count",
+        "positions are in the robot's own base frame, fitted to them; the uncertainty of that fit does not count",
         "rows.told_positions",
         (Sureness.POSITION,),
     )

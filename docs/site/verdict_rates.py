@@ -191,7 +191,8 @@ def _first_reason(said: str) -> str:
 
 
 def _line(reason: str, group: list[list[str]]) -> str:
-    names = "; ".join(row[1] for row in group)
+    quiet = group[0][0] == "healthy" and len(group) > 1
+    names = f"{len(group)} scenarios without a reason" if quiet else "; ".join(row[1] for row in group)
     counts = " | ".join(str(sum(int(row[k]) for row in group)) for k in range(2, 7))
     return f"| {reason or '-'} | {names} | {counts} |".replace("_", "\\_")
 

@@ -219,13 +219,6 @@ This table alone: `python tests/benchmarks/waiting.py --data FOLDER`.
 """
     yield from waiting.table(folder, max(rounds // 5, 1))
     yield """
-## Evaluations
-
-Evaluations of a fit as the stated noise shrinks from 1 mm to 1 um and the data stay the same; * would mark a fit that
-did not converge. This table alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
-"""
-    yield from evaluations.table(robots)
-    yield """
 ## Growth
 
 Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. This table alone:

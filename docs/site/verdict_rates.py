@@ -176,7 +176,7 @@ def markdown(table: list[list[str]]) -> str:
     """Return a Markdown table for each kind: scenarios by their most frequent reason, and the total."""
     text = []
     for kind, heading in KINDS.items():
-        text += [f"| first reason | {heading} | runs | {' | '.join(OUTCOMES)} |", "|---|---|" + "---:|" * 5]
+        text += [f"| most frequent reason | {heading} | runs | {' | '.join(OUTCOMES)} |", "|---|---|" + "---:|" * 5]
         by_reason: dict[str, list[list[str]]] = {}
         *scenarios, total = [row for row in table if row[0] == kind] or [[kind, f"all {kind}", *"00000", ""]]
         for row in scenarios:

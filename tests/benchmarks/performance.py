@@ -195,7 +195,7 @@ A draw of [`calib.study`](howto/many_calibrations.md) is a fit that starts from 
 a single fit, in less time.
 MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
 
-| | a fit by itself takes as long as | processor time of a draw | of 10 000 draws, shared by two free cores |
+| | a single fit takes as long as | processor time of a draw | of 10 000 draws, on two cores |
 |---|---:|---:|---:|"""
     for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
         if each is not None:
@@ -203,19 +203,16 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     yield """
 ## Whole commands
 
-From one prompt to the next, with simulated measurements, modules compiled to byte code, and kinematics by numba. The
-unit is a program that only imports the libraries that a fit with pages needs; times are those of the machine that made
-this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. This table alone:
+Time from prompt to prompt: simulated measurements, modules compiled to byte code, kinematics by numba. The unit is a
+program that only imports the libraries that a fit with pages needs. Commands on 100 000 rows and more, and those of
+`medrue`, ran once. This table alone:
 `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """
 ## What people wait for
 
-In a program that runs already: a fit with verdict and intervals, of few rows that are not spread, too; one more pose of
-a robot that is watched while it is measured; a fit that chooses joint terms. The times are those of the machine that
-made this page.
-This table alone: `python tests/benchmarks/waiting.py --data FOLDER`.
+In a program that is already running (this table alone: `python tests/benchmarks/waiting.py --data FOLDER`):
 """
     yield from waiting.table(folder, max(rounds // 5, 1))
     yield """

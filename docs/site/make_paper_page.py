@@ -26,12 +26,13 @@ DOCS = Path(__file__).resolve().parents[1]
 PAGE = DOCS / "paper.md"
 FIGURES = DOCS / "figures" / "paper"
 LEFT_OUT = {
-    "study/table1.csv": {"identified without noise", "scatter over draws", "paper: without noise", "redundant", "yes"},
+    "study/table1.csv": {"unit", "identified without noise", "scatter", "paper: without noise", "redundant", "yes"},
     "study/table2.csv": {"standard error"},
-    "experiment/table3.csv": {"redundant", "yes"},
+    "experiment/table3.csv": {"unit", "identified - actual", "redundant", "yes"},
     "experiment/table4.csv": {"standard error"},
     "experiment/table5.csv": {"both sides"},
     "experiment/pose_count.csv": {"either side", "standard error", "RMS y", "RMS z"},
+    "experiment/extended.csv": {"q3.", "q5.", "D1.", "D2.", "beta.", "slide."},
     "touch/world.csv": {"spread", "std"},
     "touch/shape.csv": {"spread", "std"},
     "touch/methods.csv": {"cannot see"},

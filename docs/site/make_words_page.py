@@ -10,36 +10,26 @@ from pathlib import Path
 from calib.core.base.other_words import tables
 
 PAGE = Path(__file__).resolve().parents[1] / "howto" / "other_words.md"
-_COMMAND_LINE = "command line"
+_TYPED = "command line"  # what a shell is given: its errors stand beside what was typed
 _INTRODUCTION = """# Words of other packages
 
 For anyone who knows another package: at the end you know the word used here. Search this page for your word, or type
-it: `fit.params` and `calib fit ... --robust` end in an error that says what to write.
+it: `fit.params`, `calib calibrate` and `calib fit ... --robust` end in an error that says what to write.
 """
 
 
 def page() -> str:
-    """Return the page: a table for each package, of its words as Python names; commands in a table of their own.
-
-    Options of commands are left out: their errors stand beside what was typed.
-    """
+    """Return the page: a table for each package, of its names in Python and what is written here."""
     by_package: dict[str, dict[str, list[str]]] = {}
-    for rows in tables().values():
-        for row in rows:
-            words = [word for word in row.words if not (row.package == _COMMAND_LINE and _is_option(word))]
-            if words:
-                known = by_package.setdefault(row.package, {}).setdefault(row.here, [])
-                known += [word for word in words if word not in known]
+    for row in (row for rows in tables().values() for row in rows if row.package != _TYPED):
+        known = by_package.setdefault(row.package, {}).setdefault(row.here, [])
+        known += [word for word in row.words if word not in known]
     parts = [_INTRODUCTION]
-    for package, by_meaning in sorted(by_package.items(), key=lambda item: (item[0] == _COMMAND_LINE, item[0].lower())):
+    for package, by_meaning in sorted(by_package.items(), key=lambda item: item[0].lower()):
         parts += [f"## {package}\n", "| word | here |", "|---|---|"]
         parts += [f"| {', '.join(f'`{word}`' for word in words)} | {here} |" for here, words in by_meaning.items()]
         parts.append("")
     return "\n".join(parts)
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("-") or word.isupper() or word == "another"
 
 
 if __name__ == "__main__":

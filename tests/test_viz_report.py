@@ -42,7 +42,7 @@ def test_the_verdict_comes_first_and_with_the_accuracy(html, fit):
     first = text(html)[:700]
     after = fit.validation.table()["after"]
     assert f"Verdict: {fit.verdict.grade}" in first
-    assert millimetres(after["mean"]) in first
+    assert millimetres(after["rms"]) in first
     assert "47 poses (validation)" in first
 
 

@@ -159,7 +159,7 @@ def _following(fit: Fit, command: str) -> str:
 
 
 def _space(scene: Scene | None, part: str) -> list[float] | None:
-    """Mean distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
+    """RMS distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
     alike = [] if scene is None else [other for other in scene.others if other.part == part]
     return in_space(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 

@@ -87,9 +87,9 @@ def accuracy_text(fit: Fit) -> list[Table]:
 
 
 def change_text(fit: Fit, claim: Claim | None) -> Table:
-    """Return errors before and after: a line for each part of each set of poses, and what the fit claims."""
+    """Return the error (RMS) before and after: a line for each part of each set of poses, and what the fit claims."""
     heading = "error before -> after"
-    table = text_table((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
+    table = text_table((heading, "poses", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
     for part in parts:
         for label, error_set in error_sets(fit):
@@ -97,7 +97,7 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
             if not all(len(sizes) for sizes in errors):
                 continue
             tables = [error_table(sizes, part) for sizes in errors]
-            pairs = [[cast(float, summary[key]) for summary in tables] for key in ("mean", "rms", "p95", "max")]
+            pairs = [[cast(float, summary[key]) for summary in tables] for key in ("rms", "p95", "max")]
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
@@ -105,5 +105,5 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
         told, scale = claim.told, error_scale(claim.told.dimension)
         before = f"{scale * told.before:.4f} -> " if np.isfinite(told.before) else ""
         name = f"{told.part} [{ERROR_UNIT[told.dimension]}], expected"
-        table.add_row(name, "", "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
+        table.add_row(name, "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
     return table

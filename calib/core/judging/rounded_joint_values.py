@@ -98,8 +98,8 @@ def usual_step(numbers: FloatArray) -> float:
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
-    by_joint = setting.whitened(setting.by_joint) * scatter
-    visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
+    by_joint = setting.joint_columns * scatter
+    visit = setting.visit
     mean = square = statistic = 0.0
     through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
     twice = 0.0

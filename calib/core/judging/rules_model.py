@@ -17,9 +17,8 @@ from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
-from calib.core.judging.effect_kinds import Trait
+from calib.core.judging.effect_kinds import Trait, describe
 from calib.core.judging.reasons import Answer, Code, Reason
-from calib.core.judging.residual_patterns import describe
 from calib.core.judging.rules_noise import LEFT_OUT, impossible, in_words, measured_space
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement

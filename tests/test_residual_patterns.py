@@ -131,7 +131,7 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened(setting.by_joint)[:, 1]
+    by_joint = setting.joint_columns[:, 1]
     z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
     r = linear.rows.residuals
     span = linear.span[:]
@@ -156,7 +156,7 @@ def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_
     result = next(p for p in tested if p.detail.startswith(f"{order} "))
     assert result.significant == (height > 0)
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened(setting.by_joint)[:, joint]
+    by_joint = setting.joint_columns[:, joint]
     phase = np.repeat(order * q[:, joint], 3)
     span, r = linear.span[:], linear.rows.residuals
     z = by_joint[:, None] * np.column_stack([np.sin(phase), np.cos(phase)])

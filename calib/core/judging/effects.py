@@ -34,16 +34,14 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements, Poses
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging.effect_kinds import Kind
 from calib.core.numerics.variance_components import SharedError
-from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.periodic import TURN
 from calib.core.rows.jacobian import relative_poses
-from calib.core.rows.rows import Scales
-from calib.core.rows.whitening import Whitening
 
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
@@ -57,93 +55,70 @@ _VISITS_LOOKED_AT = 256
 
 @dataclass(frozen=True, eq=False)
 class EffectSetting:
-    """What effects are made of.
+    """A fit, as what effects are made of."""
 
-    Attributes:
-        robot: The calibrated robot.
-        data: Its measurements.
-        configurations: Its assembled visits.
-        by_joint: Derivative of the readings by the joints, of each instrument, (n, n_rows, n_actuated) [SI].
-        whitening: What whitened the rows.
-        scales: What was assumed of the noise.
-        weights: Of each reading, (n_readings,).
-    """
+    fit: Fit
 
-    robot: Robot
-    data: Measurements
-    configurations: Configurations
-    by_joint: Mapping[str, FloatArray]
-    whitening: Whitening
-    scales: Scales
-    weights: FloatArray
+    @property
+    def data(self) -> Measurements:
+        """Its measurements."""
+        return self.fit.identification.data
 
     def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.groups)[:, None]
+        rows: FloatArray = (
+            self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
+        )
         if self._weighing is not None:
             rows = self._weighing.whiten(rows)
-        return np.sqrt(self.weights)[self.whitening.layout.reading][:, None] * rows
+        return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
 
     @cached_property
     def _weighing(self) -> SharedError | None:
-        return self.whitening.weighing(self.scales.ratios)
+        return self.fit.whitening.weighing(self.fit.scales.ratios)
 
     @cached_property
     def joint_columns(self) -> FloatArray:
         """What the rows gain for an error of 1 of each joint, (n_rows, n_actuated)."""
-        return self.whitened(self.by_joint)
+        return self.whitened(self.fit.by_joint)
 
     def size(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over the readings of `dimension`, (k,) [SI]."""
-        layout, whole = self.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
-        squares = (whole[layout.group == self._first] * self.metre) ** 2
-        return np.asarray(np.sqrt(np.sum(squares, axis=0) / self._n_of_first))
-
-    @cached_property
-    def _n_of_first(self) -> int:
-        """Number of readings of `dimension`."""
-        layout = self.whitening.layout
-        return len(np.unique(layout.reading[layout.group == self._first]))
-
-    def per_visit(self, values: FloatArray) -> FloatArray:
-        """Return values of the visits, (n_visits, ...), for each row."""
-        return values[self.visit]
+        layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
+        of_first = layout.group == self._first
+        squares = np.sum((whole[of_first] * self.metre) ** 2, axis=0)
+        return np.asarray(np.sqrt(squares / len(np.unique(layout.reading[of_first]))))
 
     @cached_property
     def visit(self) -> IntArray:
         """Visit of each row, (n_rows,)."""
-        layout = self.whitening.layout
+        layout = self.fit.whitening.layout
         return layout.visit[layout.reading]
 
     @cached_property
     def course(self) -> FloatArray:
-        """When each visit was made, (n_visits,): by the time, where all have it, else by the order of the rows."""
-        return course(self.data)
+        """When each visit was made, (n_visits,): by the time [s], where all have it, else by the order of the rows."""
+        return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
 
     @property
     def metre(self) -> float:
         """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
-        return float(self.scales.groups[self._first] * self.whitening.groups[self._first].typical)
+        return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
     @property
     def dimension(self) -> Dimension:
         """What `metre` measures."""
-        return self.whitening.groups[self._first].part.dimension
+        return self.fit.whitening.groups[self._first].part.dimension
 
     @property
     def _first(self) -> int:
-        return next((g for g, group in enumerate(self.whitening.groups) if group.part.is_position), 0)
+        return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
 
 
 def has_time(data: Poses) -> bool:
     """Return whether the data say when each visit was made."""
     time = data.context.get("time")
     return time is not None and bool(np.all(np.isfinite(time))) and float(np.ptp(time)) > 0
-
-
-def course(data: Measurements) -> FloatArray:
-    """Return when each visit was made, (n,): by the time [s], where all have it, else by the order of the rows."""
-    return np.asarray(data.context["time"] if has_time(data) else data.places, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +228,7 @@ def scale(setting: EffectSetting) -> FloatArray:
 
 def gains(setting: EffectSetting) -> FloatArray:
     """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
-    return setting.joint_columns * setting.per_visit(setting.data.joints - np.mean(setting.data.joints, axis=0))
+    return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
 def _of_frames(setting: EffectSetting) -> Iterator[Effects]:
@@ -279,14 +254,14 @@ def _of_targets(setting: EffectSetting) -> Iterator[Effects]:
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target in dict.fromkeys(name for _, name, _ in _seen_targets(setting)):
         own, *others = (setting.whitened(moved) for moved in _moved_target(setting, target))
-        for joint, moved in zip(_other_joints(setting.robot, target), others, strict=True):
-            before = setting.robot.mechanism.origin_names[joint - 1]
+        for joint, moved in zip(_other_joints(setting.fit.robot, target), others, strict=True):
+            before = setting.fit.robot.mechanism.origin_names[joint - 1]
             yield Effects(Kind.LINK, target, moved, setting.visit, (before,))
         yield Effects(Kind.SLIP, target, own, setting.visit, slips, late)
 
 
 def _of_joints(setting: EffectSetting) -> Iterator[Effects]:
-    robot, data, visit = setting.robot, setting.data, setting.visit
+    robot, data, visit = setting.fit.robot, setting.data, setting.visit
     names, in_course, directions = robot.joint_names, _curves(setting.course), data.approach_directions
     still = unmoved_joints(robot, data.joints)
     for j, name in enumerate(names):
@@ -318,7 +293,7 @@ def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
     """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         result[name] = np.zeros((len(readings), instrument.n_rows, 3))
         rows = _position_rows(instrument)
         if len(rows) == 3:
@@ -330,7 +305,7 @@ def _turns(setting: EffectSetting) -> dict[str, FloatArray]:
     """What turns of the measurement frame about x, y and z do to readings, (n, n_rows, 3) [m per rad] each."""
     result, points = _shifts(setting), _points(setting)
     for name, arms in points.items():
-        rows = _position_rows(setting.robot.instrument(name))
+        rows = _position_rows(setting.fit.robot.instrument(name))
         for axis, direction in enumerate(np.eye(3)):
             result[name][:, rows, axis] = np.cross(arms, direction)
     return result
@@ -341,7 +316,7 @@ def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
     points = _points(setting)
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         result[name] = np.zeros((len(readings), instrument.n_rows, 1))
         if name in points:
             result[name][:, _position_rows(instrument), 0] = points[name]
@@ -354,8 +329,8 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
     for name, readings in setting.data.readings.items():
-        points = setting.robot.instrument(name).points(readings.values)
-        if points is not None and len(points) and len(_position_rows(setting.robot.instrument(name))) == 3:
+        points = setting.fit.robot.instrument(name).points(readings.values)
+        if points is not None and len(points) and len(_position_rows(setting.fit.robot.instrument(name))) == 3:
             result[name] = points
     if not result:
         return {}
@@ -366,7 +341,7 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
 def _seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
     """Yield each instrument that measures where a target is, with its target and the rows of its position."""
     for name in setting.data.readings:
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         rows = _position_rows(instrument)
         if len(rows) == 3 and isinstance(instrument, FrameInstrument):
             yield name, instrument.target, rows
@@ -385,7 +360,7 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
 
     The link is its own, then that behind each of the joints that do not move it.
     """
-    robot, all_readings = setting.robot, setting.data.readings
+    robot, all_readings = setting.fit.robot, setting.data.readings
     seen = [
         (name, rows, robot.pairs(robot.instrument(name))) for name, own, rows in _seen_targets(setting) if own == target
     ]
@@ -393,7 +368,7 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
     wanted = [
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
     ]
-    poses = iter(relative_poses(robot.mechanism, setting.configurations, tuple(wanted)))
+    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(wanted)))
     for _ in links:
         result: dict[str, FloatArray] = {
             name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()

@@ -89,8 +89,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
 @remembered
 def setting(fit: Fit) -> EffectSetting:
     """Return what effects that the model may leave out are made of."""
-    data = fit.identification.data
-    return EffectSetting(fit.robot, data, fit.configurations, fit.by_joint, fit.whitening, fit.scales, fit.weights)
+    return EffectSetting(fit)
 
 
 @remembered
@@ -139,16 +138,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 
     None where the robot cannot be assembled on the way from before to after.
     """
-    used = fit.validation is None
     try:
-        return error_budget(
-            fit.placed,
-            fit.robot,
-            fit.validation or fit.identification,
-            fit.unknowns,
-            fit.statistics.covariance,
-            fit.rows if used else None,
-            fit.sigma_given,
-        )
+        return error_budget(fit)
     except UnreachablePoseError:
         return None

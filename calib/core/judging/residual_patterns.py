@@ -72,37 +72,51 @@ class _Moments:
 
 
 @dataclass(frozen=True, eq=False)
-class _Test:
-    """What the test of one effect gave.
+class _Tests:
+    """What the tests of m effects with k columns each gave.
 
     Attributes:
-        effects, number: The effect, among those of its kind and name.
-        p_value: Chance of such a gain if readings are independent.
-        ratio: F of the module docstring.
-        freedom: k and nu - k.
-        gain: By how much |r|^2 would fall.
-        coefficients: c, (n_columns,).
-        absorbed: (J T)^T Z, (rank, n_columns).
+        effects: Of one kind and name.
+        numbers: Which of them, (m,).
+        p_values: Chance of such a gain if readings are independent, (m,).
+        ratios: F of the module docstring, (m,).
+        ranks: Columns left after M, (m,).
+        gains: By how much |r|^2 would fall, (m,).
+        coefficients: c, (m, k).
+        absorbed: (J T)^T Z, (m, rank, k).
     """
 
     effects: Effects
-    number: int
-    p_value: float
-    ratio: float
-    freedom: tuple[int, float]
-    gain: float
+    numbers: IntArray
+    p_values: FloatArray
+    ratios: FloatArray
+    ranks: IntArray
+    gains: FloatArray
     coefficients: FloatArray
     absorbed: FloatArray
 
-    @property
-    def kind(self) -> Kind:
-        """Its kind."""
-        return self.effects.kind
+    def best(self) -> int:
+        """Return the row of the most significant one; of several, that with the largest gain."""
+        return int(np.lexsort((-self.gains, self.p_values))[0])
 
-    @property
-    def subject(self) -> tuple[Kind, str]:
-        """Its kind, and the joint or target that it is about."""
-        return self.effects.kind, self.effects.name
+    def detail(self, row: int, margin: float) -> str:
+        """Return the detail of an effect; of a wave with all numbers of cycles that explain the residuals as well.
+
+        Args:
+            row: The effect.
+            margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
+        """
+        details = self.effects.details
+        detail = details[self.numbers[row]]
+        if self.effects.kind is not Kind.WAVE:
+            return detail
+        alike = self.numbers[self.gains > self.gains[row] - margin]
+        if len(alike) < 2:
+            return detail
+        first, _, unit = details[alike[0]].partition(" ")
+        if alike[-1] - alike[0] == len(alike) - 1:
+            return f"{first} to {details[alike[-1]]}"
+        return f"a number of {unit} that these poses do not determine"
 
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
@@ -115,58 +129,46 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     """
     if residuals.factor * setting.metre < EXACT:
         return ()
-    tests = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
-    members = {family: [test for test in tests if test.kind.family is family] for family in Family}
-    kept = [(test, len(Family) * len(some)) for some in members.values() for test in _best(some)]
+    tested = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
+    times = dict.fromkeys(Family, 0)
+    for tests in tested:
+        times[tests.effects.kind.family] += len(Family) * len(tests.numbers)
+    kept = _kept(tested)
     noise = float(setting.size(np.full((len(residuals.span), 1), residuals.factor))[0])
     result = []
     for part in in_parts(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
-        explained = _explained(residuals, [test for test, _ in kept[part]])
-        for (test, times), column, size in zip(kept[part], explained.T, setting.size(explained).tolist(), strict=True):
-            p = min(1.0, _chance(residuals, test, column, FALSE_ALARM / times) * times)
-            dozen, c = Trait.BY_THE_DOZEN in test.kind.traits, test.coefficients
+        explained = _explained(residuals, kept[part])
+        for (tests, row), column, size in zip(kept[part], explained.T, setting.size(explained).tolist(), strict=True):
+            kind, c = tests.effects.kind, tests.coefficients[row]
+            p = min(1.0, _chance(residuals, tests, row, column, FALSE_ALARM / times[kind.family]) * times[kind.family])
+            dozen = Trait.BY_THE_DOZEN in kind.traits
             amount = float(np.linalg.norm(c)) if dozen else float(c[0]) if len(c) == 1 else float("nan")
-            detail = _cycles(test, tests, _ALIKE * residuals.factor**2)
             surely = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
-            result.append(Pattern(*test.subject, p, size, amount, bool(surely), setting.dimension, detail))
+            detail = tests.detail(row, _ALIKE * residuals.factor**2)
+            result.append(Pattern(kind, tests.effects.name, p, size, amount, surely, setting.dimension, detail))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
-def _explained(residuals: LinearFit, tests: Sequence[_Test]) -> FloatArray:
-    """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
-    absorbed = residuals.span.times(np.stack([test.absorbed @ test.coefficients for test in tests], axis=1))
-    whole = np.stack([test.effects.times(test.number, test.coefficients) for test in tests], axis=1)
-    return np.asarray(whole - absorbed)
-
-
-def _best(tests: list[_Test]) -> list[_Test]:
+def _kept(tested: Iterable[_Tests]) -> list[tuple[_Tests, int]]:
     """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
-    kept: dict[tuple[tuple[Kind, str], int], _Test] = {}
-    for number, test in enumerate(tests):
-        key = test.subject, 0 if Trait.BY_THE_DOZEN in test.kind.traits else number
-        if key not in kept or (test.p_value, -test.gain) < (kept[key].p_value, -kept[key].gain):
-            kept[key] = test
+    kept: dict[tuple[Kind, str, int], tuple[_Tests, int]] = {}
+    for tests in tested:
+        kind, name = tests.effects.kind, tests.effects.name
+        if Trait.BY_THE_DOZEN not in kind.traits:
+            kept |= {(kind, name, len(kept) + row): (tests, row) for row in range(len(tests.numbers))}
+            continue
+        row, (other, best) = tests.best(), kept.get((kind, name, -1), (None, 0))
+        new = tests.p_values[row], -tests.gains[row]
+        if other is None or new < (other.p_values[best], -other.gains[best]):
+            kept[kind, name, -1] = tests, row
     return list(kept.values())
 
 
-def _cycles(best: _Test, tests: Iterable[_Test], margin: float) -> str:
-    """Return the detail of an effect; of a wave with all numbers of cycles that explain the residuals as well.
-
-    Args:
-        best: The effect.
-        tests: All tests.
-        margin: How much less of |r|^2 a wave may explain that noise could have made the better one.
-    """
-    detail = best.effects.details[best.number]
-    if best.kind is not Kind.WAVE:
-        return detail
-    alike = [test for test in tests if test.effects is best.effects and test.gain > best.gain - margin]
-    orders, unit = sorted(int(test.effects.details[test.number].split()[0]) for test in alike), detail.partition(" ")[2]
-    if len(orders) < 2:
-        return detail
-    if orders[-1] - orders[0] == len(orders) - 1:
-        return f"{orders[0]} to {orders[-1]} {unit}"
-    return f"a number of {unit} that these poses do not determine"
+def _explained(residuals: LinearFit, kept: Sequence[tuple[_Tests, int]]) -> FloatArray:
+    """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
+    absorbed = np.stack([tests.absorbed[row] @ tests.coefficients[row] for tests, row in kept], axis=1)
+    whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
+    return np.asarray(np.stack(whole, axis=1) - residuals.span.times(absorbed))
 
 
 def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
@@ -174,21 +176,21 @@ def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
     base, span = some[0].base, residuals.span
     others = [base, span.jacobian, residuals.rows.residuals[:, None], *([] if span.more is None else [span.more])]
     b, n, width = base.shape[1], len(span.root), sum(other.shape[1] for other in others)
-    squares, products = [], []
+    shapes = [effect.factors(some[0].visit[:1]).shape[1:] for effect in some]
+    squares = [np.zeros((m, b * f, b * f)) for m, f in shapes]
+    products = np.zeros((b, width, sum(m * f for m, f in shapes)))
     for rows, firsts, visits in _visits_together(some[0].visit):
         sums = _sums_of_visits(base[rows], np.hstack([other[rows] for other in others]), firsts)
         factors = [effect.factors(visits) for effect in some]
-        squares.append([_squares(sums[:, :, :b], each) for each in factors])
+        for square, each in zip(squares, factors, strict=True):
+            square += _squares(sums[:, :, :b], each)
         columns = np.hstack([each.reshape(len(visits), -1) for each in factors])
-        products.append((sums.reshape(len(visits), -1).T @ columns).reshape(b, width, -1))
-    total, first = sum(products), 0
-    for k, effect in enumerate(some):
-        square = sum(each[k] for each in squares)
-        m, f = len(square), square.shape[1] // b
-        own = total[:, :, first : first + m * f].reshape(b, width, m, f).transpose(2, 1, 0, 3).reshape(m, width, b * f)
-        own, first = own[:, b:], first + m * f
-        absorbed = np.concatenate([residuals.span.root.T @ own[:, :n], own[:, n + 1 :]], axis=1)
-        yield _Moments(effect, square, absorbed, own[:, n])
+        products += (sums.reshape(len(visits), -1).T @ columns).reshape(products.shape)
+    first = 0
+    for effect, square, (m, f) in zip(some, squares, shapes, strict=True):
+        own = products[:, b:, first : first + m * f].reshape(b, width - b, m, f)
+        own, first = own.transpose(2, 1, 0, 3).reshape(m, width - b, b * f), first + m * f
+        yield _Moments(effect, square, np.concatenate([span.root.T @ own[:, :n], own[:, n + 1 :]], axis=1), own[:, n])
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
@@ -227,82 +229,58 @@ def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> F
     return np.asarray(np.add.reduceat(base[:, :, None] * others[:, None, :], firsts))
 
 
-def _tests(residuals: LinearFit, some: list[Effects]) -> list[_Test]:
-    """Test those effects that can be seen, all with equally many columns at once; those of one base stand together."""
-    moments = [
-        own
-        for _, members in groupby(some, key=lambda effect: id(effect.base))
-        for own in _moments(residuals, list(members))
-    ]
-    tests: dict[tuple[int, int], _Test] = {}
-    for width in {own.score.shape[1] for own in moments}:
-        places = [
-            (k, number)
-            for k, own in enumerate(moments)
-            if own.score.shape[1] == width
-            for number in range(len(own.score))
-        ]
-        chosen = [own for own in moments if own.score.shape[1] == width]
-        for row, test in _tests_at_once(residuals, chosen):
-            tests[places[row]] = test
-    return [tests[place] for place in sorted(tests)]
+def _tests(residuals: LinearFit, some: list[Effects]) -> list[_Tests]:
+    """Test those effects that can be seen; effects with one base stand together."""
+    groups = [list(members) for _, members in groupby(some, key=lambda effect: id(effect.base))]
+    tested = [_tests_of(residuals, moments) for group in groups for moments in _moments(residuals, group)]
+    return [tests for tests in tested if len(tests.numbers)]
 
 
-def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> Iterator[tuple[int, _Test]]:
-    """Test effects with equally many columns.
+def _tests_of(residuals: LinearFit, moments: _Moments) -> _Tests:
+    """Test the effects with these moments.
 
-    Yields:
-        The place of each of them that is tested among all, and its test. The others do nothing that the fit does not
-        absorb, or leave no degree of freedom to compare the gain with.
+    Those are left out that do nothing that the fit does not absorb, or leave no degree of freedom to compare the gain
+    with.
     """
-    squares, scores, inside = (
-        np.concatenate([getattr(own, name) for own in some]) for name in ("squares", "score", "absorbed")
-    )
-    size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
+    size = np.sqrt(np.diagonal(moments.squares, axis1=1, axis2=2))
     shown = np.all(size > 0, axis=1)
     size = np.where(shown[:, None], size, 1.0)
-    absorbed = inside / size[:, None, :]
-    left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
+    absorbed = moments.absorbed / size[:, None, :]
+    left = moments.squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
     values, vectors = linalg.eigh(left)
     determined = values > ABSORBED
-    score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
+    score = np.where(determined, np.matmul((moments.score / size)[:, None, :], vectors)[:, 0], 0.0)
     along = score / np.where(determined, values, 1.0)
     gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
     coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
-    beside = residuals.freedom - k
-    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / np.maximum(beside, 1.0)
-    ratios = np.maximum(gains / np.maximum(k, 1) / rest, 0.0)
-    chances = scipy.special.fdtrc(np.maximum(k, 1), np.maximum(beside, 1.0), ratios)
-    tested = shown & (k > 0) & (beside >= 1)
-    rows = zip(
-        tested.tolist(), chances.tolist(), ratios.tolist(), k.tolist(), beside.tolist(), gains.tolist(), strict=True
-    )
-    effect = [(own.effects, number) for own in some for number in range(len(own.score))]
-    for row, (counts, chance, ratio, count, freedom, gain) in enumerate(rows):
-        if counts:
-            yield row, _Test(*effect[row], chance, ratio, (count, freedom), gain, coefficients[row], inside[row])
+    rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
+    k, beside, gains = k[rows], residuals.freedom - k[rows], gains[rows]
+    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / beside
+    ratios = np.maximum(gains / k / rest, 0.0)
+    chances = scipy.special.fdtrc(k, beside, ratios)
+    return _Tests(moments.effects, rows, chances, ratios, k, gains, coefficients[rows], moments.absorbed[rows])
 
 
-def _chance(residuals: LinearFit, tested: _Test, explained: FloatArray, limit: float) -> float:
+def _chance(residuals: LinearFit, tests: _Tests, row: int, explained: FloatArray, limit: float) -> float:
     """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
 
     Args:
         residuals: The fit.
-        tested: The effect.
+        tests, row: The effect.
         explained: M Z c, (n_rows,).
         limit: Chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
-        return tested.p_value
-    columns = tested.effects.columns(tested.number)
-    basis = linalg.orth(columns - residuals.span.times(tested.absorbed), rcond=np.sqrt(ABSORBED))
-    k, pose = tested.freedom[0], residuals.rows.layout.pose_of_row
+        return float(tests.p_values[row])
+    columns = tests.effects.columns(int(tests.numbers[row]))
+    basis = linalg.orth(columns - residuals.span.times(tests.absorbed[row]), rcond=np.sqrt(ABSORBED))
+    k, pose = int(tests.ranks[row]), residuals.rows.layout.pose_of_row
     left_over = max(residuals.pose_freedom - k, 1.0)
 
     def chance(left: FloatArray) -> float:
         scores = [np.bincount(pose, direction * left) for direction in basis.T]
         inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
-        return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
+        return float(scipy.special.fdtrc(k, left_over, float(tests.ratios[row]) / max(inflation, 1.0)))
 
     left = residuals.rows.residuals - explained
     result = chance(left)

@@ -91,8 +91,11 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
 
 def usual_step(numbers: FloatArray) -> float:
     """Return the largest usual step that all numbers (n,) stand in; 0 for none."""
-    on_it = (step for step in _STEPS if np.all(np.abs(numbers / step - np.round(numbers / step)) < _CLOSE))
-    return next(on_it, 0.0)
+    left = np.array(_STEPS)
+    for some in (numbers[:8], numbers):  # the first few decide most
+        ratio = some[:, None] / left
+        left = left[np.all(np.abs(ratio - np.round(ratio)) < _CLOSE, axis=0)]
+    return float(np.max(left, initial=0.0))
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:

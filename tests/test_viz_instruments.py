@@ -119,7 +119,7 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert "Orientation error [mrad]; for each axis" in shown
     assert all(f">{axis}</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
     turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
-    row = re.findall(r"validation \(20\) after ([\d.]+) ([\d.]+)", shown)[1]
+    row = re.findall(r"validation, after 20 ([\d.]+) ([\d.]+)", shown)[1]
     assert [float(number) for number in row] == pytest.approx([turned.mean(), turned.max()], rel=5e-3)  # as printed
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)

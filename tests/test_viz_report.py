@@ -43,6 +43,7 @@ def test_the_verdict_comes_first_and_with_the_accuracy(html, fit):
     after = fit.validation.table()["after"]
     assert f"Verdict: {fit.verdict.grade}" in first
     assert millimetres(after["rms"]) in first
+    assert f"-> {after['rms']:.4f} " in fit.report()  # the same figure in the terminal
     assert "47 poses (validation)" in first
 
 

@@ -40,9 +40,10 @@ it. Poses that are copies of others foretell each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -135,8 +136,7 @@ class Claim:
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
         narrow: Joints that moved through less than half of their range at these poses, and how far.
-        known: Root mean square to which positions are known at these poses, each by the readings of all others [m];
-            NaN where it is not about positions.
+        find_known: Returns `known`, which takes as long as half of the rest of a verdict.
     """
 
     told: Accuracy
@@ -144,7 +144,15 @@ class Claim:
     gain: Benefit
     region: str
     narrow: tuple[str, ...]
-    known: float
+    find_known: Callable[[], float] = field(compare=False, repr=False)
+
+    @cached_property
+    def known(self) -> float:
+        """Root mean square to which positions are known at these poses, each by the readings of all others [m].
+
+        NaN where it is not about positions.
+        """
+        return self.find_known()
 
     def at(self, known: float) -> ErrorElsewhere:
         """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
@@ -237,7 +245,7 @@ class Claim:
             Benefit(entry["gain"]),
             str(entry["region"]),
             tuple(entry["joints_moved_little"]),
-            error(entry["known"]),
+            partial(error, entry["known"]),
         )
 
 
@@ -263,7 +271,7 @@ def claim_of(fit: Fit) -> Claim | None:
             kept = _but_for_few(fit, told, errors, where, outliers) if more else None
             seen.append(SeenUnused(accuracy, kept, not more or kept is not None))
     region = f"at poses like the {fit.identification.data.n_poses} measured"
-    return Claim(told, tuple(seen), _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+    return Claim(told, tuple(seen), _gain(fit, foretold), region, _narrow(fit), partial(_known, fit, told))
 
 
 def _but_for_few(

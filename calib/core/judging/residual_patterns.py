@@ -230,26 +230,31 @@ def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> F
 
 
 def _tests(residuals: LinearFit, some: list[Effects]) -> list[_Tests]:
-    """Test those effects that can be seen; effects with one base stand together."""
+    """Test those effects that can be seen, all with equally many columns at once; those of one base stand together."""
     groups = [list(members) for _, members in groupby(some, key=lambda effect: id(effect.base))]
-    tested = [_tests_of(residuals, moments) for group in groups for moments in _moments(residuals, group)]
-    return [tests for tests in tested if len(tests.numbers)]
+    by_width: dict[int, list[_Moments]] = {}
+    for moments in (moments for group in groups for moments in _moments(residuals, group)):
+        by_width.setdefault(moments.score.shape[1], []).append(moments)
+    return [tests for alike in by_width.values() for tests in _tests_at_once(residuals, alike)]
 
 
-def _tests_of(residuals: LinearFit, moments: _Moments) -> _Tests:
-    """Test the effects with these moments.
+def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_Tests]:
+    """Test effects with equally many columns.
 
     Those are left out that do nothing that the fit does not absorb, or leave no degree of freedom to compare the gain
     with.
     """
-    size = np.sqrt(np.diagonal(moments.squares, axis1=1, axis2=2))
+    squares, inside, scores = (
+        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "absorbed", "score")
+    )
+    size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
     shown = np.all(size > 0, axis=1)
     size = np.where(shown[:, None], size, 1.0)
-    absorbed = moments.absorbed / size[:, None, :]
-    left = moments.squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
+    absorbed = inside / size[:, None, :]
+    left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
     values, vectors = linalg.eigh(left)
     determined = values > ABSORBED
-    score = np.where(determined, np.matmul((moments.score / size)[:, None, :], vectors)[:, 0], 0.0)
+    score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
     along = score / np.where(determined, values, 1.0)
     gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
     coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
@@ -257,8 +262,15 @@ def _tests_of(residuals: LinearFit, moments: _Moments) -> _Tests:
     k, beside, gains = k[rows], residuals.freedom - k[rows], gains[rows]
     rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / beside
     ratios = np.maximum(gains / k / rest, 0.0)
-    chances = scipy.special.fdtrc(k, beside, ratios)
-    return _Tests(moments.effects, rows, chances, ratios, k, gains, coefficients[rows], moments.absorbed[rows])
+    found = (scipy.special.fdtrc(k, beside, ratios), ratios, k, gains, coefficients[rows], inside[rows])
+    ends = np.cumsum([len(moments.score) for moments in some])
+    tested = []
+    for moments, end in zip(some, ends.tolist(), strict=True):
+        first = end - len(moments.score)
+        own = slice(*np.searchsorted(rows, (first, end)).tolist())
+        if own.start < own.stop:
+            tested.append(_Tests(moments.effects, rows[own] - first, *(array[own] for array in found)))
+    return tested
 
 
 def _chance(residuals: LinearFit, tests: _Tests, row: int, explained: FloatArray, limit: float) -> float:

@@ -146,8 +146,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
         promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
-            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
-            f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
+            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
+            f" {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":

@@ -45,7 +45,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Part
 from calib.core.judging.repeatability import repeatability
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced, unit_columns
 from calib.core.numerics.tall import Tall, in_parts
 from calib.core.robots.robot import Robot
 from calib.core.rows.batches import Batch, batches_of, observed_in
@@ -248,14 +248,10 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
 
 def _root_of_span(columns: FloatArray) -> FloatArray:
     """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
-    factor = reduced(columns)
-    length = np.linalg.norm(factor, axis=0)
-    nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
-    _, s, right = linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
+    unit, lengths = unit_columns(reduced(columns))  # a turn of a target does not move its point: a column of rounding
+    _, s, right = linalg.svd(unit, full_matrices=False)
     kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
-    root = np.zeros((columns.shape[1], int(np.sum(kept))))
-    root[nonzero] = (right[kept] / s[kept, None]).T / length[nonzero, None]
-    return root
+    return np.asarray((right[kept] / s[kept, None]).T / lengths[:, None])
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:

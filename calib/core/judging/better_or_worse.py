@@ -115,7 +115,7 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Unused
 
 def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
-    squares = [np.bincount(pose, errors**2) for errors in (before, after)]
+    squares: list[FloatArray] = [np.bincount(pose, errors**2).astype(float) for errors in (before, after)]
     return bool(np.sum(squares[1]) > HARM**2 * np.sum(squares[0])) and surely_positive(squares[1] - squares[0])
 
 

@@ -188,8 +188,8 @@ def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
         products += (sums.reshape(len(visits), -1).T @ columns).reshape(products.shape)
     first = 0
     for effect, square, (m, f) in zip(some, squares, shapes, strict=True):
-        own = products[:, b:, first : first + m * f].reshape(b, width - b, m, f)
-        own, first = own.transpose(2, 1, 0, 3).reshape(m, width - b, b * f), first + m * f
+        each = products[:, b:, first : first + m * f].reshape(b, width - b, m, f)
+        own, first = each.transpose(2, 1, 0, 3).reshape(m, width - b, b * f), first + m * f
         yield _Moments(effect, square, np.concatenate([span.root.T @ own[:, :n], own[:, n + 1 :]], axis=1), own[:, n])
 
 

@@ -40,6 +40,7 @@ def judged_by(fit: Fit) -> tuple[str, ErrorSet]:
 
 def accuracy_grids(fit: Fit) -> list[Grid]:
     """Return a table for each part that was read: each set before and after calibration."""
+    sets: list[tuple[str, ErrorSet, Sequence[str]]]
     sets = [(NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))

@@ -117,7 +117,7 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     shown = words(html)
     assert "Position error [mm]; for each axis" in shown
     assert "Orientation error [mrad]; for each axis" in shown
-    assert all(f">{axis}</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
+    assert all(f">{axis} mean</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
     turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
     row = re.findall(r"validation, after 20 ([\d.]+) ([\d.]+)", shown)[1]
     assert [float(number) for number in row] == pytest.approx([turned.mean(), turned.max()], rel=5e-3)  # as printed
@@ -236,7 +236,7 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     )
     shown = words(undrawn(fit))
     assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
-    assert "Distance error [mm] Poses" in shown
+    assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown
     fit.save(tmp_path / "out", pages=False)
     saved = gather(robot, tmp_path / "out").scene.poses

@@ -5,7 +5,7 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -15,6 +15,7 @@ import pytest
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
 
 import calib
+from calib.pictures import pages
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -97,7 +98,14 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_pages() -> Iterator[None]:
+    """Write no report pages beside results: half of the time of a fit."""
+    with mock.patch("calib.pictures.pages", lambda fit, logo=None: {}):
+        yield
+
+
 @pytest.fixture
-def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write no report pages, which take seconds and have tests of their own."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
+def with_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write report pages all the same."""
+    monkeypatch.setattr("calib.pictures.pages", pages)

@@ -19,7 +19,6 @@ ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m
 UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
 
-pytestmark = pytest.mark.usefixtures("without_pages")
 
 
 @pytest.fixture
@@ -207,12 +206,12 @@ def test_positions_in_the_wrong_unit_fail(folder, fit_file):
     assert result["verdict"]["grade"] == "FAIL"
 
 
-@pytest.mark.parametrize("trouble", ["metres", "other poses", "wrong unit"])
+@pytest.mark.parametrize("trouble", ["other poses", "wrong unit"])
 def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path, trouble):
     q = np.linspace(0.35, 2.8, 20)[:, None]
     positions = 0.5 * np.column_stack([np.cos(q) + 1, np.sin(q), 0 * q])
     noise = RNG.standard_normal(positions.shape)
-    read = {"metres": positions + 2.0 * noise, "other poses": positions[::-1], "wrong unit": 1e-3 * positions}[trouble]
+    read = {"other poses": positions[::-1], "wrong unit": 1e-3 * positions}[trouble]
     run, result = fit_file(q, read + SIGMA * noise, write_parallelogram(tmp_path), header="a [rad],pin_x,pin_y,pin_z")
     assert run.code == 3
     one_line(run)
@@ -220,7 +219,7 @@ def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path, trouble):
         assert result["verdict"]["grade"] == "FAIL"
 
 
-@pytest.mark.amount(15_000, 100_000)
+@pytest.mark.amount(3000, 100_000)
 def test_a_hundred_thousand_rows_are_one_fit_like_any_other(tmp_path, amount):
     yaml = """\
 urdf: arm.urdf

@@ -374,23 +374,22 @@ def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_ou
     assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("arm", "places", "held", "least", "after"),
-    [
-        ("panda_1", ("front", "back-high"), "right", {"bending"}, 0.51),
-        ("kuka_14", ("front", "raised_left"), "left_back", {"bending"}, 0.09),
-    ],
-)
-def test_joint_terms_found_in_two_places_help_in_a_third(shared_data, arm, places, held, least, after):
-    folder, masses = shared_data / "mukca", masses_of(arm)
-    if not masses.is_file():
-        pytest.skip(f"no package with the masses of {arm} is installed")
-    fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
-    added = {trial.term for trial in fit.terms.tried if trial.added}
-    assert least <= added
-    assert not added & {"curve", "harmonics"}  # likelier with them, and 0.69 mm off there
-    result = from_sockets(fit.robot, mukca_joints(folder, arm, held))
-    assert result == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16
+@pytest.mark.amount(1, 2)
+def test_joint_terms_found_in_two_places_help_in_a_third(shared_data, amount):
+    folder = shared_data / "mukca"
+    for arm, places, held, after in (
+        ("kuka_14", ("front", "raised_left"), "left_back", 0.09),
+        ("panda_1", ("front", "back-high"), "right", 0.51),
+    )[:amount]:
+        masses = masses_of(arm)
+        if not masses.is_file():
+            pytest.skip(f"no package with the masses of {arm} is installed")
+        fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
+        added = {trial.term for trial in fit.terms.tried if trial.added}
+        assert "bending" in added
+        assert not added & {"curve", "harmonics"}  # likelier with them, and 0.69 mm off there
+        result = from_sockets(fit.robot, mukca_joints(folder, arm, held))
+        assert result == pytest.approx(after, abs=0.02)  # origins alone: 0.16 and 0.76
 
 
 @pytest.mark.xfail(strict=True, reason="a gain is added, and is 2.0 mm off in another place, where origins are 1.5 mm")

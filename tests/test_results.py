@@ -55,14 +55,6 @@ columns: {"T": "turn [deg]"}
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _without_pages():
-    """Report pages take seconds, and have tests of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.pictures.entry_points", lambda group: ())
-        yield
-
-
 def measured(robot, n_poses, seed):
     generator = np.random.default_rng(seed)
     q = generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (n_poses, 3))

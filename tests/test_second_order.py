@@ -25,7 +25,7 @@ TERMS = (
 STEP = 0.1  # standard deviations
 
 
-def fitted(folder, yaml, n=40):
+def fitted(folder, yaml, n):
     """What `mean_square_beyond_linear` is asked of at the minimum of a small arm."""
     robot = calib.load(write_arm(folder, yaml))
     sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
@@ -61,7 +61,7 @@ def expected(problem, at, rows, groups):
 
 @pytest.mark.parametrize("yaml", [PLACED, TRACKER, TERMS], ids=["placed", "two targets", "joint terms"])
 def test_squares_beyond_the_linear_model_are_those_of_second_differences(yaml, tmp_path):
-    at = fitted(tmp_path, yaml)
+    at = fitted(tmp_path, yaml, 16)
     squares = curvature.mean_square_beyond_linear(*at)
     variances = np.sum(at[2].known.root ** 2, axis=1) * at[0].unknowns.scales ** 2
     assert np.max(squares) > 1e-13

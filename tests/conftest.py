@@ -101,7 +101,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def _no_pages() -> Iterator[None]:
     """Write no report pages beside results: half of the time of a fit."""
-    with mock.patch("calib.pictures.pages", lambda fit, logo=None: {}):
+    with mock.patch("calib.pictures.pages", return_value={}):
         yield
 
 

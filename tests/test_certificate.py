@@ -400,4 +400,5 @@ def test_monte_carlo_draws_the_sizes_of_joint_terms(arm, measured, amount):
     linear = LinearFit.of(calib.fit(arm, q, y, terms="curve"))
     known = budget(linear, TRACEABILITY)
     assert contributions(known)[SIZES] > 0
-    assert monte_carlo(linear, TRACEABILITY, known, draws=amount).difference < 1.4 / np.sqrt(amount)  # two standard deviations
+    drawn = monte_carlo(linear, TRACEABILITY, known, draws=amount)
+    assert drawn.difference < 1.4 / np.sqrt(amount)  # two standard deviations

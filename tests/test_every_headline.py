@@ -2,14 +2,13 @@
 
 import ast
 import re
-from itertools import combinations
 from pathlib import Path
 
 import headline_situations as h
 import numpy as np
 import pytest
 import scipy
-from headline_situations import Commands, derivative, joints, measured, on_one_line, value
+from headline_situations import Commands, derivative, joints, measured, on_one_line
 
 import calib
 from calib.core.data.in_memory import as_poses
@@ -50,7 +49,7 @@ ALWAYS = {
 }
 """What stands beside every result."""
 ELSEWHERE = [
-    "show with a chance of",  # the plan: below
+    "show with a chance of",  # the plan: tests/test_verify.py
     "Smallest changes that",
     "more stay near nominal",  # tests/test_bad_measurements.py
     ", then moved off the grid",  # the file: tests/test_select_command.py
@@ -146,22 +145,6 @@ def test_residuals_are_as_many_times_as_large_as_said(commands, by_hand):
     assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx(expected, abs=2e-4)
 
 
-def test_residuals_that_are_too_small_are_told(commands):
-    """The readings have a third of the noise; or they are those of the calibration, which are nearer to it."""
-    (ratio,) = numbers_of(r"Residuals are ([\d.]+) times", commands.verify_texts["quiet"])
-    assert ratio == pytest.approx(0.3 * h.SIGMA / commands.fit.sigma, rel=0.3)
-    assert "That is less than chance explains" in commands.verify_texts["quiet"]
-    assert "less than chance explains" not in commands.verify_texts["agrees"]
-
-
-def test_a_change_has_the_size_that_is_said(commands, by_hand):
-    _, _, _, _, whitened, by = by_hand
-    size, std = -np.linalg.lstsq(by, whitened)[0][-1], np.sqrt(np.linalg.inv(by.T @ by)[-1, -1])
-    said = r"flange\.z has changed by \+([\d.]+) mm \(standard deviation ([\d.]+)\)"
-    assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx([1e3 * size, 1e3 * std], abs=1e-4)
-    assert "has changed by" not in commands.verify_texts["agrees"]
-
-
 def test_changes_that_readings_cannot_tell_apart_move_the_tip_alike(commands):
     texts = commands.verify_texts
     assert "slide.x has changed by +0.29" in texts["alike"]
@@ -174,33 +157,6 @@ def test_changes_that_readings_cannot_tell_apart_move_the_tip_alike(commands):
     for column, alike in ((by[1], True), (zero, True), (by[2], False)):
         scale = column @ by[0] / (column @ column)
         assert (h.rms(3e-4 * (scale * column - by[0])) < h.SIGMA) == alike
-
-
-def test_one_change_that_explains_little_is_told_beside_what_it_leaves(commands):
-    texts = commands.verify_texts
-    name, p = re.search(
-        r"A change of (\S+) by \S+ mm .* does not explain .*: the rest has p = (\S+)", texts["two"]
-    ).groups()
-    assert name in ("slide.x", "flange.z")
-    assert float(p) < 0.005
-    assert "does not explain" not in texts["alone"]
-    largest = re.search(r"No change stands out: the largest, of \S+, has p = (\S+) \(sig", texts["agrees"])[1]
-    assert float(largest) >= 0.005
-
-
-def test_millimetres_do_not_count_what_was_left_out(commands):
-    """One reading is 10 mm off; the others are where they were, and so is the base that they place."""
-    said = r"over (\d+) poses: ([\d.]+) mm RMS, ([\d.]+) mm mean, ([\d.]+) mm at worst"
-    assert "Left out, further off than noise explains: pose 7" in commands.verify_texts["slip"]
-    assert "Left out" not in commands.verify_texts["agrees"]
-    kept = np.delete(np.arange(25), 7)
-    q = joints(25, 7)
-    errors = commands.fit.robot.positions(q)[kept, 0] - measured(commands.truth, q, 7).points(commands.truth)[kept, 0]
-    base = derivative(commands.fit.robot, q[kept], [f"base.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")])
-    left = (errors.ravel() - base @ np.linalg.lstsq(base, errors.ravel())[0]).reshape(-1, 3)
-    sizes = 1e3 * np.linalg.norm(left, axis=1)
-    expected = [24, np.sqrt(np.mean(sizes**2)), np.mean(sizes), np.max(sizes)]
-    assert numbers_of(said, commands.verify_texts["slip"]) == pytest.approx(expected, abs=2e-4)
 
 
 def test_the_ratio_is_said_to_count_where_uncertain_directions_hide_a_change(commands):
@@ -221,94 +177,7 @@ def test_a_change_among_residuals_that_are_no_larger_than_expected_is_explained(
     assert "in common" not in commands.verify_texts["alone"]
 
 
-def test_base_and_target_are_said_to_take_degrees_of_freedom_where_they_do(commands):
-    assert "so AP has 6 degrees of freedom less" in commands.verify_texts["often"]
-    assert "degrees of freedom less" not in commands.verify_texts["same setup"]
-
-
-def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, tmp_path):
-    _, results = commands.results
-    lines = [",".join(commands.robot.joint_names), *(",".join(map(str, q)) for q in joints(20, 6))]
-    (tmp_path / "plan.csv").write_text("\n".join(lines) + "\n")
-
-    def said(change, *options):
-        run = run_calib("verify", results / "arm", tmp_path / "plan.csv", "--plan", "--change", change, *options)
-        assert run.code == 0, run.err
-        return on_one_line(run.out)
-
-    text = said("flange.z=0.05 mm")
-    assert "Smallest changes that 20 poses of" in text
-    (n,) = map(int, numbers_of(r"The first (\d+) poses show flange\.z=0\.05 mm with a chance of 90 %", text))
-    by = {
-        count: calib.core.judging.acceptance.visible_changes(commands.fit, joints(20, 6)[:count])
-        for count in (n - 1, n)
-    }
-    assert [any(c.name == "flange.z" and c.visible <= 5e-5 for c in by[count]) for count in (n - 1, n)] == [False, True]
-    assert "All 20 poses are too few to show flange.z=0.001 mm with a chance of 90 %; add" in said("flange.z=0.001 mm")
-    never = said("turn.x=5 mm")
-    assert "No number of such poses shows a change of turn.x: readings do not depend on it, or only as on" in never
-    by_turn, by_base = (
-        derivative(commands.fit.robot, joints(20, 6), ["turn.x"]),
-        derivative(commands.fit.robot, joints(20, 6), [f"base.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]),
-    )
-    assert np.linalg.norm(by_turn - by_base @ np.linalg.pinv(by_base) @ by_turn) < 1e-6
-    assert "The first" in said("turn.x=5 mm", "--same-setup")
-
-
 # check
-
-
-def uncertainty(robot, names, q, task, sigma, priors=()):
-    """Covariance of errors of positions at the task from noise at q and expected errors [m or rad], (3 n, 3 n)."""
-    slope, there = derivative(robot, q, names), derivative(robot, task, names)
-    information = slope.T @ slope / sigma**2
-    if len(priors):
-        information += np.diag(1.0 / np.square(priors))
-    return there @ np.linalg.inv(information) @ there.T
-
-
-def test_the_predicted_error_counts_noise_and_where_there_are_any_expected_errors(commands):
-    base = commands.checked["base"]
-    names = [p.name for p in base.parameters]
-    spread = uncertainty(commands.few_free[0], names, joints(20, 3), joints(20, 3), h.SIGMA)
-    said = r"position error ([\d.]+) mm RMS, .*, from measurement noise alone\."
-    assert numbers_of(said, commands.check_texts["base"]) == pytest.approx(
-        [1e3 * np.sqrt(np.trace(spread) / 20)], abs=1e-4
-    )
-    robot, sigmas = commands.robot, [p.sigma_si if p.prior else np.inf for p in commands.robot.parameters]
-    names = [p.name for p in robot.parameters]
-    spread = uncertainty(robot, names, joints(3, 3), joints(20, 4), 1e-7, sigmas)
-    said = r"position error ([\d.]+) mm RMS, .* noise and the expected errors of the parameters alone\."
-    by_both = [1e3 * np.sqrt(np.trace(spread) / 20)]  # 0.1 um is as good as the 1 nm that is asked for
-    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx(by_both, rel=1e-3)
-
-
-def test_what_moves_all_positions_as_one_body_is_told_apart_where_it_is_most(commands):
-    """At two positions alone it is nearly all, whatever the errors are."""
-    robot = commands.robot
-    sigmas = [p.sigma_si if p.prior else np.inf for p in robot.parameters]
-    spread = uncertainty(robot, [p.name for p in robot.parameters], joints(3, 3), joints(20, 4), 1e-7, sigmas)
-    points = robot.positions(joints(20, 4))[:, 0]
-    motions = np.concatenate([np.hstack([np.eye(3), -np.cross(np.eye(3), point)]) for point in points])
-    rest = np.eye(60) - motions @ np.linalg.pinv(motions)
-    beside = 1e3 * np.sqrt(np.trace(rest @ spread @ rest) / 20)
-    said = r"Most of this error moves all positions as one body.* positions are known to ([\d.]+) mm RMS"
-    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx([beside], rel=1e-3)
-    assert beside < 0.5e3 * np.sqrt(np.trace(spread) / 20)
-    two = commands.checked["two positions"]
-    assert two.beside_common < 0.5 * two.accuracy.rms
-    for name in ("two positions", "determined"):
-        assert "as one body" not in commands.check_texts[name]
-
-
-def test_no_error_is_predicted_where_none_can_be(commands):
-    """The slide and the wrist stand still, and the task moves them."""
-    assert "With all 20: position error unbounded, because what is not determined" in commands.check_texts["still"]
-    robot, names = commands.few_free[0], [p.name for p in commands.checked["still"].parameters]
-    still = derivative(robot, joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2], names)
-    assert np.linalg.matrix_rank(still, rtol=1e-6) == 7
-    assert "7 of 9 free parameters can be found from these poses; 2 are NOT determined" in commands.check_texts["still"]
-    assert "unbounded" not in commands.check_texts["base"]
 
 
 def test_changes_that_no_reading_shows_move_nothing(commands):
@@ -371,32 +240,6 @@ def o1_of(robot, q):
     return o1(scaled_rows(robot, q))
 
 
-def test_no_choice_exceeds_what_is_certified(commands):
-    """All 126 choices of five from nine."""
-    robot, q = commands.few_free[0], joints(9, 1)
-    scaled = scaled_rows(robot, q).reshape(9, 3, -1)
-    best = max(o1(scaled[list(choice)].reshape(15, -1)) for choice in combinations(range(9), 5))
-    _, selection = commands.selections["nine"]
-    said = r"O1 = ([\d.e-]+): at least ([\d.]+) % of the best possible choice \(certified\)"
-    reached, least = numbers_of(said, commands.select_texts["nine"])
-    assert reached == pytest.approx(o1_of(robot, q[selection.chosen]), rel=1e-4)
-    assert least <= 100 * reached / best * (1 + 1e-4)
-    assert "certified" not in commands.select_texts["no bound"]
-
-
-def test_other_starts_are_offered_where_they_may_find_better(commands):
-    """Here they do; where all candidates are taken, there is nothing to find."""
-    offer, texts = (
-        "No bound is known for O2, and one start was tried: --starts 5 may find better",
-        commands.select_texts,
-    )
-    assert offer in texts["no bound"]
-    one, five = (commands.selections[name][1].after["O2"] for name in ("no bound", "starts"))
-    assert five > one
-    for name in ("starts", "all", "nine"):
-        assert "No bound" not in texts[name]
-
-
 def test_poses_off_the_grid_are_as_much_better_as_is_said(commands):
     robot = commands.few_free[0]
     for name, beyond in (("off grid", True), ("edges", False)):
@@ -411,16 +254,6 @@ def test_poses_off_the_grid_are_as_much_better_as_is_said(commands):
     _, selection = commands.selections["off grid"]
     assert beyond == pytest.approx(100 * (o1_of(robot, selection.joints) / selection.bound - 1), abs=0.02)
     assert "Moved off" not in commands.select_texts["nine"]
-
-
-def test_targets_keep_the_distance_that_is_said(commands):
-    for name in ("apart", "off grid"):
-        _, selection = commands.selections[name]
-        points = commands.few_free[0].positions(selection.joints)[:, 0]
-        nearest = min(np.linalg.norm(a - b) for a, b in combinations(points, 2))
-        (said,) = numbers_of(r"at least ([\d.]+) mm apart", commands.select_texts[name])
-        assert nearest >= 1e-3 * said * (1 - 5e-3)
-    assert "mm apart" not in commands.select_texts["nine"]
 
 
 def test_what_candidates_leave_undetermined_is_said(commands):
@@ -455,39 +288,6 @@ def test_what_differs_is_what_was_changed(commands):
     assert "placed and there: nothing was put elsewhere." in texts["placed and there"]
 
 
-def test_parameters_together_differ_by_the_chance_that_is_said(commands):
-    """Hotelling's T^2 of the three of the robot, which have no priors."""
-    fits, _ = commands.results
-    one, other = fits["first"], fits["again"]
-    of_robot = [k for k, name in enumerate(one.covariance.names) if not name.startswith("base")]
-    names = [one.covariance.names[k] for k in of_robot]
-    change = [value(other.robot, name) - value(one.robot, name) for name in names]
-    both = (one.covariance.values + other.covariance.values)[np.ix_(of_robot, of_robot)]
-    square = np.dot(change, np.linalg.solve(both, change)) / len(names)
-    chance = scipy.stats.f.sf(square, len(names), min(fit.statistics.freedom for fit in (one, other)))
-    assert numbers_of(r"all together p ([\d.]+)\)", commands.compare_texts["first and again"]) == pytest.approx(
-        [chance], rel=0.03
-    )
-
-
-def test_a_robot_may_differ_without_a_parameter_that_is_proven_to(commands):
-    """Many parameters differ by a little each."""
-    assert "the robot differs, but no single parameter is proven to" in commands.compare_texts["arm and other"]
-    comparison = commands.comparisons["arm and other"]
-    assert comparison.together[0] < 0.05 <= np.nanmin([difference.p_values for difference in comparison.differences])
-    assert "no single" not in commands.compare_texts["first and longer"]
-
-
-def test_of_more_results_fewer_pairs_differ_by_chance(commands):
-    """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of three pairs larger."""
-    _, folder = commands.results
-    names = ("first", "again", "elsewhere")
-    together = calib.compare(*(folder / name for name in names)).together
-    alone = [commands.comparisons[f"first and {name}"].together[0] for name in names[1:]]
-    assert all(p > 0.999 * single for p, single in zip(together, alone, strict=True))
-    assert together[0] > 1.9 * alone[0]  # at most one pair has a smaller p, so it counts twice at least
-
-
 def test_notes_say_what_was_used_and_why_others_may_differ(commands):
     texts = commands.compare_texts
     assert "no tests, because both used the same 40 readings" in texts["same readings"]
@@ -506,26 +306,6 @@ def test_notes_say_what_was_used_and_why_others_may_differ(commands):
 
 
 # watch
-
-
-def test_the_predicted_error_is_that_of_the_covariance(commands):
-    told, robot = commands.watched["twelve"], commands.few_free[0]
-    by = derivative(told.fit.robot, joints(30, 8), told.fit.covariance.names)
-    expected = 1e3 * np.sqrt(np.trace(by @ told.fit.covariance.values @ by.T) / 30)
-    said = r"predicted error ([\d.]+) mm RMS .* over (\d+) candidates"
-    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([expected, 30], rel=5e-3)
-    assert "too few unseen poses yet (0)" in commands.watch_texts["twelve"]
-    assert "not yet a calibration: " in commands.watch_texts["three"]
-    assert int(np.sum(robot.is_free)) >= 3 * 3
-    assert "not yet a calibration" not in commands.watch_texts["twelve"]
-
-
-def test_it_stops_where_the_robot_is_that_good(commands):
-    """Positions of the calibrated robot are far nearer to the true ones than the goal."""
-    told, truth = commands.watched["met"], commands.few_free[1]
-    assert "goal 0.2 mm: STOP: it is met" in commands.watch_texts["met"]
-    assert h.rms(told.fit.robot.positions(joints(30, 8)) - truth.positions(joints(30, 8))) < 2e-4
-    assert "STOP" not in commands.watch_texts["close"]
 
 
 def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(commands):
@@ -548,24 +328,6 @@ def test_a_goal_below_the_scatter_of_the_readings_is_told(commands):
     assert scatter > 1e3 * told.goal
     for name in ("close", "nothing", "wire"):
         assert "can never show" not in commands.watch_texts[name]
-
-
-def test_the_next_pose_is_offered_while_there_is_one(commands):
-    texts, told = commands.watch_texts, commands.watched
-    assert "which determines more of what is unknown" in texts["nothing"]
-    assert "every candidate that can be reached is measured; give others" in texts["all measured"]
-    assert "every candidate" not in texts["twelve"]
-    pose, robot = told["twelve"].next_pose, told["twelve"].fit.robot
-    names = told["twelve"].fit.covariance.names
-    spread = [
-        uncertainty(robot, names, q, joints(30, 8), h.SIGMA)
-        for q in (joints(60, 9)[:12], np.vstack([joints(60, 9)[:12], joints(30, 8)[pose.candidate]]))
-    ]
-    before, after = (np.sqrt(np.trace(matrix)) for matrix in spread)
-    (said,) = numbers_of(r"which lowers the predicted error by ([\d.]+) %", texts["twelve"])
-    assert said == pytest.approx(100 * (1 - after / before), rel=0.03)
-    assert "as far as readings show positions" in texts["wire"]
-    assert "as far as" not in texts["met"]
 
 
 def test_candidates_that_cannot_be_reached_are_not_counted(commands):

@@ -8,7 +8,6 @@ from viz_examples import medrue_fit
 
 from viz.screenshots import PICTURES
 
-
 SOME = """
 from viz import screenshots
 screenshots.PICTURES = [p for p in screenshots.PICTURES if p[0] in ("viewer-phone", "report")]

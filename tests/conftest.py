@@ -20,6 +20,27 @@ from calib.pictures import pages
 ROOT = Path(__file__).resolve().parents[1]
 
 
+LONGEST = (
+    "test_snippets.py",
+    "test_hand_eye.py",
+    "test_report_page.py",
+    "test_viewer_page.py",
+    "test_suspects.py",
+    "test_every_reason.py",
+    "test_code_comparison.py",
+    "test_many_calibrations.py",
+    "test_example_robots.py",
+    "test_qualification.py",
+)
+"""Files that take longest: first, so that no process is left alone with one at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files that take longest first."""
+    order = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
+
+
 @dataclass(frozen=True)
 class Run:
     """What a run of the `calib` program left behind."""

@@ -10,9 +10,7 @@ from calib.core.fitting.fit import minimum_of
 from calib.core.fitting.settings import Settings
 from calib.core.numerics.statistics import prior_directions
 
-SMALL = ARM_YAML.replace("all, components: [x", "wrist, components: [x").replace(
-    "all, components: [r", "slide, components: [r"
-)
+SMALL = ARM_YAML.replace("all, components: [x", "wrist, components: [x").replace("all,", "slide,")
 PLACED = SMALL.replace("frame: ground}", "frame: ground, pose: unknown}")
 TRACKER = PLACED.replace("targets:\n", "targets:\n  corner: {frame: slider, position: unknown}\n") + (
     "sigma: {range: 0.01 mm, angle: 0.02 mrad}\n"

@@ -1,7 +1,6 @@
 """Why a pose cannot be assembled: each reason against geometry done elsewhere."""
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,8 +14,6 @@ from calib.core.robots.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
-
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
 def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_closed_form():

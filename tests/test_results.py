@@ -443,7 +443,7 @@ def saved_robot(folder, name):
     return fit, poses.joints
 
 
-@pytest.mark.parametrize("name", ["arm", "five_bar", "medrue"])
+@pytest.mark.parametrize("name", ["arm", "five_bar"])
 def test_a_folder_that_was_moved_loads_as_the_calibrated_robot(tmp_path, name):
     fit, q = saved_robot(tmp_path, name)
     assert np.all(fit.robot.values[fit.robot.coefficients][:2] != 0.0)

@@ -18,7 +18,6 @@ from calib.exporting.functions.c_text import c_name
 N = {"six-axis arm, every term": 300, "example arm": 300}
 """Poses of each robot; of those with loops, 40: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
-OF_EVERY_KIND = ("six-axis arm, every term", "MedRUE with a rail's terms", "Stewart platform, compliance")
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 

@@ -21,7 +21,7 @@ def test_pictures_of_a_result_folder_are_taken(chromium_path, tmp_path, with_pag
     arguments = [str(tmp_path / "result"), "--out", str(tmp_path / "pictures")]
     done = subprocess.run([sys.executable, "-c", SOME, *arguments], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "pictures").iterdir())) == 2
+    assert len(list((tmp_path / "pictures").glob("*.png"))) == 2
     for name, _, size, _ in PICTURES[4:6]:
         with Image.open(tmp_path / "pictures" / f"{name}.png") as picture:
             assert picture.size == (size["width"], size["height"])

@@ -20,7 +20,6 @@ from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.text import read_urdf
 from calib.exporting.formats import export
 
-SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip",
     "baxter_description/urdf/baxter.urdf": "left_gripper",

@@ -186,7 +186,7 @@ def test_columns_that_are_copies_are_named(arm, data):
 @pytest.mark.amount(1, 20)
 def test_healthy_arms_show_no_mistake(arm, amount):
     sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
-    for seed in range(2, 2 + amount):
+    for seed in range(amount):
         real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(seed).standard_normal(len(sigmas)))
         assert likely_mistake(arm, noisy(real, joints(60, seed), SIGMA, seed)) == ""
 
@@ -290,7 +290,8 @@ def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
 
 @placed_anew
 def test_a_left_handed_frame_somewhere_is_named(arm, data):
-    assert "left-handed" in likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
+    mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
+    assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
 
 
 def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):

@@ -138,9 +138,8 @@ def test_95_percent_intervals_hold_the_truth(arm, amount):
 
 
 @pytest.fixture
-def fit_file(tmp_path, run_calib, monkeypatch):
+def fit_file(tmp_path, run_calib):
     """Fit a file of three distances and return what was said and the exit code; edits are (old, new) of either file."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
     def fit(in_yaml=(), in_csv=()):
         robot = calib.load(write_six_axis(tmp_path, YAML))

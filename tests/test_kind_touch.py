@@ -196,9 +196,8 @@ def written(folder, q, words, edit=("", "")):
 
 
 @pytest.fixture
-def fit_file(tmp_path, run_calib, monkeypatch):
+def fit_file(tmp_path, run_calib):
     """Fit a file of touches of a plate; edits are (old, new) of either file."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
     def fit(in_yaml=(), in_csv=("", ""), instrument=PLATE):
         robot = arm_with(tmp_path, instrument)

@@ -298,7 +298,7 @@ def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kin
     assert_holds(on_medrue(tmp_path, kind, 25), 25)
 
 
-@pytest.mark.amount(6, 40)
+@pytest.mark.amount(12, 40)
 @pytest.mark.parametrize("counts", [[4] * 40, [10] * 10 + [1] * 30], ids=["each", "some"])
 def test_intervals_hold_the_truth_where_repeats_share_an_error(tmp_path, counts, amount):
     result = repeated(tmp_path, amount, counts)

@@ -28,6 +28,7 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -258,7 +259,7 @@ def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Con
     missed = np.flatnonzero(~reached_goals(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
     won = reached_goals(reach, free)
-    together = solutions.copy()
+    together = deepcopy(solutions)
     together.take(missed[won], free.subset(np.flatnonzero(won)))
     return together
 

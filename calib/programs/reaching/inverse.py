@@ -172,7 +172,7 @@ def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context)
     search.run(robot)
     solved = np.flatnonzero(search.solved)
     turned = unwound(reach, search.best.subset(solved), joints[solved])
-    search.keep(solved, nearer(reach, solved, turned, joints[solved]))
+    search.best.take(solved, nearer(reach, solved, turned, joints[solved]))
     return settled(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
 
 

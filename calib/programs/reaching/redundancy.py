@@ -25,13 +25,14 @@ counts; it is never farther from s* than the start.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, descend
+from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, Rows, descend
 
 _STEPS = 60
 _TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]
@@ -56,7 +57,7 @@ def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
 def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
     """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
     n, n_joints = start.actuated.shape
-    at = start.copy()
+    at = deepcopy(start)
     linear = reach.linearise(index, at.actuated, at.passive)
     hessian, part = np.tile(np.eye(n_joints), (n, 1, 1)), np.ones(n)
     active = np.arange(n)
@@ -92,7 +93,7 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _Held(Rows):
     """What limits hold.
 
     Attributes:
@@ -104,10 +105,6 @@ class _Held:
     joints: BoolArray
     passive: BoolArray
     low: BoolArray
-
-    def subset(self, index: IntArray) -> _Held:
-        """Return what belongs to the configurations with these indices (n,)."""
-        return _Held(self.joints[index], self.passive[index], self.low[index])
 
     def rows(self, linear: Linear) -> FloatArray:
         """Return A, with the columns of held joints, (n, n_rows + n_passive, n_actuated)."""

@@ -74,10 +74,6 @@ class Search:
             left = np.flatnonzero(~self.solved)
             self._improve(left, spread, min(count, _LARGEST_ROUND // max(len(left), 1)))
 
-    def keep(self, index: IntArray, solutions: Configured) -> None:
-        """Take over what was found for the goals `index`, (n,)."""
-        self.best.take(index, solutions)
-
     def _batches(self) -> Iterator[IntArray]:
         """Goals in order of their distance from home's pose, in batches that double in size."""
         home = self._features_at(self.home)
@@ -106,7 +102,7 @@ class Search:
         misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # of several that reach it, the first
         best = np.argmin(misses, axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
-        self.keep(todo[better], solutions.subset(best[better]))
+        self.best.take(todo[better], solutions.subset(best[better]))
 
     def _features_at(self, at: Configured) -> FloatArray:
         position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)

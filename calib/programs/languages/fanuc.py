@@ -42,9 +42,9 @@ class FanucReader(Reader):
         source = Source.read(path, "a FANUC program as text (LS)")
         instructions, positions = sections_of(source)
         code = Code(source, WORDS, lines="blank", ends=";", part=instructions)
-        super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless), "")
+        super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless))
         self.positions = positions_of(source, positions)
-        self.frames, self.given, self.words = frames, set(harmless), {}
+        self.frames, self.given = frames, set(harmless)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return nothing: programs have no parameters in the text."""
@@ -106,13 +106,13 @@ class FanucReader(Reader):
         if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
             self._motion(at, stop)
         elif word == "IF" and code.tokens[stop - 1].text == "THEN":
-            self.choose(at)
+            self.act(at, [self.condition, self.branch])
         elif word == "FOR":
-            self.count(at)
+            self.act(at, [self.condition, self.count, self.repeat, self.pass_over])
         elif word == "ELSE":
-            self.otherwise(at)
+            self.otherwise(at, stop)
         elif word in ("ENDIF", "ENDFOR"):
-            self.close(at)
+            self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
             self.flow.label(f"label {self._label(at)}")
         elif word == "JMP":

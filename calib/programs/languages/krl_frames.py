@@ -49,7 +49,7 @@ class KrlFrames(Reader):
         self._selecting = {
             code.tokens[at].text for at in code.names(1, len(code.tokens)) if code.is_mark(at - 1, "=")
         } | {*start, *_LISTS}
-        super().__init__(sources, codes, start, KRL | set(harmless), "DEF DEFFCT")
+        super().__init__(sources, codes, start, KRL | set(harmless))
 
     def line_end(self, at: int) -> int:
         """Return where the line of a word ends."""
@@ -190,14 +190,14 @@ class KrlFrames(Reader):
 
     # what holds for one motion or spline
 
-    def spline(self, at: int) -> int:
+    def spline(self, at: int, _: int) -> int:
         """Begin a spline, with what holds for it alone behind WITH."""
         stop = self.line_end(at)
         self.save("of the program")
         self.set_with(self.word(at, "WITH"), stop)
         return stop
 
-    def end_spline(self, at: int) -> int:
+    def end_spline(self, at: int, _: int) -> int:
         """End a spline."""
         self.restore("of the program")
         return self.line_end(at)

@@ -14,8 +14,9 @@ here; those may also set all data that are not `LOCAL`.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +32,6 @@ from calib.programs.languages.robot_program import (
     ProgramTarget,
     cells_at,
 )
-from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
@@ -69,73 +69,78 @@ def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
 class RapidReader(RapidData):
     """Reads a module."""
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(path, frames, harmless)
-        self.words = spelled(
-            {
-                self.begin: "PROC FUNC",
-                self._begin_trap: "TRAP",
-                self.finish: "ENDPROC ENDFUNC ENDTRAP",
-                self._handler: "ERROR UNDO BACKWARD",
-                self._declaration: "CONST PERS VAR",
-                self.skip: "LOCAL TASK THEN DO ENDMODULE",
-                self._module: "MODULE",
-                self._record: "RECORD",
-                self.end: "ALIAS",
-                self._if: "IF",
-                self.choose: "TEST",
-                self.choose_next: "ELSEIF CASE",
-                self.otherwise: "ELSE DEFAULT",
-                self.count: "FOR",
-                self.repeat_while: "WHILE",
-                self.close: "ENDIF ENDFOR ENDWHILE ENDTEST",
-                self.jump: "GOTO",
-                self.leave: "RETURN RAISE",
-                self.halt: "EXIT EXITCYCLE RETRY TRYNEXT",
-            }
-        )
+    ROUTINES = "PROC FUNC"
+    WORDS: ClassVar = {
+        "begin": ROUTINES,
+        "begin_trap": "TRAP",
+        "finish": "ENDPROC ENDFUNC ENDTRAP",
+        "handle": "ERROR UNDO BACKWARD",
+        "declaration": "CONST PERS VAR",
+        "skip": "LOCAL TASK THEN DO ENDMODULE",
+        "module": "MODULE",
+        "record": "RECORD",
+        "pass_statement": "ALIAS",
+        "if_": "IF",
+        "condition branch": "TEST",
+        "otherwise condition pass_over": "ELSEIF CASE",
+        "otherwise": "ELSE DEFAULT",
+        "condition count repeat pass_over": "FOR",
+        "repeat condition pass_over": "WHILE",
+        "close": "ENDIF ENDFOR ENDWHILE ENDTEST",
+        "jump": "GOTO",
+        "leave": "RETURN RAISE",
+        "condition halt": "EXIT EXITCYCLE RETRY TRYNEXT",
+    }
 
     def read(self, at: int = 0) -> None:
         """Read all statements behind what a controller writes first: %%% ... %%%."""
         marks = [at for at in range(len(self.code.tokens)) if self.code.is_mark(at, "%")][:6]
         super().read(marks[-1] + 1 if self.code.is_mark(0, "%") else at)
 
-    def skip(self, at: int) -> int:
+    def skip(self, at: int, behind: int) -> int:
         """Go on behind a word or a statement; it may end branches that are one statement long."""
         if self.code.tokens[at].text == ";":
             self._close_compact()
-        return at + 1
+        return behind
 
     def _close_compact(self) -> None:
         while self.flow.blocks and self.flow.blocks[-1].kind == "":
             self.flow.close()
 
-    def close(self, at: int) -> int:
+    def close(self, at: int, behind: int) -> int:
         """End branches or a loop, and the branches of one statement that these were."""
-        super().close(at)
+        super().close(at, behind)
         self._close_compact()
-        return at + 1
+        return behind
 
-    def _module(self, at: int) -> int:
+    def module(self, at: int, _: int) -> int:
+        """Go on behind the name of the module and its attributes."""
         return self.code.partner[at + 2] + 1 if self.code.is_mark(at + 2, "(") else at + 2
 
-    def _record(self, at: int) -> int:
+    def record(self, at: int, _: int) -> int:
+        """Go on behind the declaration of a type."""
         end = len(self.code.tokens) - 1
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
-    def _begin_trap(self, at: int) -> int:
+    def pass_statement(self, at: int, _: int) -> int:
+        """Go on behind the statement."""
+        return self.end(at)
+
+    def begin_trap(self, at: int, _: int) -> int:
+        """Begin a routine that runs whenever an interrupt comes."""
         self.flow.begin(self.code.tokens[at + 1].text, self.code.where(at), at_any_time=True)
         return at + 2
 
-    def _handler(self, at: int) -> int:
-        """An error handler runs whenever an error happens."""
+    def handle(self, at: int, _: int) -> int:
+        """Begin an error handler, which runs whenever an error happens."""
         self.flow.jump("return")
         name = f"{self.flow.routine} {self.code.tokens[at].text}"
         self.flow.finish()
         self.flow.begin(name, self.code.where(at), at_any_time=True)
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
 
-    def _declaration(self, at: int) -> int:
+    def declaration(self, at: int, _: int) -> int:
+        """Take in data that are declared."""
         code, stop = self.code, self.end(at + 1)
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
@@ -151,7 +156,7 @@ class RapidReader(RapidData):
         self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
         return stop
 
-    def _if(self, at: int) -> int:
+    def if_(self, at: int, _: int) -> int:
         """Begin branches; the condition ends where a word follows that can follow no value."""
         code, stop, value = self.code, at + 1, False
         while code.tokens[stop].kind != "end" and not code.is_mark(stop, ":="):

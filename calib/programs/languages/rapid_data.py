@@ -38,7 +38,7 @@ class RapidData(Reader):
         source = Source.read(path, "a RAPID module")
         code = Code(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
-        super().__init__([source], [code], start, RAPID | set(harmless), "PROC FUNC")
+        super().__init__([source], [code], start, RAPID | set(harmless))
         traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
         self.routines |= {code.tokens[at + 1].text: False for at in traps}
         self.frames = {**_FIXED, **frames}

@@ -78,7 +78,6 @@ class Reader(Statements):
         codes: The words of each.
         start: What holds at first, by setting.
         harmless: Routines that are declared elsewhere and change nothing.
-        routines: Words that begin routines with their parameters in brackets.
 
     Attributes:
         declared: Data by name.
@@ -92,9 +91,9 @@ class Reader(Statements):
     danger = "change a tool, frame or mode of motion"  # that is
 
     def __init__(
-        self, sources: Sequence[Source], codes: Sequence[Code], start: State, harmless: Collection[str], routines: str
+        self, sources: Sequence[Source], codes: Sequence[Code], start: State, harmless: Collection[str]
     ) -> None:
-        super().__init__(sources, codes, start, routines)
+        super().__init__(sources, codes, start)
         self.harmless = harmless
         self.visits = list[Visit]()
         self.declared = dict[str, Data]()

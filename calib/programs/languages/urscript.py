@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import pinocchio as pin
 
@@ -26,7 +27,6 @@ from calib.programs.languages.robot_program import (
     Source,
     cells_at,
 )
-from calib.programs.languages.statements import spelled
 from calib.programs.languages.tokens import Code, Span, word_pattern
 from calib.programs.languages.visits import Place, Visit
 
@@ -60,39 +60,38 @@ class UrscriptReader(Reader):
     """Reads a program; the given frame `TCP` is the tool that it does not set."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
+    ROUTINES = "def thread sec"
+    WORDS: ClassVar = {
+        "begin": "def",
+        "begin_thread": "thread sec",
+        "condition branch": "if switch",
+        "otherwise condition pass_over": "elif case",
+        "otherwise": "else default",
+        "repeat condition pass_over": "while",
+        "close": "end",
+        "leave_loop": "break",
+        "begin_again": "continue",
+        "leave": "return",
+        "condition halt": "halt",
+        "skip": "global local",
+    }
 
     def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
         source, given = Source.read(path, "a URScript program"), frames.get("TCP")
         code = Code(source, _WORDS, fold_case=False, lines="outside", ends=";:")
         tool = Unknown(given or _NO_TOOL, whole=True) if not isinstance(given, pin.SE3) else Frame(given)
-        super().__init__([source], [code], {"tool": tool}, URSCRIPT | set(harmless), "def thread sec")
-        self.words = spelled(
-            {
-                self.begin: "def",
-                self.begin_thread: "thread sec",
-                self.choose: "if switch",
-                self.choose_next: "elif case",
-                self.otherwise: "else default",
-                self.repeat_while: "while",
-                self.close: "end",
-                self.leave_loop: "break",
-                self.begin_again: "continue",
-                self.leave: "return",
-                self.halt: "halt",
-                self.skip: "global local",
-            }
-        )
+        super().__init__([source], [code], {"tool": tool}, URSCRIPT | set(harmless))
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter; it gets a value."""
         return [self.code.tokens[span[0]].text], False
 
-    def close(self, at: int) -> int:
+    def close(self, at: int, behind: int) -> int:
         """End branches, a loop or a routine: all end with the same word."""
         if not self.flow.blocks:
-            return self.finish(at)
+            return self.finish(at, behind)
         self.flow.close()
-        return at + 1
+        return behind
 
     def statement(self, at: int, stop: int) -> None:
         """Take in an assignment, or an expression."""

@@ -8,26 +8,20 @@ known instruction (a call, a macro) may change frames and tools.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
-
-import pinocchio as pin
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.fanuc_positions import WORDS, Position, positions_of, sections_of
-from calib.programs.languages.harmless import FANUC, names
-from calib.programs.languages.reader import Reader
+from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
+from calib.programs.languages.reader import Reached, Reader
 from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, Source
 from calib.programs.languages.tokens import Code, Span
-from calib.programs.languages.visits import Place
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
-_KNOWN = names(
-    """FINE ACC CR WJNT RT_LD AP_LD PTH BREAK MROT SKIP LBL TA TB DB DA SEC MSEC MM CM MIN DEG INCH EV PSPD P SPS SPOT
-    CALL TIME BEFORE AFTER MAX_SPEED WELD_SPEED ON OFF R DO RO GO AO F PULSE ARC START END WEAVE SINE CNT"""
-)
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
@@ -38,13 +32,13 @@ class FanucReader(Reader):
 
     language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = Source.read(path, "a FANUC program as text (LS)")
         instructions, positions = sections_of(source)
         code = Code(source, WORDS, lines="blank", ends=";", part=instructions)
-        super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless))
+        super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
         self.positions = positions_of(source, positions)
-        self.frames, self.given = frames, set(harmless)
+        self.given = set(harmless)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return nothing: programs have no parameters in the text."""
@@ -192,11 +186,11 @@ class FanucReader(Reader):
     def _require_known(self, options: Span) -> None:
         """Raise `LeftOutError` for a word behind the places of a motion that is not known."""
         for at in self.code.names(*options):
-            known = self.code.tokens[at].text.rstrip("0123456789") in (*_KNOWN, *_CHANGED)
+            known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
             if not known and self.code.tokens[at - 1].text != "CALL":
                 raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
 
-    def _target(self, position: Position, state: State, changed: int | None) -> tuple[ProgramTarget, tuple[Place, ...]]:
+    def _target(self, position: Position, state: State, changed: int | None) -> Reached:
         """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:
@@ -207,13 +201,13 @@ class FanucReader(Reader):
         if position.joints is not None:
             return ProgramTarget(position.line, self.sources[0].path, position.name, position.joints, None), ()
         cells = position.pose()
-        frame = self._frame("UFRAME", position.frame, state)
-        tool = self._frame("UTOOL", position.tool, state)
+        frame = self._frame("UFRAME", position.frame, state).pose
+        tool = self._frame("UTOOL", position.tool, state).pose
         configuration = position.configuration()
         path = self.sources[0].path
         return ProgramTarget(position.line, path, position.name, cells, "xyz", frame, tool, configuration), ()
 
-    def _frame(self, kind: str, number: str, state: State) -> pin.SE3:
+    def _frame(self, kind: str, number: str, state: State) -> Frame:
         what = "user frame" if kind == "UFRAME" else "tool"
         chosen = state[f"{kind}_NUM"]
         if isinstance(chosen, Unknown):
@@ -221,7 +215,7 @@ class FanucReader(Reader):
         if chosen not in ("", number):
             raise LeftOutError(f"is of {what} {number}, and {chosen} is selected here")
         if number == "0":
-            return pin.SE3.Identity()
+            return Frame()
         name = f"{kind}[{number}]"
         frame = self.frames.get(name)
         if frame is None:
@@ -230,6 +224,4 @@ class FanucReader(Reader):
         for changed in (state.get(name), state[kind]):
             if isinstance(changed, Unknown):
                 raise LeftOutError(f"{name} {changed.why}")
-        if isinstance(frame, str):
-            raise LeftOutError(frame)
-        return frame
+        return selected(name, frame)

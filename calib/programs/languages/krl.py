@@ -9,18 +9,18 @@ assignment, no branch or loop and no known statement may set its arguments, and 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import pinocchio as pin
 
 from calib.programs.languages.control_flow import State
+from calib.programs.languages.frames import Frame, Frames, selected
 from calib.programs.languages.krl_frames import SELECTED, KrlFrames
-from calib.programs.languages.reader import Data, Frame, selected
-from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, Source
+from calib.programs.languages.reader import Data, Reached
+from calib.programs.languages.robot_program import Configuration, LeftOutError, Source
 from calib.programs.languages.tokens import Span
-from calib.programs.languages.visits import Place
 
 SUFFIXES = (".src",)
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -29,13 +29,13 @@ _MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
 _NO_STATEMENTS = "EXT EXTP EXTFCT EXTFCTP IMPORT SIGNAL STRUC ENUM CHANNEL DEFDAT ENDDAT BRAKE"
 
 
-def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
+def krl_frames(path: Path | str) -> Frames:
     """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
     reader = KrlReader(path, {}, ())
     reader.read_data(0)
     names = [name for name in reader.declared if name.startswith(("TOOL_DATA[", "BASE_DATA["))]
     frames = {name: reader.frame_named(name, reader.flow.start) for name in names}
-    return {name: frame.pose if isinstance(frame, Frame) else frame.why for name, frame in frames.items()}
+    return {name: replace(frame, places=()) if isinstance(frame, Frame) else frame for name, frame in frames.items()}
 
 
 class KrlReader(KrlFrames):
@@ -66,7 +66,7 @@ class KrlReader(KrlFrames):
         "resume": "RESUME",
     }
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         program = Path(path)
         data = [program.with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat") if program.suffix.lower() != ".dat"]
         files = [program, *[file for file in data if file.is_file()][:1]]
@@ -196,7 +196,7 @@ class KrlReader(KrlFrames):
             raise LeftOutError(self.uses.why_not(name) or otherwise)
         return data
 
-    def _target(self, data: Data, state: State) -> tuple[ProgramTarget, tuple[Place, ...]]:
+    def _target(self, data: Data, state: State) -> Reached:
         self.require_constant(data)
         components = self.components(data)
         if components is None:
@@ -205,9 +205,8 @@ class KrlReader(KrlFrames):
         numbers = {key: float(source.text[slice(*place)]) for key, place in components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
-        line = self.codes[data.file].line(data.span[0])
         if set(_AXES) <= set(numbers):
-            return ProgramTarget(line, source.path, data.name, self.cells(data, _AXES), None), ()
+            return self.target(data, self.cells(data, _AXES))
         cells = self.pose_cells(data)
         if cells is None:
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
@@ -217,9 +216,7 @@ class KrlReader(KrlFrames):
             raise LeftOutError(
                 "the tool is not on the robot" if mode == "#TCP" else "whether the tool is on the robot is not known"
             )
-        configuration = _configuration(numbers)
-        target = ProgramTarget(line, source.path, data.name, cells, "zyx", base.pose, tool.pose, configuration)
-        return target, base.places + tool.places
+        return self.target(data, cells, "zyx", base, tool, _configuration(numbers))
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

@@ -19,19 +19,13 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import pinocchio as pin
 
 from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.frames import Frame, Frames
 from calib.programs.languages.harmless import RAPID_SETS
 from calib.programs.languages.rapid_data import SIZES, TWO_TARGETS, RapidData
-from calib.programs.languages.reader import NO_VALUE, Data
-from calib.programs.languages.robot_program import (
-    DEGREE,
-    Configuration,
-    LeftOutError,
-    ProgramTarget,
-    cells_at,
-)
+from calib.programs.languages.reader import NO_VALUE, Data, Reached
+from calib.programs.languages.robot_program import DEGREE, Configuration, LeftOutError, cells_at
 from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
@@ -54,16 +48,20 @@ _NONE = 8e9  # external axes that are not there say 9E9
 _QUARTER = np.pi / 2
 
 
-def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
-    """Return the tools and work objects that a module declares; the reason for those that cannot be used."""
-    reader = RapidReader(path, {}, ())
+def rapid_frames(path: Path | str) -> Frames:
+    """Return the tools and work objects that a module declares, and why some cannot be used."""
+    reader, frames = RapidReader(path, {}, ()), dict[str, Frame | Unknown]()
     reader.read()
-    return {
-        name: f"'{name.lower()}' is set by its module" if reader.uses.is_set(name.partition("{")[0]) else frame
-        for name, data in reader.declared.items()
-        if data.kind in ("TOOLDATA", "WOBJDATA") and data.span != NO_VALUE
-        for frame in [reader.frame(data)]
-    }
+    for name, data in reader.declared.items():
+        if data.kind not in ("TOOLDATA", "WOBJDATA") or data.span == NO_VALUE:
+            continue
+        try:
+            frames[name] = reader.frame(data)
+        except LeftOutError as why:
+            frames[name] = Unknown(str(why), whole=True)
+        if reader.uses.is_set(name.partition("{")[0]):
+            frames[name] = Unknown(f"'{name.lower()}' is set by its module", whole=True)
+    return frames
 
 
 class RapidReader(RapidData):
@@ -247,7 +245,7 @@ class RapidReader(RapidData):
                 span,
                 state,
                 lambda span=span: self._data(word, span),  # type: ignore[misc]
-                lambda data, state: (self._target(word, data, spans, options, state), ()),
+                lambda data, state: self._target(word, data, spans, options, state),
             )
 
     def _data(self, word: str, span: Span) -> Data:
@@ -267,18 +265,18 @@ class RapidReader(RapidData):
 
     def _target(
         self, word: str, data: Data, spans: Sequence[Span], options: Mapping[str, Span], state: State
-    ) -> ProgramTarget:
+    ) -> Reached:
         self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
-        parts, line, path = self.complete(data), self.code.line(data.span[0]), self.sources[0].path
+        parts = self.complete(data)
         if any(value < _NONE for value in self.values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
         if data.kind == "JOINTTARGET":
             cells = cells_at(self.sources[0], 0, self.numbers(parts[0], 6, "robax"), [DEGREE] * 6)
-            return ProgramTarget(line, path, data.name, cells, None)
+            return self.target(data, cells)
         cells, _ = self.pose(parts[:2])
         if isinstance(state["PDISP"], Unknown):
             raise LeftOutError(f"a program displacement {state['PDISP'].why}")
@@ -287,7 +285,7 @@ class RapidReader(RapidData):
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
         configuration = self._configuration(parts[2]) if checked else None
-        return ProgramTarget(line, path, data.name, cells, "quaternion", frame, tool, configuration)
+        return self.target(data, cells, "quaternion", frame, tool, configuration)
 
     def _configuration(self, span: Span) -> Configuration:
         """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import Flow, State
 from calib.programs.languages.data_uses import DataUses
-from calib.programs.languages.robot_program import Source
 from calib.programs.languages.tokens import Code, Span
 
 Action = Callable[[int, int], int]
@@ -22,8 +21,7 @@ class Statements(ABC):
     """Reads the statements of a program.
 
     Args:
-        sources: Its files, the one with the statements first.
-        codes: The words of each.
+        codes: The words of its files, the one with the statements first.
         start: What holds at first, by setting.
 
     Attributes:
@@ -36,8 +34,8 @@ class Statements(ABC):
     WORDS: Mapping[str, str] = {}
     ROUTINES = ""
 
-    def __init__(self, sources: Sequence[Source], codes: Sequence[Code], start: State) -> None:
-        self.sources, self.codes, self.code = sources, codes, codes[0]
+    def __init__(self, codes: Sequence[Code], start: State) -> None:
+        self.sources, self.codes, self.code = [code.source for code in codes], codes, codes[0]
         self.flow, self.uses = Flow(start), DataUses()
         self.words: dict[str, list[Action]] = {
             word: [getattr(self, action) for action in actions.split()]

@@ -1,4 +1,4 @@
-"""Instructions and functions of controllers that change no target, tool, frame or mode of motion: see `harmless.txt`.
+"""Words of controllers and of G-code that change no target, tool, frame or mode of motion: see `harmless.txt`.
 
 They are those of the manufacturers' manuals that take the values of their arguments and set none of them. A name that
 is not there, and that the program does not declare, may change anything.
@@ -10,12 +10,13 @@ import re
 from pathlib import Path
 
 _TEXT = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8")
-_LISTS = {part[1]: part[2].split() for part in re.finditer(r"^\[(.*)\]\n([^\[]*)", _TEXT, re.MULTILINE)}
-URSCRIPT = frozenset(_LISTS["URScript"])
-URSCRIPT_COMPUTED = frozenset(_LISTS["URScript COMPUTED"])
+LISTS = {part[1]: part[2].split() for part in re.finditer(r"^\[(.*)\]\n([^\[]*)", _TEXT, re.MULTILINE)}
+"""Words by the name of their list."""
+URSCRIPT = frozenset(LISTS["URScript"])
+URSCRIPT_COMPUTED = frozenset(LISTS["URScript COMPUTED"])
 """Moves of URScript whose goal is computed while they go on."""
 RAPID, RAPID_SETS, KRL, BAS_HARMLESS, BAS_FORMS, FANUC, FANUC_OPTIONS = (
-    frozenset(word.upper() for word in _LISTS[name])
+    frozenset(word.upper() for word in LISTS[name])
     for name in ("RAPID", "RAPID SETS", "KRL", "BAS", "BAS FORMS", "FANUC", "FANUC OPTIONS")
 )
 """In capitals, since case does not count. `RAPID_SETS` set some of their arguments, and nothing else; `FANUC_OPTIONS`

@@ -29,7 +29,7 @@ from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
-from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is, row_figures
+from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
@@ -234,8 +234,7 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
             columns.append((name, cells_of(values)))
     columns += condition_columns(robot, len(program), program.setups, program.context).items()
     columns += approach_columns(robot, program.approach).items()
-    for figure, unit, scale in row_figures(compensation.keep):
-        columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))
+    columns += [(f"{name} [{unit}]", cells_of(values)) for (name, unit), values in compensation.figures().items()]
     columns.append(("status", [why or "ok" for why in compensation.reasons]))
     return columns
 
@@ -260,16 +259,13 @@ def _rpy(rotations: FloatArray) -> FloatArray:
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     """One entry for each row; null where there is no number."""
-    joints = joint_columns(robot, compensation.q)
+    joints, figures = joint_columns(robot, compensation.q), compensation.figures()
     return [
         {
             "pose": name,
             "status": compensation.reasons[k] or "ok",
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
-            **{
-                f"{figure}_{unit}": float(getattr(compensation, figure)[k]) * scale
-                for figure, unit, scale in row_figures(compensation.keep)
-            },
+            **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in figures.items()},
         }
         for k, name in enumerate(compensation.names)
     ]

@@ -13,7 +13,7 @@ from calib.core.base.files import write_files
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.commands.common import Output
-from calib.programs.commands.report import FIGURES, Figures, Job, figures_of, row_figures, summary
+from calib.programs.commands.report import Figures, Job, figures_of, summary
 from calib.programs.languages.controller_program import CompensatedProgram, compensate_program
 from calib.programs.languages.languages import read_program
 
@@ -83,6 +83,7 @@ def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
 
 def _content(compensated: CompensatedProgram) -> dict[str, object]:
     program, compensation = compensated.program, compensated.compensation
+    figures = {f"{name}_{unit}": values for (name, unit), values in compensation.figures().items()}
     row_of = {int(k): n for n, k in enumerate(compensated.rows)}
     return {
         "language": program.language,
@@ -98,11 +99,11 @@ def _content(compensated: CompensatedProgram) -> dict[str, object]:
                 "line": target.line,
                 "name": target.name,
                 "status": compensated.reasons[k] or "ok",
-                **{
-                    f"{name}_{unit}": scale * float(getattr(compensation, name)[row_of[k]])
-                    for name, unit, scale in row_figures("position", FIGURES[:2])
+                **(
+                    {name: float(figures[name][row_of[k]]) for name in ("before_mm", "expected_mm")}
                     if k in row_of
-                },
+                    else {}
+                ),
             }
             for k, target in enumerate(program.targets)
         ],

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import ClassVar
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import Flow, State
@@ -31,8 +32,8 @@ class Statements(ABC):
     """
 
     breaking = True  # whether statements end before words of `WORDS`, too
-    WORDS: Mapping[str, str] = {}
-    ROUTINES = ""
+    WORDS: ClassVar[Mapping[str, str]] = {}
+    ROUTINES: ClassVar[str] = ""
 
     def __init__(self, codes: Sequence[Code], start: State) -> None:
         self.sources, self.codes, self.code = [code.source for code in codes], codes, codes[0]

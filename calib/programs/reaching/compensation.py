@@ -48,7 +48,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.frames import Frame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
-from calib.programs.reaching.expected_errors import ExpectedError
+from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
 from calib.programs.reaching.goals import Goals, goals_of_poses
 from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, settled
 from calib.programs.reaching.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
@@ -110,6 +110,12 @@ class Compensation(ReadOnlyArrays):
     def ok(self) -> BoolArray:
         """Which rows have a command, (n,)."""
         return np.asarray(np.isfinite(self.q).all(axis=1))
+
+    def figures(self) -> dict[tuple[str, str], FloatArray]:
+        """Return errors and their limits by name and unit of files, (n,) each; of what is kept."""
+        names = ("before", "expected", "low95", "high95")
+        endings = ("",) if self.keep == "position" else ("", "_angle")
+        return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])
 
     def misses(self) -> list[str]:
         """Return a phrase for every row that has no command."""

@@ -99,11 +99,7 @@ def _content(compensated: CompensatedProgram) -> dict[str, object]:
                 "line": target.line,
                 "name": target.name,
                 "status": compensated.reasons[k] or "ok",
-                **(
-                    {name: float(figures[name][row_of[k]]) for name in ("before_mm", "expected_mm")}
-                    if k in row_of
-                    else {}
-                ),
+                **{name: float(figures[name][row_of[k]]) for name in ("before_mm", "expected_mm") if k in row_of},
             }
             for k, target in enumerate(program.targets)
         ],

@@ -512,9 +512,10 @@ def test_e_that_counts_from_what_is_not_known_is_not_shared(tmp_path, between, d
         program.rewritten(ways)
 
 
-@pytest.mark.parametrize(
-    "piece", ["(", "(a", '"a', ".1", " ", "X ", "A_", "a=b ", "N1", "G1", "M3 ", "1E1", "T1\n", ";", "*"]
-)
+PIECES = ("(", "(a", '"a', ".1", " ", "X ", "A_", "a=b ", "N1", "G1", "M3 ", "1E1", "T1\n", ";", "*")
+
+
+@pytest.mark.parametrize("piece", PIECES)
 def test_reading_takes_a_time_in_proportion_to_the_length(tmp_path, piece):
     """No piece is gone back over: what takes the square of the length takes minutes here."""
     (tmp_path / "a.gcode").write_text("G1 X0 Y0 Z0\nG1 X" + 200_000 // len(piece) * piece + "\n")

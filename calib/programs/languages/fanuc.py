@@ -9,15 +9,16 @@ known instruction (a call, a macro) may change frames and tools.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.fanuc_positions import WORDS, Position, positions_of, sections_of
+from calib.programs.languages.fanuc_positions import WORDS, Position, number_at, positions_of, sections_of
 from calib.programs.languages.frames import Frame, Frames, selected
 from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
 from calib.programs.languages.reader import Reached, Reader
-from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, Source
+from calib.programs.languages.robot_program import LeftOutError, Source
 from calib.programs.languages.tokens import Code, Span
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
@@ -51,12 +52,9 @@ class FanucReader(Reader):
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
             if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
-                self.flow.maybe(f"label {self._label(at)}")
+                self.flow.maybe(f"label {number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
-
-    def _label(self, at: int) -> str:
-        return self.code.tokens[at + 2].text.partition(":")[0].strip()
 
     def _place(self, span: Span) -> str:
         """What a place of a motion is called: `P[1]`, `P[*]` where the number is computed, or `PR`."""
@@ -64,7 +62,7 @@ class FanucReader(Reader):
             return "PR"
         number = self.code.tokens[span[0] + 2]
         plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
-        return f"P[{self._label(span[0]) if plain else '*'}]"
+        return f"P[{number_at(self.code, span[0]) if plain else '*'}]"
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the registers and positions in some words."""
@@ -108,10 +106,10 @@ class FanucReader(Reader):
         elif word in ("ENDIF", "ENDFOR"):
             self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
-            self.flow.label(f"label {self._label(at)}")
+            self.flow.label(f"label {number_at(self.code, at)}")
         elif word == "JMP":
             plain = code.is_mark(at + 2, "[") and code.partner[at + 2] == at + 4
-            self.flow.jump(f"label {self._label(at + 1)}" if plain else "any label")
+            self.flow.jump(f"label {number_at(self.code, at + 1)}" if plain else "any label")
         elif word in ("END", "ABORT"):
             self.flow.jump("return")
         elif equals < stop and code.tokens[at].kind == "name":
@@ -197,15 +195,12 @@ class FanucReader(Reader):
             why = "is computed at run time (INC)"
         if why:
             raise LeftOutError(why)
-        position.require_alone()
-        if position.joints is not None:
-            return ProgramTarget(position.line, self.sources[0].path, position.name, position.joints, None), ()
-        cells = position.pose()
-        frame = self._frame("UFRAME", position.frame, state).pose
-        tool = self._frame("UTOOL", position.tool, state).pose
-        configuration = position.configuration()
-        path = self.sources[0].path
-        return ProgramTarget(position.line, path, position.name, cells, "xyz", frame, tool, configuration), ()
+        target = position.target()
+        if target.rotation is None:
+            return target, ()
+        frame = self._frame("UFRAME", position.said["UF"], state)
+        tool = self._frame("UTOOL", position.said["UT"], state)
+        return replace(target, frame=frame.pose, tool=tool.pose), ()
 
     def _frame(self, kind: str, number: str, state: State) -> Frame:
         what = "user frame" if kind == "UFRAME" else "tool"

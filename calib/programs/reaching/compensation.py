@@ -50,10 +50,10 @@ from calib.core.rows.frames import Frame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
 from calib.programs.reaching.goals import Goals, goals_of_poses
-from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, settled
+from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, with_tilts
 from calib.programs.reaching.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
 from calib.programs.reaching.reaching import Configured, Reach, descend
-from calib.programs.reaching.redundancy import nearer
+from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
@@ -252,8 +252,8 @@ def _solved(
 ) -> tuple[FloatArray, list[str]]:
     """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
     near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
-    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
-    solutions = settled(robot, reach, rows, solutions, context)
+    solutions = _past_limits(reach, rows, start, near_joints(reach, rows, descend(reach, rows, near), near.actuated))
+    solutions = with_tilts(robot, reach, rows, solutions, context)
     commands = reach.with_uncommanded(rows, commands_for(robot, solutions.actuated, context))
     reach_of_rows = replace(reach, goals=task.goals.subset(rows))
     return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])

@@ -123,7 +123,7 @@ class Reach:
         return self.mechanism.driven_scale
 
     @cached_property
-    def held(self) -> BoolArray:
+    def fixed_joints(self) -> BoolArray:
         """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
@@ -134,7 +134,7 @@ class Reach:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
-    def stood(self, index: IntArray, at: Configured) -> Configured:
+    def as_given(self, index: IntArray, at: Configured) -> Configured:
         """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
         if not self.goals.stands:
             return at
@@ -297,7 +297,7 @@ def _damped_step(
         "nij,ni->nj", weighted, weight * aim * np.sqrt(size)
     )
     held = ((at.actuated <= reach.lower) & (gradient > 0)) | ((at.actuated >= reach.upper) & (gradient < 0))
-    held |= reach.held
+    held |= reach.fixed_joints
     rows = np.where(held[:, None, :], 0.0, np.concatenate([slope, weighted], axis=1))
     normal = rows.transpose(0, 2, 1) @ rows + (damping[:, None] * size)[:, :, None] * np.eye(n_joints)
     return -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

@@ -41,7 +41,7 @@ _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a
 _ROUNDING = 1e-12  # of a step: what is smaller leaves no limit
 
 
-def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
+def without_full_turns(reach: Reach, at: Configured, near: FloatArray) -> Configured:
     """Take whole turns out of joints where that brings them nearer to `near`, (n, n_actuated), and leaves no limit."""
     mechanism, actuated = reach.mechanism, at.actuated.copy()
     for j, name in enumerate(mechanism.actuated):
@@ -54,7 +54,7 @@ def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
     return Configured(actuated, at.passive, at.distance)
 
 
-def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
+def near_joints(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
     """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
     n, n_joints = start.actuated.shape
     at = deepcopy(start)
@@ -123,7 +123,7 @@ def _step(
     """What is held, the step d (n, n_actuated), and the largest part of P w, (n,): what is left."""
     below, above = reach.room(at.passive)
     low, high = at.actuated <= reach.lower, at.actuated >= reach.upper
-    held = _Held(np.tile(reach.held, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
+    held = _Held(np.tile(reach.fixed_joints, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
     for _ in range(low.shape[1] + 1):
         inverse, projector = _inverse(held.rows(linear), held)
         back = -np.einsum("nij,nj->ni", inverse, held.gap(reach, linear, at.passive))

@@ -22,20 +22,15 @@ _SHOWN = 20
 
 def compensate_controller(
     job: Job,
+    *,
     frames: Sequence[str],
     harmless: Sequence[str],
-    links: tuple[str | None, str | None, str | None],
-    *,
+    base_link: str | None,
+    flange_link: str | None,
+    third_joint: str | None,
     skip_unreachable: bool,
 ) -> None:
-    """Write a controller's program with which the calibrated robot goes where it says.
-
-    Args:
-        job: The program; a `.dat` file goes beside it.
-        frames: --frames.
-        harmless: --harmless.
-        links: --base-link, --flange-link and --third-joint.
-        skip_unreachable: Whether targets that cannot be compensated stay as they are.
+    """Write a controller's program, and the files beside it, with which the calibrated robot goes where it says.
 
     Raises:
         DataError: A program that cannot be read; with its line.
@@ -50,10 +45,11 @@ def compensate_controller(
     program = read_program(job.program, frames, harmless)
     places = [out, *(out.with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))
-    base, flange, third_joint = links
     count = counted(len(program.targets), "target")
     with output.working(f"compensating {count}"):
-        compensated = compensate_program(job.known, program, base=base, flange=flange, third_joint=third_joint)
+        compensated = compensate_program(
+            job.known, program, base=base_link, flange=flange_link, third_joint=third_joint
+        )
     compensation = compensated.compensation
     pairs = zip(program.targets, compensated.reasons, strict=True)
     missed = [f"{target.label} {why}" for target, why in pairs if why]

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.commands.common import Output, said_of_failure
+from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import KnownRobot
 from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
@@ -79,6 +80,7 @@ class Job:
     """A program to compensate.
 
     Attributes:
+        nominal: The robot as it is described.
         known: The calibrated robot.
         program: File of the program.
         result: Folder of the calibration.
@@ -86,6 +88,7 @@ class Job:
         output: Where to print.
     """
 
+    nominal: Robot
     known: KnownRobot
     program: str
     result: str

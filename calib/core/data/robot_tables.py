@@ -31,22 +31,19 @@ _UNITS = (*PER_SI["length"], *PER_SI["angle"])
 _UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]+(?P<ending>{'|'.join(_UNITS)}))")
 
 
-def read_robot_table(
-    source: Source, robot: Robot, *, growing: Sequence[str] | None = None, any_size: bool = False
-) -> Table:
+def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | None = None) -> Table:
     """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
 
     Args:
         source: The file or the table in memory.
         robot: The robot.
         growing: Of a file that is still written, its lines so far.
-        any_size: As in `read_table`.
 
     Raises:
         DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
             units are; or blanks separate the columns.
     """
-    table = read_table(source, robot.description.columns, growing=growing, any_size=any_size)
+    table = read_table(source, robot.description.columns, growing=growing)
     _check_separator(robot, table)
     _check_units(robot, table)
     guessed = _joints(robot, table) | _positions(robot, table)

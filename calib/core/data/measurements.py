@@ -7,7 +7,7 @@ pose; nothing is averaged. An instrument may have read nothing at a visit, and s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NoReturn, Self
 
@@ -294,21 +294,9 @@ class Measurements(Poses):
 
 def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
     """Put poses and readings together."""
-    return Measurements(
-        poses.joints,
-        poses.labels,
-        poses.names,
-        poses.path,
-        poses.ignored,
-        readings,
-        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
-        comments=poses.comments,
-        context=poses.context,
-        approach=poses.approach,
-        setups=poses.setups,
-        planned=poses.planned,
-        robot=poses.robot,
-    )
+    of_poses = {field.name: getattr(poses, field.name) for field in fields(Poses)}
+    assumed = isinstance(poses, Measurements) and poses.approach_assumed
+    return Measurements(**of_poses, readings=readings, approach_assumed=assumed)
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:

@@ -9,8 +9,6 @@ logger.
 from __future__ import annotations
 
 import csv
-import functools
-import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -21,12 +19,13 @@ from typing import Any, Protocol, TypeGuard, cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, InputError, nearest_column
+from calib.core.base.errors import DataError, nearest_column
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.mapped_columns import MappedColumn, mapped_column
 from calib.core.base.own_files import is_mark
 from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,
     SEPARATORS,
@@ -44,7 +43,6 @@ from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
 _LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
-_LOG = logging.getLogger("calib")
 IN_MEMORY = "table in memory"
 """What a table that is no file is called in messages."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
@@ -114,12 +112,8 @@ class Table:
         index = self.names.index(name)
         if dimension is None and self.units[index] is not None:
             raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
-        try:
-            divisor = (
-                1.0 if dimension is None else per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
-            )
-        except InputError as error:
-            raise DataError(str(error)) from None
+        place = f"{self.path}, column '{name}'"
+        divisor = 1.0 if dimension is None else per_si(self.units[index], dimension, place, DataError)
         values = self._numbers(index, gaps=gaps)
         if np.all(np.isnan(values)):
             return values
@@ -129,7 +123,7 @@ class Table:
         values = values / divisor
         if name in self.maps:
             mapped = self.maps[name]
-            scale = 1.0 if dimension is None else per_si(mapped.unit, dimension, f"{self.path}, column '{name}'")
+            scale = 1.0 if dimension is None else per_si(mapped.unit, dimension, place)
             values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
@@ -276,20 +270,14 @@ def read_table(
         units = tuple(unit or other for unit, other in zip(units, below, strict=True))
         del cells[filled[1]]
     if any(line.strip() and not is_comment(line) for line in lines[:above]):
-        _tell(str(path), f"took line {first} for the header, and the lines above it for comments")
+        warn_once(f"{path}: took line {first} for the header, and the lines above it for comments")
     if below:
-        _tell(str(path), "took the line below the header for units")
+        warn_once(f"{path}: took the line below the header for units")
     _check_widths(str(path), cells, len(names), first, separator)
     if not cells:
         raise DataError(f"{path}: has a header but no rows")
     rows = tuple(cells.values())
     return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps)
-
-
-@functools.lru_cache(maxsize=64)
-def _tell(path: str, text: str) -> None:
-    """Warn of what a file was taken for, once."""
-    _LOG.warning("%s: %s", path, text)
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
@@ -371,7 +359,7 @@ def _header(
             name, unit = mapped.name, mapped.unit if cell in renamed else unit or mapped.unit
             if not mapped.plain:
                 maps[name] = mapped
-                _tell(path, f"{name} is {mapped.words}")
+                warn_once(f"{path}: {name} is {mapped.words}")
         if not name:
             raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)

@@ -70,19 +70,9 @@ BAD_DATA = {  # more mistakes in tests/test_tables.py and tests/test_measurement
     "missing joint column": (DATA.replace("slide", "slid_e"), "no column 'slide'; did you mean 'slid_e'?"),
     "missing measured column": (DATA.replace("tip_z", "other"), "data.csv: no column 'tip_z'; the file has turn"),
     "wrong joint name": (DATA.replace("wrist", "wirst"), "no column 'wrist'; did you mean 'wirst'? The file has turn,"),
-    "duplicate with another unit": (DATA.replace("tip_y [mm]", "turn [deg]"), "data.csv: column 'turn' appears twice"),
     "unknown unit": (DATA.replace("turn", "turn [degree]"), "unknown unit 'degree'; did you mean 'deg'?"),
     "text": (data(line4="a,0,0,1,2,3"), "data.csv, line 4, column 'turn': 'a' is not a number"),
     "empty cell": (data(line6="0,0,0,1,,3"), "data.csv, line 6, column 'tip_y': is empty; fill it in, or leave all"),
-    "short row": (data(line7="0,0,0,1,2"), "data.csv, line 7: 5 cells for 6 columns"),
-    "degrees without a unit": (DATA.replace(" [deg]", ""), "line 9, column 'wrist': -35 rad is not plausible; write"),
-    "millimetres without a unit": (DATA.replace("tip_x [mm]", "tip_x"), "column 'tip_x': 382 m is not plausible;"),
-    "empty file": ("", "data.csv: is empty; expected a header line and rows of numbers"),
-    "header only": (ROWS[0] + "\n", "data.csv: has a header but no rows"),
-    "repeats that differ": (
-        "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",
-        "data.csv, line 2 (pose a): joint 'turn' differs by 5.73 deg among the rows of pose 'a'",
-    ),
     "misspelt direction": (
         "turn,slide,wrist,tip_x,tip_y,tip_z,approach_sldie\n0,0,0,1,1,1,1\n",
         "data.csv, column 'approach_sldie': no joint 'sldie'; did you mean 'slide'?",
@@ -98,11 +88,7 @@ def test_bad_measurements_are_refused_by_fit(folder, refused, content, message):
 
 
 @pytest.mark.parametrize("command", [PREDICT, SIMULATE])
-@pytest.mark.parametrize(
-    "case",
-    ["missing joint column", "wrong joint name", "unknown unit", "text", "short row", "degrees without a unit",
-     "header only"],
-)  # fmt: skip
+@pytest.mark.parametrize("case", ["missing joint column", "wrong joint name", "unknown unit", "text"])
 def test_bad_joint_values_are_refused_by_predict_and_simulate(folder, refused, command, case):
     content, message = BAD_DATA[case]
     (folder / "data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -122,12 +108,8 @@ NO_PARAMETRISATION = ARM_YAML[: ARM_YAML.index("parametrisation:")]
 BAD_ROBOTS = {  # more in tests/test_description.py
     "no file": (None, "arm.yaml: no such file or folder; give a robot description"),
     "empty": ("", "arm.yaml: is not a mapping of keys to values"),
-    "tab": (ARM_YAML.replace("base:", "\tbase:"), "arm.yaml, line 3: not valid YAML (found character '\\t'"),
-    "unknown key": (ARM_YAML + "hold: []\n", "arm.yaml: unknown key 'hold'; did you mean 'held'?"),
-    "unknown joint": (ARM_YAML.replace("[turn,", "[trun,"), "name_mot: no joint 'trun'; did you mean 'turn'?"),
     "unknown plugin": (NO_PARAMETRISATION + "parametrisation: scara\n", "arm.yaml: no parametrisation 'scara' is"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
-    "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
     "zero byte in a name": (ARM_YAML.replace("arm.urdf", '"arm\\0.urdf"'), "holds \\x00, which nobody sees"),
     "overflow": (ARM_YAML + "sigma: 1e300 mm\n", "arm.yaml: sigma: '1e300 mm' is too large to mean anything"),
 }  # fmt: skip
@@ -146,8 +128,6 @@ def test_a_bad_description_is_refused(folder, refused, content, message):
 
 LINK = '<link name="upper"/>'
 BAD_URDFS = {  # more in tests/test_urdf_text.py
-    "broken XML": (ARM_URDF.replace("</robot>", ""), "arm.urdf, line 20: not valid XML (no element found)"),
-    "UTF-16": (ARM_URDF.encode("utf-16"), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
     "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: it has no model with links"),
     "unknown link": (ARM_URDF.replace('parent link="upper"', 'parent link="uper"'), "did you mean 'upper'?"),
     "text in an origin": (ARM_URDF.replace("0.25 0 0", "0.25 0 O"), "joint 'slide', xyz: 'O' is not a number"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self
 
 import yaml
 from pydantic import (
@@ -22,6 +22,7 @@ from pydantic import (
     PlainValidator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.files import read_text
@@ -55,6 +56,10 @@ def _reader(dimension: Dimension) -> BeforeValidator:
     return BeforeValidator(read, json_schema_input_type=float | str)
 
 
+UNKNOWN_KEY: LiteralString = "unknown_key"
+"""Type of the error of a key that a section does not have; its context has the key, and a hint at the nearest one."""
+
+
 def _number_or_text(value: Any) -> float | str:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
@@ -75,6 +80,15 @@ class Section(BaseModel):
     """A mapping of keys in a robot description; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, value: Any) -> Any:
+        for key in value if isinstance(value, dict) else ():
+            if isinstance(key, str) and key not in cls.model_fields:
+                hint = nearest(key, cls.model_fields)
+                raise PydanticCustomError(UNKNOWN_KEY, "unknown key '{key}'{hint}", {"key": key, "hint": hint})
+        return value
 
 
 class FrameSection(Section):

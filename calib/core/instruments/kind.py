@@ -301,9 +301,9 @@ class Instrument(ABC):
         """
         return ()
 
-    @abstractmethod
     def columns(self) -> tuple[Column, ...]:
-        """Return its columns in a measurement file."""
+        """Return its columns in a measurement file: `<name>_<axis>` for each of its rows, unless a kind says more."""
+        return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
 
     def text_columns(self) -> tuple[str, ...]:
         """Return columns that say in words what was looked at."""

@@ -85,7 +85,7 @@ class Relation(FrameInstrument):
 
     def columns(self) -> tuple[Column, ...]:
         """Return its columns; nothing of a touch, which has no numbers."""
-        return ()
+        return () if self.touches else super().columns()
 
     @property
     def named(self) -> tuple[str, ...]:

@@ -199,21 +199,6 @@ def test_a_guess_runs(t, guess):
 
 ANSWERED = {
     # lmfit and SciPy
-    "t.fit.params['joint_3.z']": 'fit.parameters["joint_3.z"]',
-    "t.fit.best_values": "fit.parameters",
-    "t.fit.covar": "fit.covariance",
-    "t.fit.redchi": "fit.chi_square",
-    "t.fit.nfree": "fit.statistics.freedom",
-    "t.fit.success": "fit.converged",
-    "t.fit.fit_report()": "fit.summary()",
-    "t.fit.conf_interval()": ".interval",
-    "t.fit.x": "fit.robot.values",
-    "t.fit.cost": "fit.rms",
-    "t.fit.nfev": "fit.message",
-    "t.fit.aic": "fit.rms",
-    "calib.minimize(None)": "calib.fit(robot, data)",
-    "calib.least_squares(None)": "calib.fit(robot, data)",
-    "t.fit.condition_number": "fit.rank.singular_values",
     "t.fit.verdict.status": ".grade",
     "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
     "calib.fit(t.robot, t.data, free=['joint_3.z'])": "also give fix='all'",
@@ -227,101 +212,40 @@ ANSWERED = {
     "t.robot.fix(3)": "named by text",
     "t.fit.covariance['joint_3.z']": "takes two names",
     # scikit-learn
-    "t.fit.score(t.data)": "calib.verify",
-    "t.fit.coef_": "fit.parameters",
-    "t.fit.rmse": "fit.rms",
-    "calib.train_test_split(t.data)": "data.split(validation=0.25, seed=1)",
-    "calib.cross_val_score(t.robot)": "fit.cross_validate(5)",
     "calib.fit(t.robot, {'q': t.q})": "calib.as_measurements(robot, q, xyz)",
     "calib.compare(t.robot, t.fit.robot)": "fit.to_dataframe()",
-    "t.robot.make_params()": "robot.parameters",
     "calib.URDF('x.urdf')": "calib.load",
     "t.robot.compute_forward_kinematics(t.q)": "robot.forward",
     "t.robot.getJointNames()": "robot.joint_names",
-    "t.fit.to_json()": "fit.to_dict()",
     "calib.fit(t.robot, t.data, prior={'joint_3.z': 0.5})": "has no unit",
     "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
-    "t.robot.fit(t.data)": "calib.fit(robot, data)",
-    "t.fit.rms_before": 'fit.errors["identification"]["before"]["rms"]',
-    "t.fit.unidentifiable": ".status",
     "calib.fit(t.robot, t.data, free='offsets')": "joint-offsets",
     "calib.fit(t.robot, t.data, prior={'length': '1 mm'})": "sigma",
     # pandas and matplotlib
-    "calib.read_csv('x.csv')": "calib.read_measurements",
-    "t.data.head()": "data.to_dataframe()",
-    "t.data.iloc[0]": "data.to_dataframe()",
     "t.data['reflector_x']": "data.to_dataframe()",
-    "t.data.shape": "len(data)",
-    "t.fit.df": "fit.to_dataframe()",
-    "t.fit.to_csv('x.csv')": "fit.save",
-    "t.fit.savefig('x.png')": "axes",
-    "t.fit.show()": "fit.plot()",
-    "calib.plot(t.fit)": "calib view",
     # Pinocchio, ROS, roboticstoolbox
-    "calib.load_urdf('x.urdf')": "calib.load",
-    "calib.load_robot('x.yaml')": "calib.load",
-    "t.robot.fk(t.q)": "robot.forward",
-    "t.robot.forward_kinematics(t.q)": "robot.forward",
     "calib.read_measurements(t.robot, READ)": "the data come first here",
     "t.robot.forward(READ)": "expected numbers",
     "calib.solve(t.fit, 'goals.csv')": "goals: expected numbers",
-    "t.robot.ik(t.q)": "calib.solve",
-    "t.robot.inverse_kinematics(t.q)": "calib.solve",
-    "t.robot.jacob0(t.q)": "robot.jacobian",
-    "t.robot.computeJointJacobians(t.q)": "robot.jacobian",
-    "t.robot.joints": "robot.joint_names",
-    "t.robot.limits": "robot.joint_limits",
-    "t.robot.lowerPositionLimit": "robot.joint_limits",
-    "t.robot.nq": "len(robot.joint_names)",
-    "t.robot.targets": "robot.target_names",
-    "t.robot.links": "robot.frame_names",
-    "t.robot.q0": "robot.home",
-    "t.robot.hold('joint_3.z')": "robot.fix",
-    "t.robot.params": "robot.parameters",
-    "t.robot.plot()": "calib view",
-    "t.robot.random_configuration()": "robot.sample",
     "t.robot.joint_name": "did you mean 'joint_names'",
-    "calib.calibrate(t.robot)": "calib.fit(robot, data)",
-    "calib.ik(t.robot)": "calib.solve",
-    "calib.observability(t.robot)": "calib.check",
-    "calib.optimal_poses(t.robot)": "calib.select",
     "calib.fit(t.fit, t.data)": "expected a Robot",
-    "t.fit.to_urdf('x.urdf')": 'fit.export("arm.urdf")',
-    "t.fit.calibrated": "fit.robot",
     # what Python asks of everything
     "t.fit.verdict == 'PASS'": "fit.verdict.grade == 'PASS'",
-    # one word, another meaning in another function
-    # controllers, MoveIt, metrology
-    "t.robot.mastering": "joint-offsets",
-    "t.robot.move_group": "calib.compensate(robot, program)",
-    "t.robot.manipulability(t.q)": "robot.jacobian(q)",
-    "t.robot.integrate(t.q, t.q)": "q + dq",
-    "t.fit.passed": "fit.verdict.grade",
-    "t.fit.u95": "limit95",
-    "t.fit.joint_offsets": "joint-offsets",
-    "t.data.dropna()": "data.to_dataframe()",
-    "calib.SE3(t.q)": "(4, 4)",
     # what is given is of another kind
     "t.robot.joint_limits['joint_9']": "did you mean 'joint_6'",
     "t.robot.parameters['joint_2.offset']": "of 'joint_2' there are: joint_2.rx, joint_2.ry, joint_2.rz, joint_2.x",
     "t.robot.forward({'joint_1': 0.1})": "[values[name] for name in robot.joint_names]",
     "t.robot.forward(np.eye(4))": "calib.solve(robot, poses)",
-    "t.robot.model": "pin.buildModelFromUrdf",
-    "t.robot.simulate(30)": "calib.simulate(robot, robot.sample(30, seed=1)",
     "t.robot.save('c2.urdf')": "calib.export(robot, 'c2.urdf', 'urdf')",
     "calib.simulate(t.robot, 30)": "robot.sample(30, seed=1)",
     "calib.Data(t.q, t.q)": "calib.as_measurements(robot, q, xyz)",
-    "calib.concat([t.data, t.data])": 'calib.read_measurements(["a.csv", "b.csv"], robot)',
     "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
-    "t.data.save('copy.csv')": ".to_csv(",
-    "t.data.drop(3)": "data[np.arange(len(data)) != 3]",
     "t.fit.residuals['tool']": "valid: reflector",
     "t.fit.predict(t.q) - t.q[:, :3]": "give an array of shape (5, 1, 3)",
     "calib.fit(t.robot, t.data, prior={'joint_2.x': (0, 0.001)})": "not one standard deviation, about nominal",
     "calib.fit(t.robot, t.data, prior={'joint_2.x': 0.001})": "has no unit",
     "bool(t.fit.verdict)": "fit.verdict.grade == 'PASS'",
     "t.fit.save(t.folder / 'fit.pkl')": "leave the ending out",
-    "calib.build_chain_from_urdf('x.urdf')": "calib.load",
     "calib.load(str(EXAMPLES / 'five_bar.yaml')).params": 'robot.parameters["left_motor.x"]',
     "t.fit.errors['test']": "valid: identification, validation",
     "t.fit.save('result.json')": "leave the ending out",
@@ -336,6 +260,21 @@ def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
         eval(typed, {"calib": calib, "np": np, "t": t, "READ": READ, "ARM": ARM, "EXAMPLES": EXAMPLES})
     assert ANSWERED[typed] in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_every_word_of_the_table_is_answered_with_its_way(t):
+    for owner, place in (
+        (t.fit, t.fit._other_words),
+        (t.robot, t.robot._other_words),
+        (t.data, t.data._other_words),
+        (t.fit.verdict, t.fit.verdict._other_words),
+        (calib, "`calib` itself"),
+    ):
+        for row in tables()[place]:
+            for word in set(row.words) - {"calibration"}:  # which is a module, too
+                with pytest.raises(calib.InputError) as caught:
+                    getattr(owner, word)
+                assert row.here.replace("`", "") in str(caught.value), word
 
 
 def test_what_is_asked_for_politely_is_not_there(t):

@@ -59,7 +59,7 @@ def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Excep
         error: What to raise.
 
     Raises:
-        InputError: Or what was given: the unit is not known, or belongs to the other dimension.
+        InputError: Or the given `error`: the unit is not known, or belongs to the other dimension.
     """
     units = PER_SI[dimension]
     if not unit:
@@ -86,8 +86,8 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
     0.178
 
     Raises:
-        InputError: Or what was given: it is not a finite number with an optional unit of this dimension, or one whose
-            square no computation would survive.
+        InputError: Or the given `error`: it is not a finite number with an optional unit of this dimension, or one
+            whose square no computation would survive.
     """
     number, unit = math.nan, None
     if isinstance(value, int) and not isinstance(value, bool):

@@ -355,7 +355,7 @@ class Instrument(ABC):
 
     @abstractmethod
     def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
-        """Compare what it would read with what it read: a `Comparison`, or of a joint a `JointComparison`."""
+        """Compare what it would read with what it read, (n, n_rows): see `Comparison` and `JointComparison`."""
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
@@ -379,7 +379,7 @@ class Instrument(ABC):
 
 
 @dataclass(frozen=True)
-class FrameInstrument(Instrument):
+class FrameInstrument(Instrument, ABC):
     """A kind that looks from one frame at another.
 
     Attributes:
@@ -424,7 +424,7 @@ class FrameInstrument(Instrument):
 
 
 @dataclass(frozen=True)
-class JointInstrument(Instrument):
+class JointInstrument(Instrument, ABC):
     """A kind that reads the value of a joint.
 
     Attributes:

@@ -215,8 +215,6 @@ ANSWERED = {
     "calib.fit(t.robot, {'q': t.q})": "calib.as_measurements(robot, q, xyz)",
     "calib.compare(t.robot, t.fit.robot)": "fit.to_dataframe()",
     "calib.URDF('x.urdf')": "calib.load",
-    "t.robot.compute_forward_kinematics(t.q)": "robot.forward",
-    "t.robot.getJointNames()": "robot.joint_names",
     "calib.fit(t.robot, t.data, prior={'joint_3.z': 0.5})": "has no unit",
     "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
     "calib.fit(t.robot, t.data, free='offsets')": "joint-offsets",
@@ -238,7 +236,6 @@ ANSWERED = {
     "t.robot.forward(np.eye(4))": "calib.solve(robot, poses)",
     "t.robot.save('c2.urdf')": "calib.export(robot, 'c2.urdf', 'urdf')",
     "calib.simulate(t.robot, 30)": "robot.sample(30, seed=1)",
-    "calib.Data(t.q, t.q)": "calib.as_measurements(robot, q, xyz)",
     "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
     "t.fit.residuals['tool']": "valid: reflector",
     "t.fit.predict(t.q) - t.q[:, :3]": "give an array of shape (5, 1, 3)",
@@ -251,7 +248,7 @@ ANSWERED = {
     "t.fit.save('result.json')": "leave the ending out",
     "calib.solve(t.robot, t.data.points()[:3, 0]).require_all()": "where the robot description has them",
 }
-"""Lines of other packages, and what the error names."""
+"""Lines of other packages, some of each place, and what the error names; the words are one table, tested below."""
 
 
 @pytest.mark.parametrize("typed", ANSWERED)

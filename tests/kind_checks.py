@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import binom
 
 from calib.core.instruments.position import Position
 from calib.core.rows.observed import observe, predicted_readings
@@ -77,6 +78,23 @@ def brought(robot, q, points):
         if np.max(np.abs(miss)) < 1e-12:
             break
     return q, np.max(np.abs(miss), axis=1) < 1e-10
+
+
+def coverage(n, true, fitted):
+    """Part of n fits, `fitted(seed)`, whose 95 % interval holds the truth, of each free parameter of the true ones."""
+    hits = []
+    for seed in range(n):
+        fit = fitted(seed)
+        chosen = [k for k, name in enumerate(fit.free_names) if name in true]
+        missed = fit.robot.values[fit.unknowns.index[chosen]] - [true[fit.free_names[k]] for k in chosen]
+        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
+    return np.mean(hits, axis=0)
+
+
+def assert_covered(covered, n):
+    """Each is what chance makes of 95 %, of n fits, and so is their mean."""
+    assert np.all(n * covered >= binom.ppf(1e-4 / len(covered), n, 0.95))
+    assert 0.9 < np.mean(covered) < 0.99
 
 
 def positions_by_joint(robot, q):

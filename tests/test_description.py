@@ -80,6 +80,8 @@ KEY_MISTAKES = {
     "target": ("{frame: tool,", "{frme: tool,", "unknown key 'targets.tip.frme'; did you mean 'frame'?"),
     "target named str": ("tip: {frame:", "str: {fram:", "unknown key 'targets.str.fram'; did you mean 'frame'?"),
     "entry": ("components:", "component:", "unknown key 'parametrisation[0].component'; did you mean 'components'?"),
+    "noise": ("urdf:", "sigma: {range: 1 mm, angl: 1 mrad}\nurdf:", "unknown key 'sigma.angl'; did you mean 'angle'?"),
+    "fleet": ("urdf:", "fleet: {robot: 3}\nurdf:", "unknown key 'fleet.robot'; did you mean 'robots'?"),
     "missing": ("urdf: arm.urdf\n", "", "key 'urdf' is missing"),
     "missing inside": ("{frame: ground}", "{pose: known}", "key 'base.frame' is missing"),
     "missing in a list": ("origin: all, components: [x", "components: [x", "key 'parametrisation[0].origin' is"),

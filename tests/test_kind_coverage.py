@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kind_checks import brought
+from kind_checks import brought, coverage
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 from six_axis_arm import _JOINTS, joints, write_six_axis
@@ -267,13 +267,7 @@ def seen_by_both(folder, n, n_poses=40):
 
 def counted(robot, true, n, drawn):
     """Part of n calibrations whose 95 % interval holds the truth, of each parameter that was changed."""
-    hits = []
-    for seed in range(n):
-        fit = calib.fit(robot, drawn(np.random.default_rng([8, seed])))
-        chosen = [fit.free_names.index(name) for name in true]
-        missed = fit.robot.values[fit.unknowns.index][chosen] - list(true.values())
-        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
-    return np.mean(hits, axis=0)
+    return coverage(n, true, lambda seed: calib.fit(robot, drawn(np.random.default_rng([8, seed]))))
 
 
 ARM_KINDS = ("position", "pose", "orientation", "inclinometer", "distance", "pixel", "touch")

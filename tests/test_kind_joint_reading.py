@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kind_checks import chain_error
-from scipy.stats import binom
+from kind_checks import assert_covered, chain_error, coverage
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
@@ -138,23 +137,11 @@ def test_an_encoder_on_a_passive_joint_calibrates_a_loop(tmp_path):
         assert abs(values[name] - value) < 1e-8, name
 
 
-def coverage(folder, n):
-    robot = held(folder)
-    q = poses(robot, 40, 5)
-    true = FREE | {"elbow.zero": ZERO}
-    hits = []
-    for seed in range(n):
-        fit = fitted(robot, q, SIGMA, seed)
-        missed = fit.robot.values[fit.unknowns.index] - [true[name] for name in fit.free_names]
-        hits.append(np.abs(missed) <= fit.statistics.half_width)
-    return np.mean(hits, axis=0)
-
-
 @pytest.mark.amount(20, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
-    covered = coverage(tmp_path, amount)
-    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
-    assert 0.9 < np.mean(covered) < 0.99
+    robot = held(tmp_path)
+    q = poses(robot, 40, 5)
+    assert_covered(coverage(amount, FREE | {"elbow.zero": ZERO}, lambda seed: fitted(robot, q, SIGMA, seed)), amount)
 
 
 def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_calib):

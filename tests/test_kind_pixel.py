@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kind_checks import assert_covered, coverage
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 
 import calib
@@ -189,20 +189,6 @@ def test_the_truth_is_found_with_intrinsics_that_are_not_known(tmp_path):
         assert abs(values[name] / value - 1) < 1e-5, name
 
 
-def coverage(robot, n):
-    camera, body = places(8)
-    truth = robot.with_parameters(TRUTH)
-    q = joints(60, 8)
-    table, start = photographs(truth, q, camera, body, 6), standing(robot, camera, body)
-    hits = []
-    for seed in range(n):
-        fit = calib.fit(start, data_of(start, q, table, SIGMA, seed))
-        chosen = [k for k, name in enumerate(fit.free_names) if name in TRUTH]
-        missed = fit.robot.values[fit.unknowns.index[chosen]] - [TRUTH[fit.free_names[k]] for k in chosen]
-        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
-    return np.mean(hits, axis=0)
-
-
 def without_guesses(monkeypatch):
     """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
     monkeypatch.setattr("calib.core.instruments.pixel.guesses", lambda result, now, known: [now])
@@ -211,9 +197,11 @@ def without_guesses(monkeypatch):
 @pytest.mark.amount(15, 40)
 def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
     without_guesses(monkeypatch)
-    covered = coverage(arm, amount)
-    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
-    assert 0.9 < np.mean(covered) < 0.99
+    camera, body = places(8)
+    q = joints(60, 8)
+    table, start = photographs(arm.with_parameters(TRUTH), q, camera, body, 6), standing(arm, camera, body)
+    covered = coverage(amount, TRUTH, lambda seed: calib.fit(start, data_of(start, q, table, SIGMA, seed)))
+    assert_covered(covered, amount)
 
 
 def test_what_a_camera_cannot_see_is_no_reading_and_says_nothing(arm):

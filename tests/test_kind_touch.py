@@ -4,10 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from kind_checks import brought
+from kind_checks import assert_covered, brought, coverage
 from public_data import from_sockets, masses_of, mukca, mukca_joints
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 from test_kind_distance import FREE
 
@@ -144,32 +143,19 @@ def test_a_link_that_never_turns_keeps_the_ball_where_it_is_believed(tmp_path):
     np.testing.assert_allclose(placed.mechanism.placement("left").translation, robot.positions(q[:1])[0, 0], atol=1e-9)
 
 
-def true_values(fit):
-    """True values of the free parameters, (n_free,)."""
-    rotation, origin = PLACED
-    places = dict(zip(("probe_artefact.x", "probe_artefact.y", "probe_artefact.z"), origin, strict=True))
-    nominal = fit.nominal.mechanism.placement("probe_artefact").rotation
-    turned = Rotation.from_matrix(nominal.T @ rotation).as_rotvec()
-    places |= {f"probe_artefact.{axis}": turned[k] for k, axis in enumerate(("rx", "ry", "rz"))}
-    return np.array([(TRUTH | BALL | places)[name] for name in fit.free_names])
-
-
-def coverage(robot, n, n_touches=40):
-    """Part of n calibrations whose 95 % interval holds the truth, of each free parameter."""
-    truth, hits = robot.with_parameters(TRUTH | BALL), []
-    for seed in range(n):
-        q, words = touches(truth, "plate", n_touches, seed=seed, sigma=SIGMA)
-        fit = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words}))
-        missed = fit.robot.values[fit.unknowns.index] - true_values(fit)
-        hits.append(np.abs(missed) <= fit.statistics.half_width)
-    return np.mean(hits, axis=0)
-
-
 @pytest.mark.amount(15, 60)
 def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
-    covered = coverage(arm_with(tmp_path, PLATE), amount)
-    assert np.all(amount * covered >= binom.ppf(1e-4 / len(covered), amount, 0.95))
-    assert 0.9 < np.mean(covered) < 0.99
+    robot = arm_with(tmp_path, PLATE)
+    truth = robot.with_parameters(TRUTH | BALL)
+    turned = Rotation.from_matrix(robot.mechanism.placement("probe_artefact").rotation.T @ PLACED[0]).as_rotvec()
+    places = {f"probe_artefact.{axis}": value for axis, value in zip("xyz", PLACED[1], strict=True)}
+    places |= {f"probe_artefact.r{axis}": value for axis, value in zip("xyz", turned, strict=True)}
+
+    def fitted(seed):
+        q, words = touches(truth, "plate", 40, seed=seed, sigma=SIGMA)
+        return calib.fit(robot, calib.as_measurements(robot, q, {"probe": words}))
+
+    assert_covered(coverage(amount, TRUTH | BALL | places, fitted), amount)
 
 
 def test_points_within_their_tolerance_are_found(tmp_path):

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from calib.core.base.errors import DataError
-from calib.core.data import tables
+from calib.core.base.words import warn_once
 from calib.core.data.tables import read_table
 
 ROWS = "P1,10.5,20,1793.127\nP2,11.5,21,1790.000\n"
@@ -14,7 +14,7 @@ ROWS = "P1,10.5,20,1793.127\nP2,11.5,21,1790.000\n"
 
 @pytest.fixture(autouse=True)
 def untold(monkeypatch):
-    tables._tell.cache_clear()
+    warn_once.cache_clear()
     monkeypatch.setattr(logging.getLogger("calib"), "propagate", True)
 
 

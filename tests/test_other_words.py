@@ -199,12 +199,6 @@ def test_a_guess_runs(t, guess):
 
 ANSWERED = {
     # lmfit and SciPy
-    "t.fit.params['joint_3.z']": 'fit.parameters["joint_3.z"]',
-    "t.fit.best_values": "fit.parameters",
-    "t.fit.covar": "fit.covariance",
-    "t.fit.redchi": "fit.chi_square",
-    "calib.minimize(None)": "calib.fit(robot, data)",
-    "calib.least_squares(None)": "calib.fit(robot, data)",
     "t.fit.verdict.status": ".grade",
     "calib.fit(t.robot, t.data, terms='stiffness')": "here: compliance",
     "calib.fit(t.robot, t.data, free=['joint_3.z'])": "also give fix='all'",
@@ -218,54 +212,31 @@ ANSWERED = {
     "t.robot.fix(3)": "named by text",
     "t.fit.covariance['joint_3.z']": "takes two names",
     # scikit-learn
-    "t.fit.score(t.data)": "calib.verify",
-    "t.fit.coef_": "fit.parameters",
-    "calib.train_test_split(t.data)": "data.split(validation=0.25, seed=1)",
     "calib.fit(t.robot, {'q': t.q})": "calib.as_measurements(robot, q, xyz)",
     "calib.compare(t.robot, t.fit.robot)": "fit.to_dataframe()",
     "calib.URDF('x.urdf')": "calib.load",
     "calib.fit(t.robot, t.data, prior={'joint_3.z': 0.5})": "has no unit",
     "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
-    "t.robot.fit(t.data)": "calib.fit(robot, data)",
     "calib.fit(t.robot, t.data, free='offsets')": "joint-offsets",
     "calib.fit(t.robot, t.data, prior={'length': '1 mm'})": "sigma",
     # pandas and matplotlib
-    "calib.read_csv('x.csv')": "calib.read_measurements",
-    "t.data.head()": "data.to_dataframe()",
-    "t.data.iloc[0]": "data.to_dataframe()",
     "t.data['reflector_x']": "data.to_dataframe()",
-    "t.data.shape": "len(data)",
-    "t.fit.show()": "fit.plot()",
-    "calib.plot(t.fit)": "calib view",
     # Pinocchio, ROS, roboticstoolbox
-    "calib.load_urdf('x.urdf')": "calib.load",
-    "t.robot.fk(t.q)": "robot.forward",
     "calib.read_measurements(t.robot, READ)": "the data come first here",
     "t.robot.forward(READ)": "expected numbers",
     "calib.solve(t.fit, 'goals.csv')": "goals: expected numbers",
-    "t.robot.ik(t.q)": "calib.solve",
-    "t.robot.jacob0(t.q)": "robot.jacobian",
-    "t.robot.nq": "len(robot.joint_names)",
-    "t.robot.hold('joint_3.z')": "robot.fix",
-    "t.robot.params": "robot.parameters",
-    "t.robot.plot()": "calib view",
     "t.robot.joint_name": "did you mean 'joint_names'",
-    "calib.ik(t.robot)": "calib.solve",
     "calib.fit(t.fit, t.data)": "expected a Robot",
     # what Python asks of everything
     "t.fit.verdict == 'PASS'": "fit.verdict.grade == 'PASS'",
-    # controllers, MoveIt, metrology
-    "t.robot.mastering": "joint-offsets",
     # what is given is of another kind
     "t.robot.joint_limits['joint_9']": "did you mean 'joint_6'",
     "t.robot.parameters['joint_2.offset']": "of 'joint_2' there are: joint_2.rx, joint_2.ry, joint_2.rz, joint_2.x",
     "t.robot.forward({'joint_1': 0.1})": "[values[name] for name in robot.joint_names]",
     "t.robot.forward(np.eye(4))": "calib.solve(robot, poses)",
-    "t.robot.simulate(30)": "calib.simulate(robot, robot.sample(30, seed=1)",
     "t.robot.save('c2.urdf')": "calib.export(robot, 'c2.urdf', 'urdf')",
     "calib.simulate(t.robot, 30)": "robot.sample(30, seed=1)",
     "t.data + t.data": "calib.fit(robot, [first, 'b.csv'])",
-    "t.data.save('copy.csv')": ".to_csv(",
     "t.fit.residuals['tool']": "valid: reflector",
     "t.fit.predict(t.q) - t.q[:, :3]": "give an array of shape (5, 1, 3)",
     "calib.fit(t.robot, t.data, prior={'joint_2.x': (0, 0.001)})": "not one standard deviation, about nominal",
@@ -286,6 +257,21 @@ def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
         eval(typed, {"calib": calib, "np": np, "t": t, "READ": READ, "ARM": ARM, "EXAMPLES": EXAMPLES})
     assert ANSWERED[typed] in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_every_word_of_the_table_is_answered_with_its_way(t):
+    for owner, place in (
+        (t.fit, t.fit._other_words),
+        (t.robot, t.robot._other_words),
+        (t.data, t.data._other_words),
+        (t.fit.verdict, t.fit.verdict._other_words),
+        (calib, "`calib` itself"),
+    ):
+        for row in tables()[place]:
+            for word in set(row.words) - {"calibration"}:  # which is a module, too
+                with pytest.raises(calib.InputError) as caught:
+                    getattr(owner, word)
+                assert row.here.replace("`", "") in str(caught.value), word
 
 
 def test_what_is_asked_for_politely_is_not_there(t):

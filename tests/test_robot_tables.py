@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.data import robot_tables
+from calib.core.base.words import warn_once
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
@@ -25,7 +25,7 @@ def data(robot):
 
 @pytest.fixture(autouse=True)
 def untold():
-    robot_tables._tell.cache_clear()
+    warn_once.cache_clear()
 
 
 def renamed(data, names):

@@ -1,7 +1,6 @@
 """Choosing MedRUE's poses: certified, complementing what is measured, within what is asked for."""
 
 import errno
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from small_robots import small_arm, write_arm
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Poses
 from calib.core.numerics.observability import observability, raw_columns
 from calib.core.rows.candidates import build_candidates
@@ -289,39 +287,3 @@ def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
     parts = select(medrue, Q[::4], 30, "task")
     assert parts.before == pytest.approx(whole.before, rel=1e-9)
     assert parts.after["task"] == pytest.approx(whole.after["task"], rel=1e-9)
-
-
-def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, monkeypatch):
-    """Of three joints, where rows go to a file; 55 were measured, and 345 with names and labels as Python strings."""
-    for part, few in {
-        "calib.core.base.files._PIECE": 1 << 14,
-        "calib.core.data.tables._PART": 250,
-        "calib.core.data.table_writing._PART": 250,
-        "calib.core.rows.candidates._PART": 250,
-        "calib.core.numerics.identifiability._AT_ONCE": 500,
-        "calib.planning.selection_problem._PART": 250,
-        "calib.planning.selection_bound._AT_ONCE": 250,
-        "calib.planning.selection_bound._UNCLEAR": 20,
-        "calib.planning.screening.SCREENED": 500,
-        "calib.planning.screening._SEARCHED": 200,
-    }.items():
-        monkeypatch.setattr(part, few)
-    robot = small_arm(tmp_path)
-    joints = robot.sample(4500, seed=1)
-    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 0.0)
-
-    def most(count):
-        header = ",".join(("pose", *robot.joint_names))
-        lines = [",".join((f"P{k}", *map(repr, q))) for k, q in enumerate(joints[:count].tolist())]
-        (tmp_path / "candidates.csv").write_text("\n".join([header, *lines]))
-        tracemalloc.start()
-        poses = read_poses(tmp_path / "candidates.csv", robot)
-        selection = select(robot, poses, 20)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert selection.bound > selection.after["O1"] > selection.before["O1"]
-        return peak
-
-    most(500)  # modules, caches
-    few, many = most(1500), most(4500)
-    assert many - few < 120 * 3000

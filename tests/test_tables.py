@@ -1,15 +1,14 @@
 """CSV tables: what is read, and every mistake with its file, line and column."""
 
 import csv
-import errno
 import io
 import math
 
 import numpy as np
 import pytest
 
-from calib.core.base.errors import DataError, InputError
-from calib.core.data.on_demand import Packed, cells_of, held, picked
+from calib.core.base.errors import DataError
+from calib.core.data.layouts import cells_of
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import check_plausible, read_number, read_table
 
@@ -255,11 +254,10 @@ def test_cells_are_those_of_csv(line):
     assert cells_of(line, ",") == tuple(next(csv.reader([line], skipinitialspace=True, strict=True)))
 
 
-def test_files_are_read_alike_in_pieces_of_any_size_and_beyond_memory(tmp_path, monkeypatch):
-    """Pieces end between the bytes of a letter and between those of a line's end; rows go to a file."""
+def test_files_are_read_alike_in_pieces_of_any_size(tmp_path, monkeypatch):
+    """Pieces end between the bytes of a letter and between those of a line's end."""
     content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
     (tmp_path / "table.csv").write_bytes(content.encode())
-    monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 0.0)
     for size in (1, 2, 3, 1 << 20):
         monkeypatch.setattr("calib.core.base.files._PIECE", size)
         table = read_table(tmp_path / "table.csv")
@@ -268,24 +266,6 @@ def test_files_are_read_alike_in_pieces_of_any_size_and_beyond_memory(tmp_path, 
         assert tuple(table.lines) == (*range(3, 603), 604)
         assert table.rows[-2:] == (("Ü599", "599.5"), ("last", "7"))
         np.testing.assert_allclose(1e3 * table.column("q1", "length"), [*np.arange(600) + 0.5, 7.0])
-
-
-def test_rows_without_room_say_where_it_would_have_been(tmp_path, monkeypatch):
-    class Full(io.BytesIO):
-        def write(self, _):
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("calib.core.data.on_demand.scratch", Full)
-    (tmp_path / "table.csv").write_text("q1\n1\n")
-    with pytest.raises(InputError, match=r"does not fit into the free memory, and .* is full; .* in TMPDIR"):
-        read_table(tmp_path / "table.csv")
-
-
-def test_only_candidates_may_be_larger_than_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.core.base.files._LARGEST", 100)
-    (tmp_path / "table.csv").write_text("q1\n" + "1\n" * 100)
-    assert "is larger than" in complaint(read_table, tmp_path / "table.csv")
-    assert len(read_table(tmp_path / "table.csv", any_size=True).rows) == 100
 
 
 def test_columns_are_the_cells_of_the_rows(tmp_path):
@@ -299,24 +279,6 @@ def test_columns_are_the_cells_of_the_rows(tmp_path):
     assert table.text("pose") == [row[0] for row in table.rows]
     assert table.text("pose")[307] == "p,307"
     np.testing.assert_array_equal(table.column("x", None), np.arange(900) + 0.5)
-
-
-def test_some_of_many_names_are_those_of_a_tuple():
-    names, places = Packed(f"pose {k}" for k in range(20)), np.array([3, 17, 4, 4])
-    some = picked(names, places)
-    assert some == tuple(names[k] for k in places) == picked(tuple(names), places)
-    assert picked(some, np.array([1, 0])) == ("pose 17", "pose 3")
-    assert some.index("pose 4") == 2
-
-
-def test_texts_on_demand_are_shown_as_a_tuple_and_few_become_one():
-    texts = Packed(["a", "b"])
-    assert repr(texts) == "('a', 'b')"
-    assert repr(picked(texts, np.array([1]))) == "('b',)"
-    assert held(texts) == ("a", "b")
-    assert isinstance(held(texts), tuple)
-    many = Packed(map(str, range(20_000)))
-    assert held(many) is many
 
 
 def test_cells_of_an_array_without_a_number_are_empty():

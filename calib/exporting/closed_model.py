@@ -24,7 +24,8 @@ from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.links import possible_inertia, read_links
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf, quoted
+from calib.core.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf
+from calib.core.robots.urdf.writing import quoted
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6

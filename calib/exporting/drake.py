@@ -15,7 +15,8 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
 from calib.core.robots.urdf.links import element_tree
-from calib.core.robots.urdf.text import parse_urdf, quoted
+from calib.core.robots.urdf.text import parse_urdf
+from calib.core.robots.urdf.writing import quoted
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
 
 NAMESPACE = "http://drake.mit.edu"

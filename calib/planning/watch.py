@@ -15,7 +15,6 @@ Where not positions are read, but distances or angles, their errors count as the
 from __future__ import annotations
 
 import time
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ from calib.core.base.errors import (
     NotIdentifiableError,
     UnreachablePoseError,
 )
-from calib.core.base.files import read_lines
+from calib.core.base.files import read_text
 from calib.core.base.units import quantity
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -220,7 +219,7 @@ class GrowingFile:
         """
         if not Path(self._path).exists():
             return None
-        lines = list(chain.from_iterable(read_lines(self._path, "a CSV file", DataError, growing=True)))
+        lines = read_text(self._path, "a CSV file", DataError, growing=True).split("\n")
         places = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
         if lines == self._seen or len(places) < 2:  # a header is no row
             return None

@@ -36,7 +36,7 @@ from calib.core.base.units import millimetres
 from calib.core.robots.description import Description
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
-from calib.core.robots.urdf.text import robot_text
+from calib.core.robots.urdf.writing import robot_text
 
 TOWERS = ("a", "b", "c")
 ANGLES = (math.radians(210), math.radians(330), math.radians(90))

@@ -21,7 +21,6 @@ import numpy as np
 from pydantic import Field
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import InputError
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Quantity
 from calib.core.base.units import quantity
@@ -52,10 +51,7 @@ class Play(JointTerm):
     def of(cls, joint: Joint, section: PlaySection, sigma: float | None) -> Play:
         """Return the term that an entry of a robot description means."""
         given = section.travel if isinstance(section.travel, list) else [section.travel]
-        try:
-            travel = tuple(quantity(each, joint.dimension, "travel") for each in given)
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        travel = tuple(quantity(each, joint.dimension, "travel", ValueError) for each in given)
         if not travel or min(travel) <= 0:
             raise ValueError("travel must be positive: half of the motion that takes the joint through its play")
         numbers = [""] if len(travel) == 1 else [f"_{k + 1}" for k in range(len(travel))]

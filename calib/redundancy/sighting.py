@@ -17,7 +17,7 @@ from pydantic import Field
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import PositiveLength
-from calib.core.instruments.kind import Column, InstrumentSection, Part, View
+from calib.core.instruments.kind import InstrumentSection, Part, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
 
@@ -49,10 +49,6 @@ class Sighting(Relation):
         """Return the instrument that an entry of a robot description means."""
         own = tuple(point.place(key) for key, point in section.points.items())
         return cls(name, section.target or name, own, noise=Noise((PartNoise.of(section.sigma, 3),)))
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return `<name>_x`, `_y`, `_z`."""
-        return tuple(Column(f"{self.name}_{axis}", "length") for axis in self.parts[0].axes)
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab, (n, 3) [m]."""

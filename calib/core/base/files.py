@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import base64
-import codecs
 import errno
-import io
-import math
 import os
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import chain
 from pathlib import Path
 
 from calib.core.base.errors import CalibrationError, InputError
@@ -24,7 +20,7 @@ _FILE_ENDINGS = (
 )
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
-_PIECE = 2**20  # bytes of a large file at once
+_PIECE = 2**20  # bytes at once
 _LARGEST_IMAGE = 2**19  # bytes: it stands in every report
 _IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
 
@@ -40,58 +36,36 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
     """
-    return b"".join(_pieces(path, expected, error))
-
-
-def _pieces(
-    path: Path | str, expected: str, error: type[CalibrationError], largest: float = _LARGEST
-) -> Iterator[bytes]:
-    """What a file holds, a piece after the other; see `read_bytes`."""
-    size = 0
+    pieces, size = list[bytes](), 0
     try:
         with Path(path).open("rb") as stream:
             note_input(os.fstat(stream.fileno()))
-            while piece := stream.read(_PIECE):
+            while size <= _LARGEST and (piece := stream.read(_PIECE)):
+                pieces.append(piece)
                 size += len(piece)
-                if size > largest:
-                    raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {expected}?")
-                yield piece
     except FileNotFoundError:
         raise error(f"{path}: no such file; give {expected}") from None
     except OSError as problem:
         raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
     except ValueError as problem:  # a name with a zero byte, which YAML can spell
         raise error(f"{str(path)!r}: cannot be read ({problem})") from None
+    if size > _LARGEST:
+        raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {expected}?")
+    return b"".join(pieces)
 
 
-def read_text(path: Path | str, expected: str, error: type[CalibrationError]) -> str:
-    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
-    return "\n".join(chain.from_iterable(read_lines(path, expected, error)))
-
-
-def read_lines(
-    path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False, any_size: bool = False
-) -> Iterator[list[str]]:
-    """Yield the lines of a text file without their ends, those of a piece at a time; see `read_text`.
+def read_text(path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False) -> str:
+    """Return the text of a file without the mark that some editors put first, and with one kind of line ends.
 
     Args:
-        path: The file.
-        expected: What it should be, for the error.
-        error: What to raise.
+        path, expected, error: As of `read_bytes`.
         growing: Whether the file is still written: a last line without its end is left out.
-        any_size: Whether a file on a disk may be as large as it is.
     """
-    largest = math.inf if any_size and Path(path).is_file() else _LARGEST
-    decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
-    begun: list[str] = []  # of the last line
+    content = read_bytes(path, expected, error)
+    if growing:
+        content = content[: max(content.rfind(b"\n"), content.rfind(b"\r")) + 1]
     try:
-        for piece in _pieces(path, expected, error, largest):
-            begun.append(decoder.decode(piece))
-            if "\n" in begun[-1]:
-                lines = "".join(begun).split("\n")
-                begun = [lines.pop()]
-                yield lines
-        yield [""] if growing else "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {expected} in UTF-8") from None
 

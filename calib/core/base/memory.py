@@ -7,7 +7,6 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -45,12 +44,6 @@ def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
                 f" {shutil.disk_usage(folder).free / 1e9:.2g} GB free; name a folder with more room in TMPDIR"
             ) from None
         return np.asarray(np.memmap(file, dtype=float, mode="r+", shape=shape))
-
-
-def scratch() -> IO[bytes]:
-    """Return an empty file: half of the free memory holds it, and a file without a name what is more, gone with it."""
-    limit = free_memory() / 2
-    return tempfile.SpooledTemporaryFile(max_size=max(1, int(limit)) if math.isfinite(limit) else 0)
 
 
 def require_memory(numbers: int, what: str, advice: str) -> None:

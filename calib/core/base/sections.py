@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self
 
 import yaml
 from pydantic import (
@@ -22,8 +22,9 @@ from pydantic import (
     PlainValidator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
-from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen
 from calib.core.base.parameter import Parameter
@@ -41,14 +42,22 @@ _MOST_BY_ALIASES = 10_000
 """Entries that aliases may add: a few lines of them stand for more than any memory holds."""
 
 
+class _ValueError(ValueError):
+    """A wrong value of a key, which its place in the description names."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message.removeprefix("value: "))
+
+
 def _reader(dimension: Dimension) -> BeforeValidator:
     def read(value: Any) -> float:
-        try:
-            return quantity(value, dimension, "value")
-        except InputError as error:
-            raise ValueError(str(error).removeprefix("value: ")) from None
+        return quantity(value, dimension, "value", _ValueError)
 
     return BeforeValidator(read, json_schema_input_type=float | str)
+
+
+UNKNOWN_KEY: LiteralString = "unknown_key"
+"""Type of the error of a key that a section does not have; its context has the key, and a hint at the nearest one."""
 
 
 def _number_or_text(value: Any) -> float | str:
@@ -71,6 +80,15 @@ class Section(BaseModel):
     """A mapping of keys in a robot description; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, value: Any) -> Any:
+        for key in value if isinstance(value, dict) else ():
+            if isinstance(key, str) and key not in cls.model_fields:
+                hint = nearest(key, cls.model_fields)
+                raise PydanticCustomError(UNKNOWN_KEY, "unknown key '{key}'{hint}", {"key": key, "hint": hint})
+        return value
 
 
 class FrameSection(Section):
@@ -102,6 +120,12 @@ class PlaceSection(FrameSection):
     sigma: PositiveLength | None = None
     sigma_angle: PositiveAngle | None = None
 
+    @property
+    def unknown(self) -> tuple[Component, ...]:
+        """Components that the measurements must find."""
+        lengths = LENGTH_COMPONENTS if self.position == "unknown" else ()
+        return lengths + (ANGLE_COMPONENTS if self.orientation == "unknown" else ())
+
     @model_validator(mode="after")
     def _sigma_of_unknown(self) -> Self:
         if self.sigma is not None and self.position == "known":
@@ -124,6 +148,11 @@ class PosedSection(FrameSection):
     pose: Literal["known", "unknown"] = "known"
     sigma: PositiveLength | None = None
     sigma_angle: PositiveAngle | None = None
+
+    @property
+    def unknown(self) -> tuple[Component, ...]:
+        """Components that the measurements must find."""
+        return COMPONENTS if self.pose == "unknown" else ()
 
     @model_validator(mode="after")
     def _sigma_of_unknown(self) -> Self:
@@ -164,24 +193,21 @@ KNOWN_ZERO = OwnLength()
 
 
 def _read(value: Any) -> OwnLength:
-    try:
-        if isinstance(value, OwnLength):
-            return value
-        if value == "unknown":
-            return OwnLength(unknown=True)
-        if not isinstance(value, dict):
-            return OwnLength(quantity(value, "length", "value"))
-        strange = next((str(key) for key in value if key not in _KEYS), None)
-        if strange is not None:
-            raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
-        if set(value) != set(_KEYS):
-            raise ValueError("give {value: ..., sigma: ...}; or a number alone if it is exact, or 'unknown'")
-        sigma = quantity(value["sigma"], "length", "sigma")
-        if sigma <= 0:
-            raise ValueError("sigma must be positive; give a number alone if it is exact")
-        return OwnLength(quantity(value["value"], "length", "value"), True, sigma)
-    except InputError as error:
-        raise ValueError(str(error).removeprefix("value: ")) from None
+    if isinstance(value, OwnLength):
+        return value
+    if value == "unknown":
+        return OwnLength(unknown=True)
+    if not isinstance(value, dict):
+        return OwnLength(quantity(value, "length", "value", _ValueError))
+    strange = next((str(key) for key in value if key not in _KEYS), None)
+    if strange is not None:
+        raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
+    if set(value) != set(_KEYS):
+        raise ValueError("give {value: ..., sigma: ...}; or a number alone if it is exact, or 'unknown'")
+    sigma = quantity(value["sigma"], "length", "sigma", _ValueError)
+    if sigma <= 0:
+        raise ValueError("sigma must be positive; give a number alone if it is exact")
+    return OwnLength(quantity(value["value"], "length", "value", _ValueError), True, sigma)
 
 
 def _written(length: OwnLength) -> float | str | dict[str, float]:

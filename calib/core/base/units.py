@@ -49,16 +49,17 @@ _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 
 
-def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
+def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Exception] = InputError) -> float:
     """Return how many of `unit` make one SI unit; divide by it to get SI.
 
     Args:
         unit: Unit name; None or "" means SI.
         dimension: What is expected.
         where: What the unit belongs to, for the error message.
+        error: What to raise.
 
     Raises:
-        InputError: The unit is not known, or belongs to the other dimension.
+        InputError: Or the given `error`: the unit is not known, or belongs to the other dimension.
     """
     units = PER_SI[dimension]
     if not unit:
@@ -68,25 +69,25 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
         return units[unit]
     other = next((name for name, of_other in PER_SI.items() if unit in of_other), None)
     if other is not None:
-        raise InputError(
+        raise error(
             f"{where}: unit '{unit}' is for {_article(other)}; {_article(dimension)} is expected ({', '.join(units)})"
         )
-    raise InputError(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
+    raise error(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
 
 
 def _article(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
-def quantity(value: object, dimension: Dimension, where: str) -> float:
+def quantity(value: object, dimension: Dimension, where: str, error: type[Exception] = InputError) -> float:
     """Read `0.04 mm`, `1.5 deg` or a bare SI number, and return it in SI.
 
     >>> quantity("178 mm", "length", "a link")
     0.178
 
     Raises:
-        InputError: It is not a finite number with an optional unit of this dimension, or one whose square no
-            computation would survive.
+        InputError: Or the given `error`: it is not a finite number with an optional unit of this dimension, or one
+            whose square no computation would survive.
     """
     number, unit = math.nan, None
     if isinstance(value, int) and not isinstance(value, bool):
@@ -97,11 +98,11 @@ def quantity(value: object, dimension: Dimension, where: str) -> float:
         number, unit = float(match.group(1)), match.group(2)
     if not math.isfinite(number):
         example = "0.04 mm" if dimension == "length" else "1.5 deg"
-        raise InputError(f"{where}: {value!r:.60} is not a finite number with a unit, such as '{example}'")
-    si = number / per_si(unit, dimension, where)
+        raise error(f"{where}: {value!r:.60} is not a finite number with a unit, such as '{example}'")
+    si = number / per_si(unit, dimension, where, error)
     if si != 0 and not _SMALLEST <= abs(si) <= _LARGEST:
         size = "large" if abs(si) > 1 else "small"
-        raise InputError(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
+        raise error(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
     return si
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import html
 import io
+import logging
 import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
@@ -18,6 +20,12 @@ from rich.table import Table
 from calib.core.base.errors import InputError
 
 _LISTED = 5
+
+
+@functools.lru_cache(maxsize=256)
+def warn_once(text: str) -> None:
+    """Warn by the logger `calib`, of the same thing once."""
+    logging.getLogger("calib").warning("%s", text)
 
 
 def counted(number: int, singular: str, plural: str | None = None) -> str:

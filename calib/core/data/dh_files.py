@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from calib.core.base.errors import DataError, InputError, nearest
+from calib.core.base.errors import DataError, nearest
 from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Table, check_plausible, read_number, read_table
@@ -157,16 +157,13 @@ def _cell(table: Table, name: str, k: int, dimension: Dimension | None) -> float
     text, where = table.text(name)[k], f"{table.path}, line {table.lines[k]}, column '{name}'"
     if dimension is None:
         raise DataError(f"{where}: the row is fixed and has no {name}; leave the cell empty")
-    try:
-        if text[-1].isalpha():
-            return quantity(text, dimension, where)
-        unit = table.units[table.names.index(name)]
-        number = read_number(text, where, table.separator)
-        if unit is None:
-            check_plausible(number, dimension, where, f"behind the number, such as '{text} {DISPLAY_UNIT[dimension]}'")
-        return number / per_si(unit, dimension, where)
-    except InputError as error:
-        raise DataError(str(error)) from None
+    if text[-1].isalpha():
+        return quantity(text, dimension, where, DataError)
+    unit = table.units[table.names.index(name)]
+    number = read_number(text, where, table.separator)
+    if unit is None:
+        check_plausible(number, dimension, where, f"behind the number, such as '{text} {DISPLAY_UNIT[dimension]}'")
+    return number / per_si(unit, dimension, where, DataError)
 
 
 def _limit(row: DhRow, value: float) -> str:

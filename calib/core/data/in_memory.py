@@ -16,7 +16,6 @@ from calib.core.base.letters import unseen
 from calib.core.data.joining import joined
 from calib.core.data.measurement_files import read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
-from calib.core.data.on_demand import Numbered
 from calib.core.data.plan_files import read_pose_files
 from calib.core.data.tables import Source, is_columns
 from calib.core.instruments.kind import Instrument, Readings
@@ -51,13 +50,8 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
     joints = joint_vector(robot, cast(ArrayLike, poses))
     if names is not None and len(names) != len(joints):
         raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
-    states = states_by_order(robot, joints)
-    if names is None:
-        numbers = range(len(joints))
-        return Poses(
-            joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, (), context=states, robot=robot
-        )
-    called = tuple(str(name) for name in names)
+    states, given = states_by_order(robot, joints), range(len(joints)) if names is None else names
+    called = tuple(str(name) for name in given)
     if problem := next(filter(None, map(unseen, called)), ""):
         raise DataError(f"names: {problem}")
     labels = tuple(f"pose {name}" for name in called)

@@ -9,7 +9,6 @@ from calib.core.base.errors import DataError, nearest, nearest_column
 from calib.core.base.units import Dimension
 from calib.core.data.measurement_columns import correlation_columns, std_columns
 from calib.core.data.measurements import in_setups
-from calib.core.data.on_demand import Numbered, picked
 from calib.core.data.robot_tables import odd_unit
 from calib.core.data.tables import Table
 from calib.core.instruments.kind import Instrument, Readings
@@ -64,7 +63,6 @@ def readings_in(
     columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
-    wheres = Numbered(f"{table.path}, line ", table.lines)
     some = np.flatnonzero(_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
     texts: dict[str, list[str]] = {}
     for name in instrument.text_columns():
@@ -72,26 +70,29 @@ def readings_in(
             raise DataError(f"{table.path}: no column '{name}'{nearest_free_column(name, robot, table)}")
         every = table.text(name)
         texts[name] = [every[k] for k in some]
-    belongs, pairs, details = instrument.looked_at(texts, picked(wheres, some))
+    belongs, pairs, details = instrument.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in some])
     mine = np.array(belongs, dtype=bool)
     kept = some[mine]
     partly = np.argwhere(empty[kept])
     if len(partly):
         k, c = partly[0]
         raise DataError(
-            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of"
-            f" '{instrument.name}' empty"
+            f"{table.path}, line {table.lines[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave"
+            f" all cells of '{instrument.name}' empty"
         )
     values = instrument.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
     numbers_of_pairs = pairs[mine] + in_setups(robot, instrument, setups_of(robot, table))[kept]
-    labels = tuple(picked(Numbered(wheres.before, table.lines, _pose_names(table)), kept)) if own_lines else None
+    every_label = labels_of_rows(table) if own_lines else []
+    labels = tuple(every_label[k] for k in kept) if own_lines else None
     return Readings(rows[kept], numbers_of_pairs, values, _covariance(instrument, table, kept), details[mine], labels)
 
 
-def _pose_names(table: Table) -> tuple[str, ...] | None:
-    return tuple(table.texts("pose")) if "pose" in table.names else None
+def labels_of_rows(table: Table) -> list[str]:
+    """Return what to call each row in messages: file, line, and pose if it has a name."""
+    names = [f" (pose {name})" for name in table.text("pose")] if "pose" in table.names else [""] * len(table.rows)
+    return [f"{table.path}, line {line}{name}" for line, name in zip(table.lines, names, strict=True)]
 
 
 def _labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArray:

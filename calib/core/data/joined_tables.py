@@ -5,8 +5,6 @@ Only if the robot description asks for it (`join`); what was joined is a warning
 
 from __future__ import annotations
 
-import functools
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,11 +12,11 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
+from calib.core.base.words import warn_once
 from calib.core.data.tables import Table
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import condition_columns
 
-_LOG = logging.getLogger("calib")
 _TIME = "time"
 
 
@@ -50,7 +48,7 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
                 f"{table.path}: has {len(table.rows)} rows and {leader.path} {len(leader.rows)}; join: rows needs as"
                 " many"
             )
-        _tell(table.path, f"row by row with {leader.path}, as the description asks")
+        warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
         return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
     own, given = _times(table), _times(leader)
     order = np.argsort(own)
@@ -64,7 +62,7 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
             f"{table.path}: no time within {lag:g} s of one in {leader.path} (the nearest is {np.min(apart):.3g} s"
             " away); their clocks must agree, or state a larger lag"
         )
-    _tell(table.path, f"to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
+    warn_once(f"{table.path}: joined to {len(near)} of {len(given)} rows of {leader.path} by time, within {lag:g} s")
     return _with_poses(table, nearest[near], near)
 
 
@@ -85,9 +83,3 @@ def _with_poses(table: Table, rows: np.ndarray, poses: np.ndarray) -> Table:
         rows=tuple(cells),
         lines=tuple(table.lines[int(row)] for row in rows),
     )
-
-
-@functools.lru_cache(maxsize=64)
-def _tell(path: str, text: str) -> None:
-    """Say what was joined, once."""
-    _LOG.warning("%s: joined %s", path, text)

@@ -20,7 +20,6 @@ from typing import Any
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes
 from calib.core.base.units import split_column
-from calib.core.data.on_demand import cells_of
 
 SEPARATORS = ",;\t"
 COMMENTS = ("#", "//")
@@ -34,6 +33,18 @@ _OTHER_SHEETS = (".xls", ".xlsb", ".ods", ".numbers")
 def is_comment(line: str) -> bool:
     """Return whether a line of a file is a comment."""
     return line.lstrip().startswith(COMMENTS)
+
+
+def cells_of(line: str, separator: str) -> tuple[str, ...]:
+    """Return the cells of a line of CSV.
+
+    Raises:
+        csv.Error: It is none.
+    """
+    if '"' in line or len(line) > csv.field_size_limit():
+        return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
+    cells = line.split(separator)  # what csv does, in a third of the time
+    return tuple([cell.lstrip(" ") for cell in cells] if " " in line else cells)
 
 
 def separator_of(line: str) -> str:

@@ -17,12 +17,18 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, listed_columns, nearest
-from calib.core.data.instrument_cells import columns_in, named_columns, nearest_free_column, readings_in, setups_of
+from calib.core.data.instrument_cells import (
+    columns_in,
+    labels_of_rows,
+    named_columns,
+    nearest_free_column,
+    readings_in,
+    setups_of,
+)
 from calib.core.data.joined_tables import joined_by_word
 from calib.core.data.joining import joined_poses, joined_readings
 from calib.core.data.measurement_columns import APPROACH, header, shown
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
-from calib.core.data.on_demand import Numbered, Packed
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Source, Table, is_columns
@@ -144,19 +150,18 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
     joints.flags.writeable = False  # who holds it needs no copy
-    called = Packed(table.texts("pose")) if "pose" in table.names else None
+    called = tuple(table.text("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
         line = table.lines[called.index("")]
         raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
-    labels = Numbered(f"{table.path}, line ", table.lines, called)
-    names = Numbered("", range(first + 1, first + 1 + len(labels))) if called is None else called
+    names = tuple(map(str, range(first + 1, first + 1 + len(table.rows)))) if called is None else called
     context, approach = conditions_of_table(table, robot, joints)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
     poses = Poses(
         joints,
-        labels,
+        tuple(labels_of_rows(table)),
         names,
         table.path,
         ignored,

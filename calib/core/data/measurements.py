@@ -7,7 +7,7 @@ pose; nothing is averaged. An instrument may have read nothing at a visit, and s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NoReturn, Self
 
@@ -19,7 +19,6 @@ from calib.core.base.other_words import Hinting
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.core.base.words import pandas, titled_html
 from calib.core.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
-from calib.core.data.on_demand import Texts, held, picked
 from calib.core.data.pose_groups import shuffled_poses
 from calib.core.instruments.kind import FrameInstrument, Instrument, Readings
 from calib.core.robots.robot import Robot
@@ -53,8 +52,8 @@ class Poses(ReadOnlyArrays, Hinting):
     _other_words = "measurements and poses"
 
     joints: FloatArray
-    labels: Texts
-    names: Texts
+    labels: tuple[str, ...]
+    names: tuple[str, ...]
     path: str
     ignored: tuple[str, ...]
     comments: tuple[str, ...] = field(default=(), kw_only=True)
@@ -132,8 +131,8 @@ class Poses(ReadOnlyArrays, Hinting):
         return replace(
             self,
             joints=self.joints[index],
-            labels=tuple(picked(self.labels, index)),
-            names=tuple(picked(self.names, index)),
+            labels=tuple([self.labels[k] for k in index]),
+            names=tuple([self.names[k] for k in index]),
             context={key: values[index] for key, values in self.context.items()},
             approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],
@@ -143,14 +142,8 @@ class Poses(ReadOnlyArrays, Hinting):
     @cached_property
     def pose_numbers(self) -> IntArray:
         """A number for each visit, the same for those of one pose name, counted as they first appear, (n,)."""
-        hashes = np.fromiter(map(hash, self.names), dtype=np.int64, count=len(self))  # a tenth of the names' memory
-        _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
-        seen = first[inverse]
-        if any(self.names[k] != self.names[seen[k]] for k in np.flatnonzero(seen != np.arange(len(self)))):
-            numbers: dict[str, int] = {}  # other names, but the same hash
-            return np.array([numbers.setdefault(name, len(numbers)) for name in self.names], dtype=np.intp)
-        result: IntArray = np.argsort(np.argsort(first))[inverse]
-        return result
+        numbers: dict[str, int] = {}
+        return np.array([numbers.setdefault(name, len(numbers)) for name in self.names], dtype=np.intp)
 
     @property
     def n_poses(self) -> int:
@@ -301,21 +294,9 @@ class Measurements(Poses):
 
 def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
     """Put poses and readings together."""
-    return Measurements(
-        poses.joints,
-        held(poses.labels),
-        held(poses.names),
-        poses.path,
-        poses.ignored,
-        readings,
-        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
-        comments=poses.comments,
-        context=poses.context,
-        approach=poses.approach,
-        setups=poses.setups,
-        planned=poses.planned,
-        robot=poses.robot,
-    )
+    of_poses = {field.name: getattr(poses, field.name) for field in fields(Poses)}
+    assumed = isinstance(poses, Measurements) and poses.approach_assumed
+    return Measurements(**of_poses, readings=readings, approach_assumed=assumed)
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:

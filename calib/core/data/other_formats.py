@@ -7,8 +7,6 @@ and the first that fits counts. What a file was taken for is a warning of the lo
 from __future__ import annotations
 
 import codecs
-import functools
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,8 +15,8 @@ from pathlib import Path
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes
 from calib.core.base.registry import installed
+from calib.core.base.words import warn_once
 
-_LOG = logging.getLogger("calib")
 _HEAD = 1 << 16  # bytes by which a format is known
 _ASCII = 0.7  # part of a table that is digits, separators and plain letters
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -104,11 +102,5 @@ def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict
         return None
     if known.read is None:
         raise DataError(f"{path}: this looks like {known.name}: {known.taken}")
-    _tell(str(path), f"read as {known.name}: {known.taken}")
+    warn_once(f"{path}: read as {known.name}: {known.taken}")
     return known.read(file)
-
-
-@functools.lru_cache(maxsize=64)
-def _tell(path: str, text: str) -> None:
-    """Warn of what a file was taken for, once."""
-    _LOG.warning("%s: %s", path, text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.core.base.errors import DataError, InputError, ParameterError, nearest_column
+from calib.core.base.errors import DataError, ParameterError, nearest_column
 from calib.core.base.parameter import index_of
 from calib.core.base.units import per_si
 from calib.core.data.table_writing import format_table
@@ -48,9 +48,9 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
             number = read_number(text, place, table.separator)
             if not unit:
                 check_plausible(number, parameter.dimension, place, "into the column 'unit'")
-            values[name] = number / per_si(unit, parameter.dimension, place)
-        except InputError as error:
+        except DataError as error:
             raise ParameterError(str(error)) from None
+        values[name] = number / per_si(unit, parameter.dimension, place, ParameterError)
         if abs(values[name]) > _LARGEST:
             raise ParameterError(f"{place}: '{text:.60}' is too large to mean anything; correct it")
     absent = [parameter.name for parameter in robot.parameters if parameter.name not in values]

@@ -95,14 +95,14 @@ def _measured(table: Table, robot: Robot) -> BoolArray:
         if names and set(names) <= set(table.names):
             filled = np.ones(len(measured), dtype=bool)
             for name in names:
-                filled &= np.fromiter(map(bool, table.texts(name)), dtype=bool)
+                filled &= np.array(table.text(name)) != ""
             measured |= filled
     return measured
 
 
 def _repeats(table: Table) -> bool:
     """Whether rows repeat a pose."""
-    return "pose" in table.names and len(set(table.texts("pose"))) < len(table.rows)
+    return "pose" in table.names and len(set(table.text("pose"))) < len(table.rows)
 
 
 def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:

@@ -10,8 +10,6 @@ a robot description says what files call their columns, and then nothing is gues
 
 from __future__ import annotations
 
-import functools
-import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,10 +17,10 @@ from dataclasses import replace
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.mapped_columns import MappedColumn
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.words import warn_once
 from calib.core.data.tables import Source, Table, read_table
 from calib.core.robots.robot import Robot
 
-_LOG = logging.getLogger("calib")
 _NUMBERED = re.compile(r"(?:j|a|q|ax|axis|joint|theta|motor)0*(\d+)")
 _AXES = ("x", "y", "z")
 _NAMED = re.compile(r"(.+)_[xyz]")
@@ -31,22 +29,19 @@ _UNITS = (*PER_SI["length"], *PER_SI["angle"])
 _UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]+(?P<ending>{'|'.join(_UNITS)}))")
 
 
-def read_robot_table(
-    source: Source, robot: Robot, *, growing: Sequence[str] | None = None, any_size: bool = False
-) -> Table:
+def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | None = None) -> Table:
     """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
 
     Args:
         source: The file or the table in memory.
         robot: The robot.
         growing: Of a file that is still written, its lines so far.
-        any_size: As in `read_table`.
 
     Raises:
         DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
             units are; or blanks separate the columns.
     """
-    table = read_table(source, robot.description.columns, growing=growing, any_size=any_size)
+    table = read_table(source, robot.description.columns, growing=growing)
     _check_separator(robot, table)
     _check_units(robot, table)
     guessed = _joints(robot, table) | _positions(robot, table)
@@ -62,7 +57,7 @@ def read_robot_table(
             f" such as '{bare} [{unit}]', or call the column '{guessed[bare]}'"
         )
     text = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
-    _tell(table.path, text)
+    warn_once(f"{table.path}: took columns {text}; `columns` in the robot description says what they really are")
     halved = {guessed[name]: MappedColumn(guessed[name], None, factor=0.5) for name in spread}
     return replace(table, names=tuple(guessed.get(name, name) for name in table.names), maps={**table.maps, **halved})
 
@@ -77,12 +72,6 @@ def _spread(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str,
     if not set(columns) <= {*table.names, *guessed.values()}:
         return {}
     return {name: f"{reading[0].name}_std_{axis}" for name, axis in found.items()}
-
-
-@functools.lru_cache(maxsize=64)
-def _tell(path: str, text: str) -> None:
-    """Warn of a guess, once for each file."""
-    _LOG.warning("%s: took columns %s; `columns` in the robot description says what they really are", path, text)
 
 
 def _check_separator(robot: Robot, table: Table) -> None:

@@ -9,30 +9,27 @@ logger.
 from __future__ import annotations
 
 import csv
-import functools
-import logging
 import math
 import re
-from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard, cast
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, InputError, nearest_column
-from calib.core.base.files import read_lines
+from calib.core.base.errors import DataError, nearest_column
+from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.mapped_columns import MappedColumn, mapped_column
 from calib.core.base.own_files import is_mark
 from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,
     SEPARATORS,
+    cells_of,
     header_line,
     is_comment,
     is_workbook,
@@ -40,17 +37,14 @@ from calib.core.data.layouts import (
     units_below,
     workbook_lines,
 )
-from calib.core.data.on_demand import TextRows, cells_of, is_plain
 from calib.core.data.other_formats import read_other
 from calib.core.data.rosbag import is_bag, read_bag
 from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
 _LARGEST_NUMBER = 1e30  # of anything else: squares and sums of many stay finite
-_LOG = logging.getLogger("calib")
 IN_MEMORY = "table in memory"
 """What a table that is no file is called in messages."""
-_PART = 8192  # cells that are read together
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
@@ -96,8 +90,8 @@ class Table:
     path: str
     names: tuple[str, ...]
     units: tuple[str | None, ...]
-    rows: Sequence[tuple[str, ...]]
-    lines: tuple[int, ...] | range | array[int]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
     comments: tuple[str, ...]
     separator: str
     maps: Mapping[str, MappedColumn] = field(default_factory=dict)
@@ -118,12 +112,8 @@ class Table:
         index = self.names.index(name)
         if dimension is None and self.units[index] is not None:
             raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
-        try:
-            divisor = (
-                1.0 if dimension is None else per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
-            )
-        except InputError as error:
-            raise DataError(str(error)) from None
+        place = f"{self.path}, column '{name}'"
+        divisor = 1.0 if dimension is None else per_si(self.units[index], dimension, place, DataError)
         values = self._numbers(index, gaps=gaps)
         if np.all(np.isnan(values)):
             return values
@@ -133,7 +123,7 @@ class Table:
         values = values / divisor
         if name in self.maps:
             mapped = self.maps[name]
-            scale = 1.0 if dimension is None else per_si(mapped.unit, dimension, f"{self.path}, column '{name}'")
+            scale = 1.0 if dimension is None else per_si(mapped.unit, dimension, place)
             values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
@@ -144,64 +134,31 @@ class Table:
 
     def text(self, name: str) -> list[str]:
         """Return a column as text, without blanks around it; one that is missing is a `DataError`."""
-        return list(self.texts(name))
-
-    def texts(self, name: str) -> Iterator[str]:
-        """Yield what `text` returns, one after the other.
-
-        Raises:
-            DataError: The table has no such column.
-        """
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest_column(name, self.names)}")
         index = self.names.index(name)
-        return (self._name(text_of(cell.strip()), row, index) for row, cell in enumerate(self._column(index)))
+        return [self._name(text_of(cells[index].strip()), row, index) for row, cells in enumerate(self.rows)]
 
     def _name(self, text: str, row: int, index: int) -> str:
         if problem := unseen(text):
             raise DataError(f"{self._where(row, index)}: {problem}")
         return text
 
-    def _column(self, index: int) -> Iterator[str]:
-        """Cells of a column, as they stand in the file."""
-        rows = self.rows
-        return rows.column(index) if isinstance(rows, TextRows) else (row[index] for row in rows)
-
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
-        if index in self._plain:
-            return self._plain[index].copy()
         if self.separator != ",":
             self._check_marks(index)
-        cells, values = self._column(index), np.empty(len(self.rows))
-        for start in range(0, len(values), _PART):
-            values[start : start + _PART] = self._numbers_in(list(islice(cells, _PART)), start, index, gaps=gaps)
-        return values
-
-    @cached_property
-    def _plain(self) -> dict[int, FloatArray]:
-        """Columns in which nothing is to be said about any cell, (n_rows,) each, by their place."""
-        rows = self.rows
-        if not isinstance(rows, TextRows) or self.separator != ",":
-            return {}
-        return rows.plain_numbers(len(self.names))
-
-    def _numbers_in(self, cells: list[str], first: int, index: int, *, gaps: bool) -> FloatArray:
-        """Numbers in cells of a column, of which the first is in that row."""
-        if gaps and not all(cell.strip() for cell in cells):
-            return np.array(
-                [
-                    read_number(cell, self._where(k, index), self.separator) if cell.strip() else np.nan
-                    for k, cell in enumerate(cells, start=first)
-                ]
-            )
+        cells = [row[index] for row in self.rows]
         try:
             values = np.array([float(cell) for cell in cells])
+            if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
+                return values
         except ValueError:
-            values = np.array([np.nan])
-        if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
-            return values
+            pass  # which cell it is, is said below
         return np.array(
-            [read_number(cell, self._where(k, index), self.separator) for k, cell in enumerate(cells, start=first)]
+            [
+                np.nan if gaps and not cell.strip() else read_number(cell, self._where(k, index), self.separator)
+                for k, cell in enumerate(cells)
+            ]
         )
 
     def _check_marks(self, index: int) -> None:
@@ -272,7 +229,6 @@ def read_table(
     renamed: Mapping[str, str] | None = None,
     *,
     growing: Sequence[str] | None = None,
-    any_size: bool = False,
 ) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a workbook, or a ROS bag.
 
@@ -280,8 +236,6 @@ def read_table(
         path: The file, or the folder of a bag; or a table in memory.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
         growing: Of a file that is still written, its lines so far.
-        any_size: Whether a file on a disk may be as large as it is, beyond what `calib.core.base.files.read_bytes`
-            allows.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
@@ -296,56 +250,40 @@ def read_table(
     if isinstance(other, dict):
         return _table_of_columns(str(path), list(other.items()), (), renamed or {})
     if other is not None:
-        pieces = iter([other])
+        lines = other
     elif growing is not None:
-        pieces = iter([list(growing)])
+        lines = list(growing)
     elif is_workbook(path):
-        pieces = iter([workbook_lines(path)])
+        lines = workbook_lines(path)
     else:
-        pieces = read_lines(path, "a CSV file", DataError, any_size=any_size)
-    start = next(pieces, [])
-    above = header_line(str(path), start)
-    comments, numbers = list[str](), array("q")
-    lines = _without_comments(chain([start], pieces), above, comments, numbers)
-    header = next(lines, None)
-    if header is None:
+        lines = read_text(path, "a CSV file", DataError).split("\n")
+    above = header_line(str(path), lines)
+    comments, filled = _without_comments(lines, above)
+    if not filled:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
-    separator = separator_of(header)
-    cells = _cells(str(path), header, numbers[0], separator)
-    names, units, maps = _header(str(path), cells, renamed or {})
-    first_row = next(lines, None)
-    below = first_row and units_below(cells, _cells(str(path), first_row, numbers[-1], separator))
+    first, separator = filled[0], separator_of(lines[filled[0] - 1])
+    cells = {number: _cells(str(path), lines[number - 1], number, separator) for number in filled}
+    header = cells.pop(first)
+    names, units, maps = _header(str(path), header, renamed or {})
+    below = units_below(header, cells[filled[1]]) if cells else None
     if below:
         units = tuple(unit or other for unit, other in zip(units, below, strict=True))
-        numbers.pop()
-    elif first_row is not None:
-        lines = chain([first_row], lines)
-    if any(line.strip() and not is_comment(line) for line in start[:above]):
-        _tell(str(path), f"took line {numbers[0]} for the header, and the lines above it for comments")
+        del cells[filled[1]]
+    if any(line.strip() and not is_comment(line) for line in lines[:above]):
+        warn_once(f"{path}: took line {first} for the header, and the lines above it for comments")
     if below:
-        _tell(str(path), "took the line below the header for units")
-    rows = TextRows(_checked(str(path), lines, numbers, len(names), separator), separator)
-    if not rows:
+        warn_once(f"{path}: took the line below the header for units")
+    _check_widths(str(path), cells, len(names), first, separator)
+    if not cells:
         raise DataError(f"{path}: has a header but no rows")
-    first, last = numbers[1], numbers[-1]
-    where = numbers[1:] if last - first >= len(rows) else range(first, last + 1)
-    return Table(str(path), names, units, rows, where, tuple(map(visible, comments)), separator, maps)
+    rows = tuple(cells.values())
+    return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps)
 
 
-@functools.lru_cache(maxsize=64)
-def _tell(path: str, text: str) -> None:
-    """Warn of what a file was taken for, once."""
-    _LOG.warning("%s: %s", path, text)
-
-
-def _without_comments(
-    pieces: Iterable[list[str]], above: int, comments: list[str], numbers: array[int]
-) -> Iterator[str]:
-    """Header and rows among the lines of a file, whose first `above` are comments too.
-
-    Their numbers, and what the comments say, go into the lists.
-    """
-    for number, line in enumerate((line for piece in pieces for line in piece), start=1):
+def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
+    """What the comments of a file say, whose first `above` lines are comments too; numbers of its header and rows."""
+    comments, numbers = list[str](), list[int]()
+    for number, line in enumerate(lines, start=1):
         if is_comment(line):
             if not is_mark(line):
                 begun = next(mark for mark in COMMENTS if line.lstrip().startswith(mark))
@@ -354,22 +292,20 @@ def _without_comments(
             comments.extend([text] if (text := line.strip().strip(SEPARATORS)) else [])
         elif line.strip().strip(SEPARATORS):
             numbers.append(number)
-            yield line
+    return comments, numbers
 
 
-def _checked(path: str, lines: Iterable[str], numbers: array[int], width: int, separator: str) -> Iterator[str]:
-    """The lines, of which the last number is that of the present one, if they have as many cells as the header."""
-    for line in lines:
-        n = line.count(separator) + 1 if is_plain(line) else len(_cells(path, line, numbers[-1], separator))
-        if n != width:
+def _check_widths(path: str, rows: Mapping[int, Sequence[str]], width: int, header: int, separator: str) -> None:
+    """Raise `DataError` for a row, by its line, that has not as many cells as the header in that line."""
+    for number, cells in rows.items():
+        if len(cells) != width:
             hint = "; write decimals with a point, or separate columns by semicolons"
             if width == 1:
-                hint = f"; if line {numbers[0]} is not the header, begin it with #"
+                hint = f"; if line {header} is not the header, begin it with #"
             raise DataError(
-                f"{path}, line {numbers[-1]}: {n} cells for {width} columns"
-                + (hint if n > width and (separator == "," or width == 1) else "")
+                f"{path}, line {number}: {len(cells)} cells for {width} columns"
+                + (hint if len(cells) > width and (separator == "," or width == 1) else "")
             )
-        yield line
 
 
 def _table_of_columns(
@@ -423,7 +359,7 @@ def _header(
             name, unit = mapped.name, mapped.unit if cell in renamed else unit or mapped.unit
             if not mapped.plain:
                 maps[name] = mapped
-                _tell(path, f"{name} is {mapped.words}")
+                warn_once(f"{path}: {name} is {mapped.words}")
         if not name:
             raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-from calib.core.base.errors import DataError, InputError
+from calib.core.base.errors import DataError
 from calib.core.base.units import quantity
 
 _KEY = "tolerance"
@@ -35,10 +35,7 @@ def stated_tolerance(comments: Iterable[str], path: str) -> float | None:
 
 
 def _length(text: str, where: str) -> float:
-    try:
-        size = quantity(text, "length", where) if re.search(r"[^\d.eE+-]", text) else 0.0
-    except InputError as error:
-        raise DataError(str(error)) from None
+    size = quantity(text, "length", where, DataError) if re.search(r"[^\d.eE+-]", text) else 0.0
     if size <= 0:
         raise DataError(f"{where}: is not a length with a unit; write '# {_KEY}: 0.1 mm', or leave the line out")
     return size

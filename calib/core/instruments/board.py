@@ -195,10 +195,8 @@ def checked_board(content: object, where: str) -> Board:
     try:
         return Board.model_validate(content)
     except ValidationError as error:
-        first = next((detail for detail in error.errors() if detail["type"] == "extra_forbidden"), error.errors()[0])
+        first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        if first["type"] == "extra_forbidden":
-            raise DescriptionError(f"{where}: unknown key '{key}'{nearest(key, Board.model_fields)}") from None
         if first["type"] == "missing":
             raise DescriptionError(f"{where}: key '{key}' is missing") from None
         text = first["msg"].removeprefix("Value error, ")

@@ -31,19 +31,9 @@ from calib.core.base.sections import (
     Section,
 )
 from calib.core.base.units import micrometres, millimetres
-from calib.core.instruments.kind import (
-    Column,
-    Comparison,
-    FrameInstrument,
-    Guess,
-    InstrumentSection,
-    Part,
-    Place,
-    Readings,
-    Scene,
-    View,
-)
+from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Place, Readings, Scene, View
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import Relation
 from calib.core.numerics.rigid import centre, common_offset
 
 DISTANCE = Part("distance", ("distance",), "length", is_distance=True)
@@ -89,36 +79,23 @@ class DistanceSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class Distance(FrameInstrument):
-    """Distances of one target from a fixed point: one row."""
+class Distance(Relation):
+    """Distances of one target from a fixed point, its own place if it has one: one row."""
 
     section = DistanceSection
     parts = (DISTANCE,)
-    end: Place | None = None
     offset: OwnLength = KNOWN_ZERO
 
     @classmethod
     def of(cls, name: str, section: DistanceSection) -> Distance:
         """Return the instrument that an entry of a robot description means."""
-        end = None
-        if section.end is not None:
-            unknown = LENGTH_COMPONENTS if section.end.position == "unknown" else ()
-            end = Place(f"{name}_end", section.end.frame, section.end.xyz, unknown=unknown, sigma=section.end.sigma)
+        end, own = section.end, tuple[Place, ...]()
+        if end is not None:
+            unknown = LENGTH_COMPONENTS if end.position == "unknown" else ()
+            own = (Place(f"{name}_end", end.frame, end.xyz, unknown=unknown, sigma=end.sigma),)
         unknowns = section.offset.parameters(f"{name}.offset")
         noise = Noise((PartNoise.of(section.sigma, 1),))
-        return cls(name, section.target or name, end, section.offset, noise=noise, unknowns=unknowns)
-
-    def places(self) -> tuple[Place, ...]:
-        """Return its fixed point, unless that is the origin of the measurement frame."""
-        return () if self.end is None else (self.end,)
-
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return fixed point and target."""
-        return ((base if self.end is None else self.end.name, self.target),)
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return `<name>_distance`."""
-        return (Column(f"{self.name}_distance", "length"),)
+        return cls(name, section.target or name, own, section.offset, noise=noise, unknowns=unknowns)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return distances, (n, 1) [m]."""
@@ -151,7 +128,7 @@ class Distance(FrameInstrument):
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the fixed point by multilateration, in each setup that moved it."""
-        if self.end is None:
+        if not self.own:
             return ()
         read, offset = np.isfinite(scene.readings.values[:, 0]), self._offset(scene.unknowns)
         places: dict[str, FloatArray] = {}

@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import model_validator
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import InputError
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Quantity
 from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
@@ -63,10 +62,7 @@ class JointReadingSection(InstrumentSection):
             ValueError: It has another dimension.
         """
         value = getattr(self, key)
-        try:
-            return None if value is None else quantity(value, self.dimension, key)
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        return None if value is None else quantity(value, self.dimension, key, ValueError)
 
 
 @dataclass(frozen=True)

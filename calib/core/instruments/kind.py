@@ -24,7 +24,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
-from calib.core.base.sections import Component, Section
+from calib.core.base.sections import Component, PlaceSection, PosedSection, Section
 from calib.core.base.units import Dimension
 from calib.core.instruments.noise import Noise
 
@@ -89,6 +89,18 @@ class Place:
     sigma: float | None = None
     sigma_angle: float | None = None
     inverted: bool = False
+
+
+def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Component, ...] | None = None) -> Place:
+    """Return what a description says of a place, as a place of this name.
+
+    Args:
+        name: Its name.
+        section: What the description says.
+        unknown: Components that the measurements must find; those that the section calls unknown if not given.
+    """
+    found = section.unknown if unknown is None else unknown
+    return Place(name, section.frame, section.xyz, section.rpy, found, section.sigma, section.sigma_angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,9 +301,9 @@ class Instrument(ABC):
         """
         return ()
 
-    @abstractmethod
     def columns(self) -> tuple[Column, ...]:
-        """Return its columns in a measurement file."""
+        """Return its columns in a measurement file: `<name>_<axis>` for each of its rows, unless a kind says more."""
+        return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
 
     def text_columns(self) -> tuple[str, ...]:
         """Return columns that say in words what was looked at."""
@@ -333,11 +345,17 @@ class Instrument(ABC):
 
     @abstractmethod
     def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values), of what it has before it: frames or values of a joint."""
+        """Return what it reads, (n, n_values).
+
+        Args:
+            seen: What it has before it: the frames, a `View`; or values of its joint, (n,) [m or rad].
+            unknowns: Its unknown numbers, (n_unknowns,).
+            details: Of `Readings`, (n, n_details).
+        """
 
     @abstractmethod
     def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
-        """Compare what it would read with what it read; see `Comparison` and `JointComparison`."""
+        """Compare what it would read with what it read, (n, n_rows): see `Comparison` and `JointComparison`."""
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
@@ -361,7 +379,7 @@ class Instrument(ABC):
 
 
 @dataclass(frozen=True)
-class FrameInstrument(Instrument):
+class FrameInstrument(Instrument, ABC):
     """A kind that looks from one frame at another.
 
     Attributes:
@@ -373,20 +391,6 @@ class FrameInstrument(Instrument):
     def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
         """Return the measurement frame and the target."""
         return ((base, self.target),)
-
-    @abstractmethod
-    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values).
-
-        Args:
-            view: The frames.
-            unknowns: Its unknown numbers, (n_unknowns,).
-            details: Of `Readings`, (n, n_details).
-        """
-
-    @abstractmethod
-    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Compare what it would read with what it read; see `Comparison`."""
 
     def point_seen(self, view: View, details: FloatArray) -> FloatArray:
         """Return the point that readings tell about, seen from a, (n, 3) [m]: the target, unless a kind says more.
@@ -420,7 +424,7 @@ class FrameInstrument(Instrument):
 
 
 @dataclass(frozen=True)
-class JointInstrument(Instrument):
+class JointInstrument(Instrument, ABC):
     """A kind that reads the value of a joint.
 
     Attributes:
@@ -428,20 +432,6 @@ class JointInstrument(Instrument):
     """
 
     joint: str
-
-    @abstractmethod
-    def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values).
-
-        Args:
-            joint: The joint's value, (n,) [m or rad].
-            unknowns: Its unknown numbers, (n_unknowns,).
-            details: Of `Readings`, (n, n_details).
-        """
-
-    @abstractmethod
-    def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
-        """Compare what it would read with what it read; see `JointComparison`."""
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
         """Return a first guess at its unknown numbers, (n_unknowns,), from the joint's value by the robot as it is."""

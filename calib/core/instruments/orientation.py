@@ -106,9 +106,7 @@ class Orientation(FrameInstrument):
 
     def columns(self) -> tuple[Column, ...]:
         """Return those of the rotation, or `<name>_tilt_x` and `_tilt_y`."""
-        if self.gravity:
-            return tuple(Column(f"{self.name}_{axis}", "angle") for axis in TILT.axes)
-        return rotation_columns(self.name, self.rotation)
+        return super().columns() if self.gravity else rotation_columns(self.name, self.rotation)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return rotation vectors (n, 3), or tilts (n, 2) [rad]."""

@@ -23,7 +23,6 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.parameter import Parameter
-from calib.core.base.sections import COMPONENTS, Component
 from calib.core.base.units import DISPLAY_UNIT, Dimension
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import NAMES, in_front, in_lens, project, rays
@@ -38,6 +37,7 @@ from calib.core.instruments.kind import (
     Readings,
     Scene,
     View,
+    placed,
 )
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.pixel_section import PixelSection
@@ -72,9 +72,7 @@ class Pixel(FrameInstrument):
     @classmethod
     def of(cls, name: str, section: PixelSection) -> Pixel:
         """Return the instrument that an entry of a robot description means."""
-        camera, numbers = section.camera, section.intrinsics.model_dump()
-        unknown: tuple[Component, ...] = COMPONENTS if camera.pose == "unknown" else ()
-        place = Place(name, camera.frame, camera.xyz, camera.rpy, unknown, camera.sigma, camera.sigma_angle)
+        numbers = section.intrinsics.model_dump()
         sigmas = {} if section.unknown_intrinsics is None else section.unknown_intrinsics.model_dump()
         unknowns = tuple(
             _parameter(name, key, numbers[key], sigmas[key]) for key in NAMES if sigmas.get(key) is not None
@@ -82,7 +80,7 @@ class Pixel(FrameInstrument):
         return cls(
             name,
             section.target,
-            place,
+            placed(name, section.camera),
             tuple(numbers[key] for key in NAMES),
             dict(section.points) if section.board is None else section.board.points(),
             section.image,

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from calib.core.base.errors import DescriptionError, InputError
+from calib.core.base.errors import DescriptionError
 from calib.core.base.files import read_text
 from calib.core.base.sections import Length, PosedSection, PositiveLength, Section
 from calib.core.base.units import per_si, split_column
@@ -149,10 +149,7 @@ def read_points(path: Path) -> dict[str, tuple[float, float, float]]:
     if missing is not None:
         raise DescriptionError(f"{path}: no column '{missing}'; expected point, x, y, z")
     place = [names.index(name) for name in _COLUMNS]
-    try:
-        divisors = [per_si(header[k][1], "length", f"{path}, column '{names[k]}'") for k in place[1:]]
-    except InputError as error:
-        raise DescriptionError(str(error)) from None
+    divisors = [per_si(header[k][1], "length", f"{path}, column '{names[k]}'", DescriptionError) for k in place[1:]]
     points: dict[str, tuple[float, float, float]] = {}
     for line, row in rows[1:]:
         if len(row) != len(names):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Readings, View
+from calib.core.instruments.kind import Comparison, FrameInstrument, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise, PositionSigma
 
 AXES = ("x", "y", "z")
@@ -47,10 +47,6 @@ class Position(FrameInstrument):
     def group(self) -> str:
         """Its own, or the one that it shares."""
         return self.together or self.name
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return `<name>_x`, `_y`, `_z`."""
-        return tuple(Column(f"{self.name}_{axis}", "length") for axis in AXES)
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab, (n, 3) [m]."""

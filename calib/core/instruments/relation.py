@@ -31,9 +31,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component, PlaceSection
+from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
 
 _STEP = 1e-4  # m, rad; of unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
@@ -51,9 +51,7 @@ class RelatedSection(PlaceSection):
 
     def place(self, name: str) -> Place:
         """Return it as a place of this name."""
-        unknown: tuple[Component, ...] = LENGTH_COMPONENTS if self.position == "unknown" else ()
-        unknown += ANGLE_COMPONENTS if self.orientation == "unknown" else ()
-        return Place(name, self.frame, self.xyz, self.rpy, unknown, self.sigma, self.sigma_angle)
+        return placed(name, self)
 
 
 @dataclass(frozen=True)
@@ -87,35 +85,44 @@ class Relation(FrameInstrument):
 
     def columns(self) -> tuple[Column, ...]:
         """Return its columns; nothing of a touch, which has no numbers."""
-        return ()
+        return () if self.touches else super().columns()
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """What a row may be about, in the order of the detail: its places, unless a kind says more."""
+        return tuple(place.name for place in self.own)
 
     def text_columns(self) -> tuple[str, ...]:
-        """Return `<name>`, which says which place a row is about; nothing where there is but one."""
-        return (self.name,) if self.touches or len(self.own) > 1 else ()
+        """Return `<name>`, which says what a row is about; nothing where that is but one."""
+        return (self.name,) if self.touches or len(self.named) > 1 else ()
 
     def looked_at(
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say which place each row is about; an empty cell is no reading."""
-        n, names = len(where), [place.name for place in self.own]
-        which = np.zeros(n, dtype=np.intp)
+        """Say what each row is about; an empty cell is no reading."""
+        which = np.zeros(len(where), dtype=np.intp)
+        lacks = "touches nothing called" if self.touches else "has no place"
         for column in self.text_columns():
             for k, text in enumerate(texts[column]):
-                if text and text not in names:
+                if text and text not in self.named:
                     raise DataError(
-                        f"{where[k]}, column '{column}': '{self.name}' has no place '{text:.60}'{nearest(text, names)}"
+                        f"{where[k]}, column '{column}': '{self.name}' {lacks} '{text:.60}'{nearest(text, self.named)}"
                     )
-                which[k] = names.index(text) if text else -1
-        return (which >= 0).tolist(), np.maximum(which, 0), self._details(which)
+                which[k] = self.named.index(text) if text else -1
+        return (which >= 0).tolist(), self.pair_of(np.maximum(which, 0)), self._details(which)
+
+    def pair_of(self, which: IntArray) -> IntArray:
+        """Return the place of what rows are about, (n,): places have pairs of their own."""
+        return which if len(self.named) == len(self.own) else np.zeros_like(which)
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return the name of the place of each reading."""
-        return {column: [self.own[int(which)].name for which in details[:, 0]] for column in self.text_columns()}
+        """Return what each reading is about."""
+        return {column: [self.named[int(which)] for which in details[:, 0]] for column in self.text_columns()}
 
     def looks(self) -> tuple[IntArray, FloatArray]:
-        """Return every place."""
-        which = np.arange(max(len(self.own), 1))
-        return which, self._details(which)
+        """Return all that readings can be about."""
+        which = np.arange(max(len(self.named), 1))
+        return self.pair_of(which), self._details(which)
 
     def _details(self, which: IntArray) -> FloatArray:
         return which[:, None].astype(float)[:, : len(self.text_columns())]

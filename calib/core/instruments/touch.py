@@ -18,28 +18,18 @@ the description has it. A turn about the line of all points of an artefact moves
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import LENGTH_COMPONENTS, OwnLength
 from calib.core.instruments.distance import distances
-from calib.core.instruments.kind import (
-    Column,
-    Comparison,
-    FrameInstrument,
-    Guess,
-    Part,
-    Place,
-    Readings,
-    Scene,
-    View,
-)
+from calib.core.instruments.kind import Comparison, Guess, Part, Readings, Scene, View
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import Relation
 from calib.core.instruments.touch_places import first_touches
 from calib.core.instruments.touch_sections import Surface, TouchSection
 
@@ -52,13 +42,12 @@ _RADIUS = 0.01  # where an unknown radius starts [m]
 
 
 @dataclass(frozen=True)
-class Touch(FrameInstrument):
+class Touch(Relation):
     """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
 
     Attributes:
         surface: What is touched.
-        touched: Names of what is touched, in the order of the detail.
-        own: Place of each of them; or that of the artefact alone.
+        touched: Names of what is touched, in the order of the detail; `own` has the place of each, or of the artefact.
         points_of_artefact: In the artefact [m]; none without one.
         ball: Radius of the ball [m].
         radii: Of each sphere; or the one of all spheres of the artefact.
@@ -67,9 +56,8 @@ class Touch(FrameInstrument):
 
     section = TouchSection
     touches = True
-    surface: Surface
-    touched: tuple[str, ...]
-    own: tuple[Place, ...]
+    surface: Surface = "socket"
+    touched: tuple[str, ...] = ()
     points_of_artefact: tuple[tuple[float, float, float], ...] = ()
     ball: float = 0.0
     radii: tuple[OwnLength, ...] = ()
@@ -88,9 +76,9 @@ class Touch(FrameInstrument):
         return cls(
             name,
             section.target or name,
+            own if piece is None else (piece.place(f"{name}_artefact"),),
             section.surface,
             tuple(section.places if piece is None else piece.points),
-            own if piece is None else (piece.place(f"{name}_artefact"),),
             () if piece is None else tuple(piece.points.values()),
             section.radius,
             tuple(radius or OwnLength() for _, radius in radii),
@@ -104,49 +92,10 @@ class Touch(FrameInstrument):
         """Three coordinates of a socket, or the gap to a surface."""
         return (_PARTS[self.surface],)
 
-    def places(self) -> tuple[Place, ...]:
-        """Return what is touched."""
-        return self.own
-
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return the target, seen from each place."""
-        return tuple((place.name, self.target) for place in self.own)
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return nothing: a touch has no numbers."""
-        return ()
-
-    def text_columns(self) -> tuple[str, ...]:
-        """Return `<name>`: what was touched."""
-        return (self.name,)
-
-    def looked_at(
-        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
-    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Say what was touched; an empty cell is no touch."""
-        which = np.zeros(len(where), dtype=np.intp)
-        for k, text in enumerate(texts[self.name]):
-            if text and text not in self.touched:
-                raise DataError(
-                    f"{where[k]}, column '{self.name}': '{self.name}' touches nothing called '{text:.60}'"
-                    f"{nearest(text, self.touched)}"
-                )
-            which[k] = self.touched.index(text) if text else 0
-        pairs = np.zeros_like(which) if self.points_of_artefact else which
-        return [bool(text) for text in texts[self.name]], pairs, which[:, None].astype(float)
-
-    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return what was touched."""
-        return {self.name: [self.touched[int(which)] for which in details[:, 0]]}
-
-    def looks(self) -> tuple[IntArray, FloatArray]:
-        """Return all that can be touched."""
-        which = np.arange(len(self.touched))
-        return (np.zeros_like(which) if self.points_of_artefact else which), which[:, None].astype(float)
-
-    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return what a touch reads: nothing, one row of zeros that stands for all [m]."""
-        return np.zeros((1, self.n_rows))
+    @property
+    def named(self) -> tuple[str, ...]:
+        """What is touched."""
+        return self.touched
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return how far the ball is from touching, (n, 3) or (n, 1) [m]."""
@@ -197,13 +146,13 @@ class Touch(FrameInstrument):
         first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
         unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
         number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)
-        return number[np.zeros_like(which) if self.points_of_artefact else which]
+        return number[self.pair_of(which)]
 
     def _radius(self, which: IntArray, unknowns: FloatArray) -> FloatArray:
         """Radius of the sphere touched, (n,) [m]."""
         known = np.array([radius.value for radius in self.radii])
         number = self.radius_unknown(which)
-        stated = known[np.zeros_like(which) if self.points_of_artefact else which]
+        stated = known[self.pair_of(which)]
         return np.where(number >= 0, np.append(unknowns, 0.0)[number], stated)
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:

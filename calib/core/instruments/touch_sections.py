@@ -18,7 +18,7 @@ from calib.core.base.sections import (
     PosedSection,
     PositiveLength,
 )
-from calib.core.instruments.kind import InstrumentSection, Place
+from calib.core.instruments.kind import InstrumentSection, Place, placed
 from calib.core.numerics import linalg
 
 Surface = Literal["socket", "plane", "sphere"]
@@ -44,7 +44,7 @@ class TouchedSection(PlaceSection):
             unknown = LENGTH_COMPONENTS if surface != "plane" else (self.along_normal(),)
         if self.orientation == "unknown":
             unknown += ("rx", "ry")
-        return Place(name, self.frame, self.xyz, self.rpy, unknown, self.sigma, self.sigma_angle)
+        return placed(name, self, unknown)
 
     def along_normal(self) -> Component:
         """Return the axis of the link that is nearest to the normal of a plane: along it, the plane is placed."""
@@ -83,10 +83,7 @@ class ArtefactSection(PosedSection):
 
     def place(self, name: str) -> Place:
         """Return it as a place; a turn that moves none of its points is not free."""
-        unknown: tuple[Component, ...] = ()
-        if self.pose == "unknown":
-            unknown = LENGTH_COMPONENTS + self._turns()
-        return Place(name, self.frame, self.xyz, self.rpy, unknown, self.sigma, self.sigma_angle)
+        return placed(name, self, LENGTH_COMPONENTS + self._turns() if self.pose == "unknown" else ())
 
     def _turns(self) -> tuple[Component, ...]:
         """Turns that the points tell: all, all but one where they lie on a line, none of a single point."""

@@ -26,8 +26,7 @@ from calib.core.base.files import write_folder
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.data.measurement_columns import header, joint_columns, shown
-from calib.core.data.on_demand import picked
-from calib.core.data.table_writing import format_table, table_bytes
+from calib.core.data.table_writing import format_table
 from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
@@ -138,7 +137,7 @@ def _residual_table(fit: Fit) -> bytes:
         blocks += [(places, _residual_columns(fit, label, error_set, rows, name)) for places, name in by_instrument]
     blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
     if len(blocks) == 1 and np.array_equal(blocks[0][0], np.arange(count)):
-        return table_bytes(list(blocks[0][1].items()))
+        return format_table(list(blocks[0][1].items())).encode()
     columns: dict[str, NDArray[Any]] = {}
     for places, block in blocks:
         for head, values in block.items():
@@ -148,7 +147,7 @@ def _residual_table(fit: Fit) -> bytes:
             else:
                 column = columns.setdefault(head, np.full(count, "", dtype=object))
                 column[places] = np.fromiter(values, dtype=object, count=len(places))
-    return table_bytes(list(columns.items()))
+    return format_table(list(columns.items())).encode()
 
 
 def _residual_columns(
@@ -166,7 +165,7 @@ def _residual_columns(
     visits, n = layout.visit[of_instrument], len(readings)
     columns: dict[str, Sequence[object] | FloatArray] = {
         "set": [label] * n,
-        "pose": picked(error_set.data.names, visits),
+        "pose": [error_set.data.names[k] for k in visits],
         "target": [name] * n,
     }
     setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(instrument))

@@ -14,7 +14,8 @@ from calib.core.base.letters import visible
 from calib.core.base.version import PROGRAM
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf, quoted
+from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf
+from calib.core.robots.urdf.writing import quoted
 
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.core.base.errors import DescriptionError, nearest
-from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
-from calib.core.instruments.kind import FrameInstrument, Instrument, Place
+from calib.core.base.sections import COMPONENTS
+from calib.core.instruments.kind import FrameInstrument, Instrument, Place, placed
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.position import Position
@@ -74,10 +74,7 @@ def places_of(description: Description, instruments: tuple[Instrument, ...], whe
     base = description.base
     unknown = COMPONENTS if base.pose == "unknown" else ()
     places = [Place(MEASUREMENT_FRAME, base.frame, base.xyz, base.rpy, unknown, inverted=True)]
-    for name, target in description.targets.items():
-        components = LENGTH_COMPONENTS if target.position == "unknown" else ()
-        components += ANGLE_COMPONENTS if target.orientation == "unknown" else ()
-        places.append(Place(name, target.frame, target.xyz, target.rpy, components, target.sigma, target.sigma_angle))
+    places += [placed(name, target) for name, target in description.targets.items()]
     for instrument in instruments:
         places += instrument.places()
     names = [place.name for place in places]

@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
@@ -21,6 +21,7 @@ from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import (
     COMPONENTS,
     LENGTH_COMPONENTS,
+    UNKNOWN_KEY,
     Component,
     FrameSection,
     Length,
@@ -31,13 +32,13 @@ from calib.core.base.sections import (
     read_yaml,
 )
 from calib.core.base.units import Dimension
-from calib.core.instruments.kinds import KINDS, AnyInstrument
+from calib.core.instruments.kinds import AnyInstrument
 from calib.core.instruments.noise import PositionSigma
 from calib.core.robots.fleet_prior import FleetSection
-from calib.core.robots.surroundings import Acceptance, Obstacles, ObstacleSection, ShapeSection, SightSection
+from calib.core.robots.surroundings import Acceptance, Obstacles, ShapeSection, SightSection
 from calib.core.robots.terms.gravity import GravitySection, InclinometerSection
 from calib.core.robots.terms.term import TermSection
-from calib.core.robots.terms.terms import TERMS, AnyTerm
+from calib.core.robots.terms.terms import AnyTerm
 from calib.core.robots.traceability import TraceabilitySection
 
 
@@ -253,7 +254,7 @@ def checked_description(content: Mapping[str, Any], where: Path | str) -> Descri
     try:
         return Description.model_validate(content, context={"folder": Path(where).parent})
     except ValidationError as error:
-        raise DescriptionError(f"{where}: {_one_line(error, content)}") from None
+        raise DescriptionError(f"{where}: {_one_line(error)}") from None
 
 
 def description_yaml(description: Description) -> str:
@@ -262,16 +263,16 @@ def description_yaml(description: Description) -> str:
     return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
 
 
-def _one_line(error: ValidationError, content: Mapping[str, Any]) -> str:
+def _one_line(error: ValidationError) -> str:
     """Turn pydantic's complaints into one line: where, what, and the nearest valid key."""
     complaints = error.errors()  # a misspelled key first: it explains why another one is missing
-    first = next((detail for detail in complaints if detail["type"] == "extra_forbidden"), complaints[0])
+    first = next((detail for detail in complaints if detail["type"] == UNKNOWN_KEY), complaints[0])
     location = [part for k, part in enumerate(first["loc"]) if not _is_tag(k, first["loc"])]
     if first["type"] == "invalid_key" or location[-1:] == ["[key]"]:  # 1, on, yes, null: YAML reads them as no text
         return f"key {first['input']} should be text; put it in quotes"
+    if first["type"] == UNKNOWN_KEY:
+        return f"unknown key '{_place([*location, first['ctx']['key']])}'{first['ctx']['hint']}"
     place = _place(location)
-    if first["type"] == "extra_forbidden":
-        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(location, content))}"
     if first["type"] == "missing" and isinstance(location[-1], str):
         return f"key '{place}' is missing"
     if first["type"] == "missing":
@@ -316,33 +317,3 @@ def _complaint(detail: ErrorDetails) -> str:
     if kind in ("model_type", "dict_type"):
         return f"should be keys and values, such as {{frame: base_link}}{shown}"
     return detail["msg"].removeprefix("Input ") + shown
-
-
-def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[str]:
-    """Keys that are valid beside one that is not."""
-    first, entry = str(location[0]), content
-    section: type[Section] = Description
-    if len(location) > 1:
-        sections: dict[str, type[Section]] = {
-            "base": BaseSection,
-            "targets": TargetSection,
-            "parametrisation": OriginSection,
-            "gravity": GravitySection,
-            "obstacles": ObstacleSection,
-            "sight": SightSection,
-            "traceability": TraceabilitySection,
-        }
-        section = sections.get(first, Description)
-    if first == "inclinometers":
-        return list(InclinometerSection.model_fields)
-    if first in ("instruments", "parametrisation", "joint_terms"):
-        entry = content[first][location[1]]
-        named = "kind" if first == "instruments" else "term"
-        if named in entry:
-            section = (KINDS if first == "instruments" else TERMS)[entry[named]].section
-    unnamed = first == "traceability"  # else a name stands before them
-    for key in map(str, location[1 if unnamed else 2 : -1]):  # sections inside a section
-        inner = section.model_fields.get(key)
-        kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
-        section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), section)
-    return list(section.model_fields)

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, InputError, nearest
+from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Quantity, Section
 from calib.core.base.units import quantity
@@ -96,11 +96,9 @@ class FleetSection(Section):
 
     def _expected(self, parameter: Parameter, where: str) -> Parameter:
         entry = self.parameters[parameter.name]
-        try:
-            offset = quantity(entry.offset, parameter.dimension, f"{where}: fleet: {parameter.name}, offset")
-            spread = quantity(entry.spread, parameter.dimension, f"{where}: fleet: {parameter.name}, spread")
-        except InputError as error:
-            raise DescriptionError(str(error)) from None
+        place, dimension = f"{where}: fleet: {parameter.name}", parameter.dimension
+        offset = quantity(entry.offset, dimension, f"{place}, offset", DescriptionError)
+        spread = quantity(entry.spread, dimension, f"{place}, spread", DescriptionError)
         if spread <= 0:
             raise DescriptionError(
                 f"{where}: fleet: {parameter.name}: spread must be positive; hold what is always the same"

@@ -23,8 +23,9 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
 from calib.core.numerics import linalg
 from calib.core.robots import kinematics
+from calib.core.robots.closure import residual
 from calib.core.robots.description import Description
-from calib.core.robots.mechanism import Mechanism
+from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.terms.gravity import STANDARD, GravitySection, InclinometerSection
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
 from calib.core.robots.urdf.text import UrdfText
@@ -235,12 +236,8 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
 
 def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
     """How a link is turned in the root link, (n, 3, 3)."""
-    index, model = mechanism.joint(frame), mechanism.model
-    data, rotations = model.createData(), np.empty((len(joints), 3, 3))
-    for k, row in enumerate(joints):
-        pin.forwardKinematics(model, data, row)
-        rotations[k] = data.oMi[index].rotation
-    return rotations
+    pair = RelativeFrame(frame, 0, mechanism.joint(frame), True, ())
+    return kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)[0]
 
 
 def turn_columns(
@@ -320,8 +317,7 @@ def gravity_torque(
         gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints, acceleration)
     torque: FloatArray = gravity @ mechanism.select_actuated
     if mechanism.loops and len(q):
-        by_actuated = _closure_by_actuated(mechanism, joints)
-        rate = -np.linalg.solve(slope, by_actuated)
+        rate = -np.linalg.solve(slope, residual(mechanism, q, passive)[2])
         torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
     return torque
 
@@ -333,15 +329,6 @@ def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> 
         model.gravity.linear = acceleration[k]
         result[k] = pin.computeGeneralizedGravity(model, data, row)
     return result
-
-
-def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
-    """C_a, (n, n_passive, n_driven)."""
-    swept = kinematics.sweep(mechanism, joints, mechanism.loops)
-    driven = kinematics.Coordinates.of(
-        swept.reduced, mechanism.loop_signs[:, swept.reduced.joints], mechanism.select_actuated
-    )
-    return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), driven)
 
 
 def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:

@@ -7,15 +7,13 @@ range, nothing is drawn in, since home may lie outside; values are tried until e
 
 from __future__ import annotations
 
-import functools
-import logging
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, nearest
-from calib.core.base.words import listed
+from calib.core.base.words import listed, warn_once
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
@@ -29,7 +27,6 @@ _ROUNDS = 50  # of tries where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
 _LONGEST = 1e3  # stroke of a sliding joint [m]
 _MOST_TURNS = 10
-_LOG = logging.getLogger("calib")
 
 
 def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
@@ -88,17 +85,12 @@ def joint_box(
                 " of poses"
             )
         if np.isfinite(high - low) and high - low > _MOST_TURNS * 2 * np.pi:
-            _warn(path, name, (high - low) / (2 * np.pi))
+            turns = (high - low) / (2 * np.pi)
+            warn_once(f"{path}: limits of '{name}' span {turns:.0f} turns; poses are spread over one, around home")
             low, high = -np.inf, np.inf
         lower[k] = low if np.isfinite(low) else min(home[k], high) - np.pi
         upper[k] = high if np.isfinite(high) else max(home[k], low) + np.pi
     return lower, upper
-
-
-@functools.lru_cache(maxsize=64)
-def _warn(path: str, name: str, turns: float) -> None:
-    """Warn of limits over many turns, once."""
-    _LOG.warning("%s: limits of '%s' span %.0f turns; poses are spread over one, around home", path, name, turns)
 
 
 def spread(

@@ -286,12 +286,8 @@ def _check_columns(
             raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
         if mapped.offset and dimension is not None and unit is None:
             raise DescriptionError(f"{where}: columns.{foreign}: say the unit of the offset, such as [deg] or [mm]")
-        if dimension is None:
-            continue
-        try:
-            per_si(unit, dimension, f"{where}: columns.{foreign}")
-        except InputError as error:
-            raise DescriptionError(str(error)) from None
+        if dimension is not None:
+            per_si(unit, dimension, f"{where}: columns.{foreign}", DescriptionError)
 
 
 def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, InputError, UrdfError, nearest
+from calib.core.base.errors import DescriptionError, UrdfError, nearest
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
 from calib.core.base.words import counted
@@ -113,10 +113,7 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
     for name, value in description.home.items():
         if name not in moving:
             raise DescriptionError(f"{where}: home: no moving joint '{name}'{nearest(name, moving)}")
-        try:
-            values[name] = quantity(value, _dimension(moving[name]), f"{where}: home.{name}")
-        except InputError as error:
-            raise DescriptionError(str(error)) from None
+        values[name] = quantity(value, _dimension(moving[name]), f"{where}: home.{name}", DescriptionError)
     return values
 
 

@@ -157,40 +157,21 @@ class OriginComponents:
 
 
 @dataclass(frozen=True, eq=False)
-class WithPriors:
-    """A parametrisation whose parameters have other priors.
-
-    Attributes:
-        plain: It, with its own.
-        parameters: Its parameters, with the others.
-    """
-
-    plain: Parametrisation
-    parameters: tuple[Parameter, ...]
-
-    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
-        """Return the edited origins; see `Parametrisation`."""
-        return self.plain.placements(values)
-
-    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the derivative of each origin; see `Parametrisation`."""
-        return self.plain.twists(values)
-
-
-@dataclass(frozen=True, eq=False)
 class Stacked:
     """Several parametrisations of different origins, one after another.
 
     Attributes:
         parts: The parametrisations.
+        own: The parameters of all parts with other priors; none: as the parts have them.
     """
 
     parts: tuple[Parametrisation, ...]
+    own: tuple[Parameter, ...] = ()
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters of all parts."""
-        return tuple(parameter for part in self.parts for parameter in part.parameters)
+        return self.own or tuple(parameter for part in self.parts for parameter in part.parameters)
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the edited origins; see `Parametrisation`."""

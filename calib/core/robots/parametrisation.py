@@ -20,7 +20,7 @@ from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
 from calib.core.robots.description import Description, OriginSection
 from calib.core.robots.mechanism import Mechanism
-from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, ResultUse, Stacked, WithPriors
+from calib.core.robots.parameters import Origin, OriginComponents, Parametrisation, ResultUse, Stacked
 from calib.core.robots.robot_data import SomeRobot
 from calib.core.robots.urdf.text import UrdfText
 
@@ -57,7 +57,7 @@ def build_parametrisation(
         if sigma_si <= 0:
             raise DescriptionError(f"{where}: prior of '{name}': sigma must be positive; 'held' keeps it at nominal")
         parameters[place] = replace(parameters[place], sigma_si=sigma_si, prior=True)
-    return WithPriors(plain, tuple(parameters)) if description.prior else plain
+    return Stacked((plain,), tuple(parameters)) if description.prior else plain
 
 
 def _without_names(
@@ -168,12 +168,9 @@ def _component_parameter(
     dimension = section.dimension
     name = f"{origin}.{component}"
     place = f"{where}: parametrisation: {name}"
-    try:
-        sigma = quantity(section.sigma, dimension, f"{place}, sigma")
-        unit = section.unit or DISPLAY_UNIT[dimension]
-        per_si(unit, dimension, f"{place}, unit")
-    except InputError as error:
-        raise DescriptionError(str(error)) from None
+    sigma = quantity(section.sigma, dimension, f"{place}, sigma", DescriptionError)
+    unit = section.unit or DISPLAY_UNIT[dimension]
+    per_si(unit, dimension, f"{place}, unit", DescriptionError)
     if sigma <= 0:
         raise DescriptionError(f"{place}: sigma must be positive; leave a component out to keep it at nominal")
     nominal = float(origins[origin].xyz[COMPONENTS.index(component)]) if dimension == "length" else 0.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import millimetres, quantity
 from calib.core.robots.urdf.loop_mechanisms import BASE, Lengths, Plan, delta, five_bar, four_bar, stewart, three_rrr
-from calib.core.robots.urdf.text import robot_text
+from calib.core.robots.urdf.writing import robot_text
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.core.data.measurements import Measurements
-from calib.core.data.on_demand import picked
 from calib.core.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.core.numerics.placement import MovingPoint, Placement, place
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names
@@ -287,7 +286,8 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     mechanism = robot.mechanism
     parents = mechanism.model.parents
     pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
-    configurations = robot.assemble(data.joints[chosen], None, picked(data.labels, chosen), data.conditions.at(chosen))
+    labels = [data.labels[k] for k in chosen]
+    configurations = robot.assemble(data.joints[chosen], None, labels, data.conditions.at(chosen))
     return list(relative_poses(mechanism, configurations, pairs))
 
 

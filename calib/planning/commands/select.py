@@ -144,7 +144,7 @@ def command(
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    table = read_robot_table(candidates, model, any_size=True)
+    table = read_robot_table(candidates, model)
     poses = read_pose_files((candidates,), model, table)
     done = None if measured is None else read_pose_files((measured,), model)
     if parameters is None and result is None:

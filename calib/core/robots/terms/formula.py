@@ -25,6 +25,11 @@ class Source(Enum):
     WARMTH = "kelvins above the reference"
     TORQUE = "the torque of gravity that a driven joint holds"
 
+    @property
+    def by_joint(self) -> bool:
+        """Whether there is one for each joint."""
+        return self in (Source.COMMAND, Source.APPROACH, Source.TORQUE)
+
 
 Known = Mapping[Source, FloatArray]
 """The numbers of n commands, (n, n_joints) or (n, 1) each."""

@@ -16,13 +16,13 @@ Joints of a robot arm are about as soft against tilting as about their axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
 from calib.core.base.parameter import Parameter
-from calib.core.robots.terms.formula import Formula, Proportional, Source
+from calib.core.robots.terms.formula import Proportional, Source
 from calib.core.robots.terms.term import Condition, Joint, JointTerm, TermSection, coefficient
 
 _HOUR = 3600.0
@@ -33,12 +33,16 @@ class OneCoefficient(JointTerm):
     """A term with one coefficient, dq = c phi, named after its joint and the term.
 
     Attributes:
+        source: What phi is proportional to, of the term's own joint if there is one for each (class attribute).
+        factor: By which factor (class attribute).
         word: Last part of the coefficient's name (class attribute).
         expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
             attribute).
         expected_length: The same of one that slides [m] (class attribute).
     """
 
+    source: ClassVar[Source]
+    factor: ClassVar[float] = 1.0
     word: ClassVar[str]
     expected_angle: ClassVar[float]
     expected_length: ClassVar[float]
@@ -49,6 +53,10 @@ class OneCoefficient(JointTerm):
     def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, cls.coefficients(joint, sigma))
+
+    def formula(self, j: int) -> Proportional:
+        """Return phi."""
+        return Proportional(self.source, j if self.source.by_joint else 0, self.factor)
 
     @classmethod
     def coefficients(cls, joint: Joint, sigma: float | None) -> tuple[Parameter, ...]:
@@ -61,47 +69,35 @@ class OneCoefficient(JointTerm):
 class Zero(OneCoefficient):
     """dq = c: the joint's zero, where that alone is looked for. Joint origins have it already, so it is not listed."""
 
-    word = "zero"
+    word, source = "zero", Source.ONE
     expected_angle, expected_length = 5e-3, 1e-3
-
-    def formula(self, j: int) -> Formula:
-        """Return ones."""
-        return Proportional(Source.ONE)
 
 
 class Gain(OneCoefficient):
     """dq = c q, with q in radians or metres, as of a gear ratio, a belt, or the pitch of a lead screw."""
 
-    word = "gain"
+    word, source = "gain", Source.COMMAND
     cause = "gain and harmonics"
     counts_turns = True
     differs = True
     expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
 
-    def formula(self, j: int) -> Formula:
-        """Return q."""
-        return Proportional(Source.COMMAND, j)
-
 
 class Backlash(OneCoefficient):
     """dq = c (half the play) times the direction of approach, +1 or -1; 0 where it is not known."""
 
-    word = "backlash"
+    word, source = "backlash", Source.APPROACH
     cause = "backlash"
     depends_on = (Condition.APPROACH,)
     per = "to either side"
     follows_command = False
     expected_angle, expected_length = 2e-4, 5e-5  # half of the play
 
-    def formula(self, j: int) -> Formula:
-        """Return the direction of approach."""
-        return Proportional(Source.APPROACH, j)
-
 
 class Drift(OneCoefficient):
     """dq = c times the hours, as the file counts time."""
 
-    word = "drift"
+    word, source, factor = "drift", Source.TIME, 1.0 / _HOUR
     cause = "drift"
     depends_on = (Condition.TIME,)
     per = "per hour"
@@ -109,15 +105,11 @@ class Drift(OneCoefficient):
     in_auto = False
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
 
-    def formula(self, j: int) -> Formula:
-        """Return hours."""
-        return Proportional(Source.TIME, factor=1.0 / _HOUR)
-
 
 class Temperature(OneCoefficient):
     """dq = c times the kelvins above 20 degC."""
 
-    word = "temperature"
+    word, source = "temperature", Source.WARMTH
     cause = "drift"
     depends_on = (Condition.TEMPERATURE,)
     per = "per kelvin"
@@ -125,24 +117,16 @@ class Temperature(OneCoefficient):
     in_auto = False
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
 
-    def formula(self, j: int) -> Formula:
-        """Return kelvins."""
-        return Proportional(Source.WARMTH)
-
 
 class Compliance(OneCoefficient):
     """dq = c times the torque of gravity that the joint holds; c < 0 where it gives way."""
 
-    word = "compliance"
+    word, source = "compliance", Source.TORQUE
     cause = "load (compliance)"
     depends_on = (Condition.LOAD,)
     per = "per N m or N"
     expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
     needs_torque = True
-
-    def formula(self, j: int) -> Formula:
-        """Return the torque."""
-        return Proportional(Source.TORQUE, j)
 
 
 class GravityBacklashSection(TermSection):
@@ -165,7 +149,7 @@ class GravityBacklash(OneCoefficient):
     """
 
     section = GravityBacklashSection
-    word = "gravity_backlash"
+    word, source, factor = "gravity_backlash", Source.TORQUE, -1.0  # gravity pulls against what the joint holds
     cause = "backlash"
     depends_on = (Condition.LOAD,)
     per = "to the side of gravity"
@@ -179,9 +163,9 @@ class GravityBacklash(OneCoefficient):
         """Return the term that an entry of a robot description means."""
         return cls(joint.name, cls.coefficients(joint, sigma), section.torque)
 
-    def formula(self, j: int) -> Formula:
-        """Return the sign of the torque, smooth: gravity pulls against the torque that the joint holds."""
-        return Proportional(Source.TORQUE, j, -1.0, self.knee)
+    def formula(self, j: int) -> Proportional:
+        """Return the sign of the torque, smooth."""
+        return replace(super().formula(j), knee=self.knee)
 
 
 class Bending(Compliance):

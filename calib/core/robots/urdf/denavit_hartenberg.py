@@ -37,7 +37,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.robots.urdf.text import Triple, joint_text, robot_text
+from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.writing import joint_text, robot_text
 
 Convention = Literal["standard", "modified"]
 Kind = Literal["revolute", "prismatic", "fixed"]

@@ -22,7 +22,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import millimetres
-from calib.core.robots.urdf.text import Triple, joint_text
+from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.writing import joint_text
 
 BASE = "base"
 _HERE: Triple = (0.0, 0.0, 0.0)

@@ -41,6 +41,14 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError
 from calib.core.numerics import linalg
+from calib.core.robots.urdf.writing import (
+    across,
+    document,
+    inertial_element,
+    joint_element,
+    spaced,
+    visual_element,
+)
 
 _DRAWN = 12  # configurations at which directions of a loop are looked at
 _SPREAD = 0.3  # how far from those of the file [m, rad]
@@ -165,8 +173,7 @@ class _Reader:
         loops = tuple(self._equalities())
         remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
         self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
-        ElementTree.indent(self.root)
-        source = b'<?xml version="1.0"?>\n' + ElementTree.tostring(self.root, encoding="utf-8") + b"\n"
+        source = document(self.root)
         motors = tuple(dict.fromkeys(self._motors()))
         stiff = [self._name("JOINT", int(number)) for number in np.flatnonzero(self.model.jnt_stiffness > 0)]
         springs = tuple(name for name in stiff if name in self.home and name not in motors)
@@ -253,25 +260,14 @@ class _Reader:
             place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
         elif motion.value:
             place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
-        element = self._joint(motion.name, motion.kind, parent, child, place)
-        SubElement(element, "axis", xyz=spaced(motion.axis))
-        if motion.limits:
-            lower, upper = map(repr, motion.limits)
-            SubElement(element, "limit", lower=lower, upper=upper, effort="0", velocity="0")
+        element = joint_element(self.root, motion.name, motion.kind, (parent, child), place, motion.axis, motion.limits)
         if motion.number is not None:
             self.joints[motion.number] = element
         self.home[motion.name] = motion.value
 
     def _fixed(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
-        self._joint(f"{child}_fixed", "fixed", parent, child, origin)
+        joint_element(self.root, f"{child}_fixed", "fixed", (parent, child), origin)
         self._link(child, body)
-
-    def _joint(self, name: str, kind: str, parent: str, child: str, origin: pin.SE3) -> Element:
-        element = SubElement(self.root, "joint", name=name, type=kind)
-        SubElement(element, "parent", link=parent)
-        SubElement(element, "child", link=child)
-        SubElement(element, "origin", origin_of(origin))
-        return element
 
     def _link(self, name: str, body: int | None) -> None:
         """Add a link; with mass and shapes where it is that of a body."""
@@ -280,11 +276,9 @@ class _Reader:
             return
         model, self.link_of[body] = self.model, name
         if body and model.body_mass[body] > 0:
-            inertial = SubElement(link, "inertial")
-            SubElement(inertial, "origin", origin_of(_se3(model.body_ipos[body], model.body_iquat[body])))
-            SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
             diagonal = dict(zip(("ixx", "iyy", "izz"), map(repr, map(float, model.body_inertia[body])), strict=True))
-            SubElement(inertial, "inertia", diagonal | {"ixy": "0", "ixz": "0", "iyz": "0"})
+            place = _se3(model.body_ipos[body], model.body_iquat[body])
+            inertial_element(link, place, repr(float(model.body_mass[body])), diagonal)
         first = int(model.body_geomadr[body])
         for geom in range(first, first + int(model.body_geomnum[body])) if body else ():
             if model.geom_group[geom] < _SHOWN_GROUPS:
@@ -309,9 +303,7 @@ class _Reader:
                 where = Path(self.meshes, file).as_posix()
                 shape = "mesh", {"filename": where, "scale": spaced(model.mesh_scale[mesh])}
         if shape is not None:
-            visual = SubElement(link, "visual")
-            SubElement(visual, "origin", origin_of(place))
-            SubElement(SubElement(visual, "geometry"), *shape)
+            visual_element(link, place, Element(*shape))
 
     def _motors(self) -> Iterator[str]:
         types = self.mujoco.mjtTrn
@@ -399,29 +391,12 @@ class _Reader:
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
 
 
-def across(axis: FloatArray) -> FloatArray:
-    """Return two unit vectors across one (3,), and each other, (2, 3)."""
-    second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    second /= np.linalg.norm(second)
-    return np.array([second, np.cross(axis, second)])
-
-
 def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:
     """A placement from MuJoCo's numbers: w, x, y, z."""
     w, x, y, z = map(float, quaternion)
     turned = pin.Quaternion(w, x, y, z)
     turned.normalize()
     return pin.SE3(turned.matrix(), np.array(xyz, dtype=float))
-
-
-def origin_of(place: pin.SE3) -> dict[str, str]:
-    """Return the attributes of a URDF's origin."""
-    return {"xyz": spaced(place.translation), "rpy": spaced(pin.rpy.matrixToRpy(place.rotation))}
-
-
-def spaced(values: Iterable[float]) -> str:
-    """Return numbers as an attribute of a URDF."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def _text(names: bytes) -> str:

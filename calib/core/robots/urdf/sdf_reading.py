@@ -28,7 +28,8 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
-from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot, across, origin_of, spaced
+from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot
+from calib.core.robots.urdf.writing import across, document, inertial_element, joint_element, visual_element
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # limits of SDF beyond which there are none [m or rad]
@@ -90,9 +91,7 @@ class _Reader:
         named = [text for plugin in self.model.iter("plugin") for e in plugin.iter("joint_name") if (text := e.text)]
         motors = tuple(name for name in moving if name in named) if named or loops else tuple(moving)
         cut = [f"joint {joint.get('name')} closes a loop, which is cut open there" for joint in later]
-        ElementTree.indent(self.root)
-        content = b'<?xml version="1.0"?>\n' + ElementTree.tostring(self.root, encoding="utf-8") + b"\n"
-        return MjcfRobot(content, motors, tuple(loops), (), dict.fromkeys(moving, 0.0), tuple(cut))
+        return MjcfRobot(document(self.root), motors, tuple(loops), (), dict.fromkeys(moving, 0.0), tuple(cut))
 
     def _text(self, element: Element, tag: str, default: str = "") -> str:
         return (element.findtext(tag) or default).strip()
@@ -190,14 +189,14 @@ class _Reader:
             if kind == "prismatic":
                 raise self._wrong(joint, "slides without limits, which a URDF must have: add them")
             kind = "continuous" if kind == "revolute" else kind
-        element = self._element(name, kind, parent, between, origin)
-        if kind != "fixed":
-            SubElement(element, "axis", xyz=spaced(self._axis(joint)))
-            if kind != "continuous":
-                SubElement(element, "limit", lower=repr(limits[0]), upper=repr(limits[1]), effort="0", velocity="0")
+        if kind == "fixed":
+            joint_element(self.root, name, kind, (parent, between), origin)
+        else:
+            stated = None if kind == "continuous" else limits
+            element = joint_element(self.root, name, kind, (parent, between), origin, self._axis(joint), stated)
             self._follow(element, joint)
         if between != child:
-            self._element(f"{child}_fixed", "fixed", between, child, rest)
+            joint_element(self.root, f"{child}_fixed", "fixed", (between, child), rest)
 
     def _follow(self, element: Element, joint: Element) -> None:
         mimic = joint.find("axis/mimic")
@@ -208,13 +207,6 @@ class _Reader:
             )
             led_by = mimic.get("joint", "")
             SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset - factor * about))
-
-    def _element(self, name: str, kind: str, parent: str, child: str, origin: pin.SE3) -> Element:
-        element = SubElement(self.root, "joint", name=name, type=kind)
-        SubElement(element, "parent", link=parent)
-        SubElement(element, "child", link=child)
-        SubElement(element, "origin", origin_of(origin))
-        return element
 
     def _loop(self, joint: Element) -> MjcfLoop:
         """Two links of a joint that the tree has no place for."""
@@ -232,7 +224,7 @@ class _Reader:
         links = (f"{name}_a", f"{name}_b")
         for link, end in zip(links, ends, strict=True):
             SubElement(self.root, "link", name=link)
-            self._element(f"{link}_fixed", "fixed", end, link, self._place(end).inverse() * place)
+            joint_element(self.root, f"{link}_fixed", "fixed", (end, link), self._place(end).inverse() * place)
         return MjcfLoop(links, "6d" if kind == "fixed" else "3d", axes)
 
     def _planar(self, axis: FloatArray, ends: tuple[str, str]) -> bool:
@@ -257,19 +249,12 @@ class _Reader:
         inertial = link.find("inertial")
         mass = "" if inertial is None else self._text(inertial, "mass")
         if inertial is not None and mass:
-            element = SubElement(result, "inertial")
-            SubElement(element, "origin", origin_of(self._pose(inertial)))
-            SubElement(element, "mass", value=mass)
-            about = inertial.find("inertia")
-            names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-            known = {key: "0" if about is None else self._text(about, key, "0") for key in names}
-            SubElement(element, "inertia", known)
+            moments = inertial.findall("inertia/*")
+            inertial_element(result, self._pose(inertial), mass, {e.tag: (e.text or "0").strip() for e in moments})
         for visual in link.findall("visual"):
             shape = self._shape(visual)
             if shape is not None:
-                element = SubElement(result, "visual")
-                SubElement(element, "origin", origin_of(self._pose(visual)))
-                SubElement(element, "geometry").append(shape)
+                visual_element(result, self._pose(visual), shape)
 
     def _shape(self, visual: Element) -> Element | None:
         for kind, keys in (("box", ("size",)), ("sphere", ("radius",)), ("cylinder", ("radius", "length"))):

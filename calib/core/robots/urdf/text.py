@@ -11,7 +11,6 @@ back, and must then have the origins that were asked for.
 
 from __future__ import annotations
 
-import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,6 +35,7 @@ from calib.core.robots.urdf.reader import (
 )
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
+from calib.core.robots.urdf.writing import shortest, spelled
 from calib.core.robots.urdf.xacro_files import expanded
 
 __all__ = [
@@ -45,10 +45,8 @@ __all__ = [
     "Triple",
     "UrdfJoint",
     "UrdfText",
-    "joint_text",
     "parse_urdf",
     "read_urdf",
-    "robot_text",
 ]
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -140,7 +138,7 @@ class UrdfText:
         if joint.origin_span is None:
             end = joint.tag_span[1]
             blank = _BLANK.match(self.source, end)  # the line end and indent of what follows
-            attributes = " ".join(f'{key}="{_spell(value)}"' for key, value in changes.items())
+            attributes = " ".join(f'{key}="{spelled(value)}"' for key, value in changes.items())
             return [(end, end, (blank.group() if blank else b"") + f"<origin {attributes}/>".encode())]
         return _attribute_edits(self.source, joint.origin_span, changes)
 
@@ -200,56 +198,6 @@ def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:
     return UrdfText(source, path, reader.name, tuple(reader.links), tuple(reader.joints), reader.root_span, reader.end)
 
 
-def quoted(text: str) -> str:
-    """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
-    escaped = html.escape(text)
-    for letter in "\n\r\t":
-        escaped = escaped.replace(letter, f"&#{ord(letter)};")
-    return f'"{escaped}"'
-
-
-def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
-    """Return a new URDF.
-
-    Args:
-        name: Of the robot.
-        note: A comment at its head.
-        links: Names of links.
-        joints: Of `joint_text`.
-    """
-    body = "".join([*(f"  <link name={quoted(link)}/>\n" for link in links), *joints])
-    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoted(name)}>\n{body}</robot>\n'
-
-
-def joint_text(
-    name: str,
-    kind: str,
-    links: tuple[str, str],
-    xyz: Triple,
-    rpy: Triple,
-    axis: str,
-    limits: tuple[float, float] | None,
-) -> str:
-    """Return the element of a joint of a new URDF.
-
-    Args:
-        name: Of the joint.
-        kind: As URDF calls it.
-        links: Parent and child.
-        xyz, rpy: Its origin [m], [rad].
-        axis: Three numbers; empty if it does not move.
-        limits: Lowest and highest value [m or rad], if there are any.
-    """
-    parent, child = map(quoted, links)
-    lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{_spell(xyz)}" rpy="{_spell(rpy)}"/>']
-    if axis:
-        lines.append(f'<axis xyz="{axis}"/>')
-    if axis and limits:
-        lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
-    inside = "".join(f"    {line}\n" for line in lines)
-    return f'  <joint name={quoted(name)} type="{kind}">\n{inside}  </joint>\n'
-
-
 def apply_edits(source: bytes, edits: list[Edit]) -> bytes:
     """Replace byte ranges (start, end, replacement); all positions are those of `source`."""
     for start, end, text in sorted(edits, reverse=True):
@@ -270,16 +218,8 @@ def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -
             edits.append((start + first + 1, start + last - 1, _respell(old, value)))
         else:
             at = start + len(b"<origin")
-            edits.append((at, at, f' {key}="{_spell(value)}"'.encode()))
+            edits.append((at, at, f' {key}="{spelled(value)}"'.encode()))
     return edits
-
-
-def _spell(values: Triple) -> str:
-    return " ".join(_shortest(value) for value in values)
-
-
-def _shortest(value: float) -> str:
-    return repr(float(value)) if value != 0 else "0"
 
 
 def _respell(old: bytes, values: Triple) -> bytes:
@@ -287,8 +227,8 @@ def _respell(old: bytes, values: Triple) -> bytes:
     text = old.decode("ascii", errors="replace")
     numbers = list(NUMBER.finditer(text))
     if len(numbers) != 3 or "&" in text:  # spelled with character references: write it plainly
-        return _spell(values).encode()
+        return spelled(values).encode()
     for match, value in reversed(list(zip(numbers, values, strict=True))):
         if float(match.group()) != value:
-            text = text[: match.start()] + _shortest(value) + text[match.end() :]
+            text = text[: match.start()] + shortest(value) + text[match.end() :]
     return text.encode("ascii")

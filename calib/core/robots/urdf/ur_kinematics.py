@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from calib.core.base.sections import read_yaml
 from calib.core.base.units import millimetres
 from calib.core.numerics.halton import halton
 from calib.core.numerics.rigid import best_transform
+from calib.core.robots.urdf.writing import joint_text, robot_text
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
@@ -146,7 +148,7 @@ def _require_sound(origins: FloatArray, path: Path | str) -> None:
 
 def ur_urdf(origins: FloatArray, name: str = "ur") -> bytes:
     """Return the URDF of six origins x y z [m] roll pitch yaw [rad], (6, 6), with the frames of `ur_description`."""
-    links = ("base_link", "base", "base_link_inertia", *(f"{link}_link" for link in LINKS), "flange", "tool0")
+    every = ("base_link", "base", "base_link_inertia", *(f"{link}_link" for link in LINKS), "flange", "tool0")
     quarter, half = np.pi / 2, np.pi
     fixed = (
         ("base_link-base_fixed_joint", "base_link", "base", (0, 0, 0, 0, 0, half)),
@@ -155,21 +157,13 @@ def ur_urdf(origins: FloatArray, name: str = "ur") -> bytes:
         ("flange-tool0", "flange", "tool0", (0, 0, 0, quarter, 0, quarter)),
     )
     parents = ("base_link_inertia", *(f"{link}_link" for link in LINKS))
-    limits = (
-        f'    <axis xyz="0 0 1"/>\n    <limit lower="{-2 * np.pi!r}" upper="{2 * np.pi!r}" effort="0" velocity="0"/>\n'
-    )
-    lines = [f'<?xml version="1.0"?>\n<robot name="{name}">\n', *(f'  <link name="{link}"/>\n' for link in links)]
-    lines += [_joint(joint, "fixed", parent, child, origin, "") for joint, parent, child, origin in fixed]
-    lines += [
-        _joint(joint, "revolute", parent, child, tuple(origin), limits)
-        for joint, parent, child, origin in zip(JOINTS, parents, parents[1:], origins.tolist(), strict=False)
-    ]
-    return "".join([*lines, "</robot>\n"]).encode()
+    turning = zip(JOINTS, pairwise(parents), map(tuple, origins.tolist()), strict=True)
+    joints = [_joint(joint, "fixed", (parent, child), pose) for joint, parent, child, pose in fixed]
+    joints += [_joint(joint, "revolute", links, pose) for joint, links, pose in turning]
+    return robot_text(name, "joint origins as calibrations of Universal Robots have them", every, joints).encode()
 
 
-def _joint(name: str, kind: str, parent: str, child: str, origin: tuple[float, ...], more: str) -> str:
-    xyz, rpy = (" ".join(repr(float(number)) for number in part) for part in (origin[:3], origin[3:]))
-    return (
-        f'  <joint name="{name}" type="{kind}">\n    <parent link="{parent}"/> <child link="{child}"/>\n'
-        f'    <origin xyz="{xyz}" rpy="{rpy}"/>\n{more}  </joint>\n'
-    )
+def _joint(name: str, kind: str, links: tuple[str, str], origin: tuple[float, ...]) -> str:
+    x, y, z, roll, pitch, yaw = map(float, origin)
+    axis = "" if kind == "fixed" else "0 0 1"
+    return joint_text(name, kind, links, (x, y, z), (roll, pitch, yaw), axis, (-2 * np.pi, 2 * np.pi))

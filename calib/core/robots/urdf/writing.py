@@ -1,0 +1,135 @@
+"""New URDFs, by all that make one: as text from tables and lengths, as elements from files of other formats."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.robots.urdf.reader import Triple
+
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def quoted(text: str) -> str:
+    """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
+    escaped = html.escape(text)
+    for letter in "\n\r\t":
+        escaped = escaped.replace(letter, f"&#{ord(letter)};")
+    return f'"{escaped}"'
+
+
+def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
+    """Return a new URDF.
+
+    Args:
+        name: Of the robot.
+        note: A comment at its head.
+        links: Names of links.
+        joints: Of `joint_text`.
+    """
+    body = "".join([*(f"  <link name={quoted(link)}/>\n" for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoted(name)}>\n{body}</robot>\n'
+
+
+def joint_text(
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    xyz: Triple,
+    rpy: Triple,
+    axis: str,
+    limits: tuple[float, float] | None,
+) -> str:
+    """Return the element of a joint of a new URDF.
+
+    Args:
+        name: Of the joint.
+        kind: As URDF calls it.
+        links: Parent and child.
+        xyz, rpy: Its origin [m], [rad].
+        axis: Three numbers; empty if it does not move.
+        limits: Lowest and highest value [m or rad], if there are any.
+    """
+    parent, child = map(quoted, links)
+    lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{spelled(xyz)}" rpy="{spelled(rpy)}"/>']
+    if axis:
+        lines.append(f'<axis xyz="{axis}"/>')
+    if axis and limits:
+        lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
+    inside = "".join(f"    {line}\n" for line in lines)
+    return f'  <joint name={quoted(name)} type="{kind}">\n{inside}  </joint>\n'
+
+
+def spelled(values: Triple) -> str:
+    """Return three numbers as an attribute."""
+    return " ".join(shortest(value) for value in values)
+
+
+def shortest(value: float) -> str:
+    """Return the shortest decimal that reads back to the same number."""
+    return repr(float(value)) if value != 0 else "0"
+
+
+def document(root: Element) -> bytes:
+    """Return the URDF of an element `robot`."""
+    ElementTree.indent(root)
+    return b'<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="utf-8") + b"\n"
+
+
+def joint_element(
+    root: Element,
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    origin: pin.SE3,
+    axis: FloatArray | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Element:
+    """Add a joint to a robot, and return it; see `joint_text`."""
+    element = SubElement(root, "joint", name=name, type=kind)
+    SubElement(element, "parent", link=links[0])
+    SubElement(element, "child", link=links[1])
+    SubElement(element, "origin", origin_of(origin))
+    if axis is not None:
+        SubElement(element, "axis", xyz=spaced(axis))
+    if limits is not None:
+        SubElement(element, "limit", lower=repr(limits[0]), upper=repr(limits[1]), effort="0", velocity="0")
+    return element
+
+
+def inertial_element(link: Element, origin: pin.SE3, mass: str, moments: Mapping[str, str]) -> None:
+    """Add mass [kg] and moments of inertia [kg m^2] to a link; moments that are not given are 0."""
+    element = SubElement(link, "inertial")
+    SubElement(element, "origin", origin_of(origin))
+    SubElement(element, "mass", value=mass)
+    SubElement(element, "inertia", {key: moments.get(key, "0") or "0" for key in _MOMENTS})
+
+
+def visual_element(link: Element, origin: pin.SE3, shape: Element) -> None:
+    """Add a shape to a link."""
+    element = SubElement(link, "visual")
+    SubElement(element, "origin", origin_of(origin))
+    SubElement(element, "geometry").append(shape)
+
+
+def origin_of(place: pin.SE3) -> dict[str, str]:
+    """Return the attributes of a URDF's origin."""
+    return {"xyz": spaced(place.translation), "rpy": spaced(pin.rpy.matrixToRpy(place.rotation))}
+
+
+def spaced(values: Iterable[float]) -> str:
+    """Return numbers as an attribute of a URDF."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def across(axis: FloatArray) -> FloatArray:
+    """Return two unit vectors across one (3,), and each other, (2, 3)."""
+    second = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    second /= np.linalg.norm(second)
+    return np.array([second, np.cross(axis, second)])

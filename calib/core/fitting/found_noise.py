@@ -1,7 +1,7 @@
 """What the residuals of a fit say of its noise: scales of groups, sizes of families, offsets that readings share.
 
-All of it is told by the linear model around an evaluation (`calib.core.numerics.variance_components`). Of very many
-rows, a few take their place that have the same products (`Problem.condensed`).
+All of it is told by the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
+that have the products of all (`Problem.condensed`) where these are enough.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     ones, unknowns = np.ones(len(groups)), problem.unknowns
     if unknowns.families:
         return found_with_families(_with_families(problem, evaluation, ones), groups)
-    in_batches = len(evaluation.batches) > 1 and problem.weighing is None
-    model = problem.condensed(evaluation, ones, unknowns) if in_batches else problem.rows(evaluation, ones)
+    alike = problem.weighing is None
+    model = problem.condensed(evaluation, ones, unknowns) if alike else problem.rows(evaluation, ones)
     return found_scales(model, groups, problem.noise_found).scales, np.ones(0)
 
 

@@ -38,7 +38,6 @@ from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import Tall
 
 _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
@@ -103,18 +102,14 @@ class Products:
     count: IntArray
 
     @staticmethod
-    def of(jacobian: FloatArray | Tall, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
+    def of(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
         """Return those of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
         n = jacobian.shape[1]
         gram, pull, square = np.zeros((n_groups, n, n)), np.zeros((n_groups, n)), np.zeros(n_groups)
-        for places, columns in Tall.of(jacobian).parts():
-            groups, rights = group[places], residuals[places]
-            for g in range(n_groups):
-                in_group = groups == g
-                rows, right = (columns, rights) if np.all(in_group) else (columns[in_group], rights[in_group])
-                gram[g] += rows.T @ rows
-                pull[g] += rows.T @ right
-                square[g] += right @ right
+        for g in range(n_groups):
+            in_group = group == g
+            rows, right = (jacobian, residuals) if np.all(in_group) else (jacobian[in_group], residuals[in_group])
+            gram[g], pull[g], square[g] = rows.T @ rows, rows.T @ right, right @ right
         return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
 
     def times(self, scales: FloatArray) -> Products:

@@ -395,9 +395,13 @@ class _Way:
         if self._weights is not None:
             return RowStack(rows, prior)
         if unknowns.families:
-            products = partial(problem.products, evaluation, groups, rows) if unknowns is problem.unknowns else None
-            return RowStack(rows, prior, products=products and (lambda: products().weighed(groups)))
+            of_all = unknowns is problem.unknowns
+            return RowStack(rows, prior, products=partial(self._products, evaluation, rows) if of_all else None)
         return RowStack(rows, prior, lambda: problem.condensed(evaluation, groups, unknowns, rows).factor)
+
+    def _products(self, evaluation: Evaluation, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """J^T J (n, n) and J^T r (n,) of rows (n_rows, n) there."""
+        return self._problem.products(evaluation, self._groups, rows).weighed(self._groups)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:

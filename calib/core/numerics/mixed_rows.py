@@ -97,8 +97,8 @@ class Part(ReadOnlyArrays):
         return Part(self.members, nothing, nothing, self.family)
 
     @staticmethod
-    def of(members: IntArray, columns: FloatArray, family: int) -> Part:
-        """Return that of the columns of a family, (n_rows, n)."""
+    def of(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> Part:
+        """Return that of the columns of a family, (n_rows, n); without components shorter than `least`."""
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
@@ -107,7 +107,7 @@ class Part(ReadOnlyArrays):
             kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
             return Part(members, kept, np.zeros((len(members), 0)), family)
         values, vectors = _principal(columns)
-        seen = values > _ASIDE**2 * values[-1]
+        seen = values > max(_ASIDE**2 * values[-1], least**2 if family >= 0 else 0.0)
         return Part(members, vectors[:, seen], vectors[:, ~seen], family)
 
 

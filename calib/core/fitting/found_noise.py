@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.prior_sizes import FamilyModel, found_with_families
+from calib.core.numerics.prior_sizes import Products, found_with_families
 from calib.core.numerics.variance_components import found_components, found_scales
 
 
@@ -26,21 +26,13 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
         Scales of the groups (n_groups,), factors of the families (n_families,).
     """
     ones, unknowns = np.ones(len(groups)), problem.unknowns
+    plain = problem.weighing is None
     if unknowns.families:
-        return found_with_families(_with_families(problem, evaluation, ones), groups)
-    alike = problem.weighing is None
-    model = problem.condensed(evaluation, ones, unknowns) if alike else problem.rows(evaluation, ones)
+        products = problem.products(evaluation, ones) if plain else Products.of_model(problem.rows(evaluation, ones))
+        deviations = unknowns.deviations(evaluation.robot.values)
+        return found_with_families(products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups)
+    model = problem.condensed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
     return found_scales(model, groups, problem.noise_found).scales, np.ones(0)
-
-
-def _with_families(problem: Problem, evaluation: Evaluation, ones: FloatArray) -> FamilyModel:
-    """What rows whitened by what is stated say of the noise and of families."""
-    unknowns = problem.unknowns
-    rest = problem.noise_found, unknowns.family, len(unknowns.families)
-    if problem.weighing is not None:
-        return FamilyModel.of(problem.rows(evaluation, ones), *rest)
-    deviations = unknowns.deviations(evaluation.robot.values)
-    return FamilyModel(problem.products(evaluation, ones), unknowns.prior, deviations, *rest)
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:

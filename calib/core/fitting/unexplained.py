@@ -33,7 +33,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics.mixed_model import MixedModel
-from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import likeliest_sizes, scatter_beside_noise
 from calib.core.rows.rows import Rows
 
@@ -59,10 +59,5 @@ def _model(rows: Rows, by_joint: FloatArray) -> MixedModel:
     layout, pose = rows.layout, rows.layout.pose_of_row
     poses = np.unique(pose)
     use = np.isin(pose, poses[:: -(-len(poses) // _POSES)]) & (layout.group >= 0) & np.any(rows.jacobian != 0.0, axis=1)
-    noise = NoiseOfRows(layout.group[use], np.array([group.stated for group in layout.groups]), pose[use])
-    no_family = np.full(rows.jacobian.shape[1], -1)
-    return MixedModel.of(
-        MixedRows.of(
-            rows.jacobian[use], rows.residuals[use], rows.prior, rows.deviations, no_family, noise, by_joint[use]
-        )
-    )
+    no_family, stated = np.full(rows.jacobian.shape[1], -1), np.array([group.stated for group in layout.groups])
+    return MixedModel.of(MixedRows.of(rows.at(use), no_family, stated, pose[use], by_joint[use]))

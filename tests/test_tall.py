@@ -1,4 +1,4 @@
-"""Matrices in parts: the same as whole ones."""
+"""Products that are looked at in parts: the same as whole ones."""
 
 import pickle
 
@@ -6,53 +6,12 @@ import numpy as np
 import pytest
 
 from calib.core.numerics import tall as tall_matrices
-from calib.core.numerics.identifiability import reduced
-from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import Span, Tall, in_parts, squares_of_rows
+from calib.core.numerics.tall import Span, in_parts, squares_of_rows
 
 
 @pytest.fixture
 def matrix():
     return np.random.default_rng(0).standard_normal((50, 4))
-
-
-def cut(matrix):
-    """A matrix in three parts, one of which is not in a row."""
-    places = [slice(0, 7), np.array([9, 7, 8]), slice(10, 50)]
-    return Tall(matrix.shape, lambda: ((part, matrix[part]) for part in places))
-
-
-def test_products_and_lengths_are_those_of_the_whole(matrix):
-    right = np.random.default_rng(1).standard_normal(50)
-    for tall in (cut(matrix), Tall.of(matrix), Tall.of(cut(matrix))):
-        np.testing.assert_allclose(tall.times(right[:4]), matrix @ right[:4], atol=1e-12)
-        np.testing.assert_allclose(tall.pulled(right), matrix.T @ right, atol=1e-12)
-        np.testing.assert_allclose(tall.lengths(), np.linalg.norm(matrix, axis=0), rtol=1e-12)
-        np.testing.assert_array_equal(tall.whole(), matrix)
-
-
-def test_the_triangular_factor_has_the_same_products(matrix):
-    right = np.random.default_rng(1).standard_normal(50)
-    factor, whole = cut(matrix).factor(right), np.column_stack([matrix, right])
-    assert factor.shape == (5, 5)
-    np.testing.assert_allclose(factor.T @ factor, whole.T @ whole, atol=1e-12)
-    np.testing.assert_allclose(cut(matrix).products(right), whole.T @ whole, atol=1e-12)
-    np.testing.assert_allclose(np.abs(cut(matrix).factor()), np.abs(reduced(matrix)), atol=1e-12)
-
-
-def test_rows_above_a_prior_are_those_of_both(matrix):
-    prior = Prior(np.array([True, False, True, True]), np.array([2, 3]), np.array([[1.0, 0.5], [0.5, 1.0]]))
-    whole, right = np.vstack([matrix, prior.rows]), np.random.default_rng(1).standard_normal(53)
-    both = np.column_stack([whole, right])
-    products = cut(matrix).with_known(products=lambda: (matrix.T @ matrix, matrix.T @ right[:50]))
-    factored = cut(matrix).with_known(lambda: reduced(matrix, right[:50]))
-    for tall in (rows.above(prior) for rows in (cut(matrix), Tall.of(matrix), products, factored)):
-        np.testing.assert_array_equal(tall.whole(), whole)
-        np.testing.assert_allclose(tall.times(right[:4]), whole @ right[:4], atol=1e-12)
-        np.testing.assert_allclose(tall.pulled(right), whole.T @ right, atol=1e-12)
-        np.testing.assert_allclose(tall.products(right), both.T @ both, atol=1e-12)
-        factor = tall.factor(right)
-        np.testing.assert_allclose(factor.T @ factor, both.T @ both, atol=1e-12)
 
 
 @pytest.mark.parametrize("rows_kept", [0, 50], ids=["multiplied where it is looked at", "kept"])

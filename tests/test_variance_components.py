@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import FamilyModel, found_with_families
+from calib.core.numerics.prior_sizes import Products, found_with_families
 from calib.core.numerics.variance_components import found_components, found_scales
 
 N_FREE = 4
@@ -161,7 +161,9 @@ def with_families(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model, family = with_families(seed)
-    scales, sizes = found_with_families(FamilyModel.of(model, ONE, family, 2), np.array([1.0]))
+    scales, sizes = found_with_families(
+        Products.of_model(model), model.prior, model.deviations, ONE, family, np.array([1.0])
+    )
 
     def minus_twice_log(x):
         factor = np.append(np.exp(x[1:]), 1.0)[family]
@@ -177,4 +179,9 @@ def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
 def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     model, family = with_families(3)
     unseen = replace(model, jacobian=model.jacobian * np.where(family == 1, 1e-9, 1.0))
-    assert found_with_families(FamilyModel.of(unseen, ONE, family, 2), np.array([1.0]))[1][1] == 1.0
+    assert (
+        found_with_families(Products.of_model(unseen), unseen.prior, unseen.deviations, ONE, family, np.array([1.0]))[
+            1
+        ][1]
+        == 1.0
+    )

@@ -32,7 +32,7 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import place, solve_from
 from calib.core.numerics.least_squares import TOLERANCE, minimise
-from calib.core.numerics.tall import Tall
+from calib.core.numerics.linear_point import RowStack
 from calib.core.robots.terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
@@ -150,7 +150,7 @@ def against_minpack(robot, data):
             theirs = scipy.optimize.least_squares(
                 lambda u: np.nan_to_num(residuals(u), nan=1e6),
                 start,
-                lambda u: Tall.of(jacobian(u)).whole(),
+                lambda u: RowStack.of(jacobian(u)).whole,
                 method="lm",
                 max_nfev=300,
             )
@@ -189,7 +189,7 @@ def lowest_costs(robot, data):
                 lambda seen, name=name: scipy.optimize.least_squares(
                     lambda u: np.nan_to_num(seen(u), nan=1e6),
                     start,
-                    lambda u: Tall.of(jacobian(u)).whole(),
+                    lambda u: RowStack.of(jacobian(u)).whole,
                     method=name,
                     **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
                     max_nfev=300,

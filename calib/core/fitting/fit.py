@@ -45,7 +45,6 @@ from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
-from calib.core.rows.rows import Rows, Scales
 from calib.core.rows.whitening import Whitening
 
 
@@ -208,7 +207,7 @@ def fit_at(
         unknowns=problem.unknowns,
         statistics=uncertainty,
         determination=minimum.determined,
-        observability=_observability(problem, final, rows, scales, minimum.determined.free.rank),
+        observability=_observability(problem, final, minimum.determined.free.rank),
         rows=rows,
         whitening=problem.whitening,
         scales=scales,
@@ -236,14 +235,11 @@ def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measureme
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 
-def _observability(problem: Problem, final: Evaluation, rows: Rows, scales: Scales, rank: int) -> dict[str, float]:
+def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
-    if len(units) == 1 and problem.weighing is None:  # all rows are scaled alike
-        factor: FloatArray = rows.factor[:, :-1][:, problem.unknowns.family < 0] * (scales.groups / units)
-    else:
-        factor = problem.derivative(final, units, own).factor()
+    factor = problem.condensed(final, units, own).jacobian
     return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
 

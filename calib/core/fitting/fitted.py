@@ -32,8 +32,8 @@ from calib.core.robots.held import Holds
 from calib.core.robots.loops import reached_from_home
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.batches import observed_in
 from calib.core.rows.determination import Determination
+from calib.core.rows.observed import observe
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
 from calib.core.rows.rows import Group, Rows, Scales
 from calib.core.rows.told_positions import ToldPositions
@@ -413,16 +413,8 @@ class Fit(ReadOnlyArrays, Hinting):
     @cached_property
     def by_joint(self) -> dict[str, FloatArray]:
         """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
-        readings, n_joints = self.identification.data.readings, len(self.robot.joint_names)
-        result: dict[str, FloatArray] = {
-            name: np.empty((len(own), self.robot.instrument(name).n_rows, n_joints)) for name, own in readings.items()
-        }
-        for batch, observed in observed_in(
-            self.robot, self.configurations, readings, self.whitening.batches, joints=True
-        ):
-            for name, chosen in batch.readings.items():
-                result[name][chosen] = observed[name].by_joint
-        return result
+        observed = observe(self.robot, self.configurations, self.identification.data.readings, joints=True)
+        return {name: own.by_joint.copy() for name, own in observed.items()}  # the rest takes memory
 
     @property
     def undecided(self) -> UndecidedTerms | None:
@@ -452,11 +444,9 @@ class Fit(ReadOnlyArrays, Hinting):
         data = errors.data
         before, after, whitening, factors = self._whitened(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
-        jacobian = np.empty((whitening.layout.n_rows, len(self.unknowns)))
-        for batch, observed in observed_in(self.robot, configurations, data.readings, whitening.batches):
-            jacobian[batch.rows] = whitening.columns(observed, factors, self.unknowns, batch)
-        deviations = self.unknowns.deviations(self.robot.values)
-        return before, Rows(after, jacobian, self.unknowns.prior, deviations, whitening.layout)
+        observed = observe(self.robot, configurations, data.readings)
+        rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
+        return before, replace(rows, residuals=after)
 
     def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
         """Return whitened residuals before and after calibration, (n_rows,) each, by the noise as found."""

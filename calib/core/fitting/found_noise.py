@@ -1,7 +1,7 @@
 """What the residuals of a fit say of its noise: scales of groups, sizes of families, offsets that readings share.
 
-All of it is told by the linear model around an evaluation (`calib.core.numerics.variance_components`). Of very many
-rows, a few take their place that have the same products (`Problem.condensed`).
+All of it is told by the linear model around an evaluation (`calib.core.numerics.variance_components`), of a few rows
+that have the products of all (`Problem.condensed`) where these are enough.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.fitting.problem import Evaluation, Problem
-from calib.core.numerics.prior_sizes import FamilyModel, found_with_families
+from calib.core.numerics.prior_sizes import Products, found_with_families
 from calib.core.numerics.variance_components import found_components, found_scales
 
 
@@ -26,21 +26,13 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
         Scales of the groups (n_groups,), factors of the families (n_families,).
     """
     ones, unknowns = np.ones(len(groups)), problem.unknowns
+    plain = problem.weighing is None
     if unknowns.families:
-        return found_with_families(_with_families(problem, evaluation, ones), groups)
-    in_batches = len(evaluation.batches) > 1 and problem.weighing is None
-    model = problem.condensed(evaluation, ones, unknowns) if in_batches else problem.rows(evaluation, ones)
+        products = problem.products(evaluation, ones) if plain else Products.of_model(problem.rows(evaluation, ones))
+        deviations = unknowns.deviations(evaluation.robot.values)
+        return found_with_families(products, unknowns.prior, deviations, problem.noise_found, unknowns.family, groups)
+    model = problem.condensed(evaluation, ones, unknowns) if plain else problem.rows(evaluation, ones)
     return found_scales(model, groups, problem.noise_found).scales, np.ones(0)
-
-
-def _with_families(problem: Problem, evaluation: Evaluation, ones: FloatArray) -> FamilyModel:
-    """What rows whitened by what is stated say of the noise and of families."""
-    unknowns = problem.unknowns
-    rest = problem.noise_found, unknowns.family, len(unknowns.families)
-    if problem.weighing is not None:
-        return FamilyModel.of(problem.rows(evaluation, ones), *rest)
-    deviations = unknowns.deviations(evaluation.robot.values)
-    return FamilyModel(problem.products(evaluation, ones), unknowns.prior, deviations, *rest)
 
 
 def ratios_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:

@@ -182,14 +182,9 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
 
 
 def _columns(problem: Problem, evaluation: Evaluation, index: IntArray) -> FloatArray:
-    """Return the whitened derivative by parameters (n,), not scaled; of very many rows a few that are worth as much."""
-    whitening, groups = problem.whitening, problem.whitening.start()
-    if len(evaluation.batches) > 1:
-        unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
-        return problem.condensed(evaluation, groups, unknowns).jacobian / unknowns.scales
-    (_, observed), *_ = evaluation.observed(index)
-    columns = whitening.flatten({name: block.by(index) for name, block in observed.items()}, in_place=True)
-    return columns / whitening.row_scale(groups)[:, None]
+    """Return a few rows that have the products of the derivative by parameters (n,), whitened and not scaled."""
+    unknowns = Unknowns.of(problem.robot, np.isin(np.arange(len(problem.robot.parameters)), index))
+    return problem.condensed(evaluation, problem.whitening.start(), unknowns).jacobian / unknowns.scales
 
 
 def _why(problem: Problem) -> str:

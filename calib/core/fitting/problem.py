@@ -12,28 +12,27 @@ loop is answered with NaN, on which the solver (`calib.core.numerics.least_squar
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.numerics.identifiability import reduced_with
+from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
+from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.prior_sizes import Products
-from calib.core.numerics.tall import Tall
 from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.configurations import Configurations, close, configured, describe_open
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
-from calib.core.rows.batches import Batch, observed_in
 from calib.core.rows.observed import Observed, observe
 from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
@@ -51,7 +50,6 @@ class Evaluation:
         robot: With these values.
         configurations: Its assembled visits.
         readings: What was read, of each instrument, by name.
-        batches: In which batches it is looked at.
         products: What `Problem.products` remembers: scales of the unknowns, and products for these.
         factors: What `Problem.condensed` remembers: some unknowns, and factors of the rows of each group by these.
     """
@@ -59,37 +57,18 @@ class Evaluation:
     robot: Robot
     configurations: Configurations
     readings: Mapping[str, Readings]
-    batches: tuple[Batch, ...]
     products: list[tuple[FloatArray, Products]] = field(default_factory=list)
     factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
 
     @cached_property
-    def _all(self) -> dict[str, Observed]:
-        """Residuals and derivatives of each instrument, by name; kept of few readings alone."""
+    def observed(self) -> dict[str, Observed]:
+        """Residuals and derivatives of each instrument, by name."""
         return observe(self.robot, self.configurations, self.readings)
 
-    def observed(self, index: IntArray) -> Iterator[tuple[Batch, Mapping[str, Observed]]]:
-        """Yield residuals and derivatives by some parameters (n,) of each instrument, by name, batch by batch."""
-        if len(self.batches) == 1:
-            yield self.batches[0], self._all
-        else:
-            yield from observed_in(self.robot, self.configurations, self.readings, self.batches, index=index)
-
-    @cached_property
+    @property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
-        if len(self.batches) == 1:
-            return {name: observed.residuals for name, observed in self._all.items()}
-        widths = {name: self.robot.instrument(name).n_rows for name in self.readings}
-        residuals: dict[str, FloatArray] = {
-            name: np.empty((len(readings), widths[name])) for name, readings in self.readings.items()
-        }
-        looked = observed_in(self.robot, self.configurations, self.readings, self.batches, derivatives=False)
-        for batch, observed in looked:
-            for name, places in batch.readings.items():
-                residuals[name][places] = observed[name].residuals
-        hold(*residuals.values())
-        return residuals
+        return {name: observed.residuals for name, observed in self.observed.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +204,7 @@ class Problem(ReadOnlyArrays):
         if not np.all(closed.ok):
             return None
         configurations = configured(robot, self.data.joints, closed, columns)
-        return Evaluation(robot, configurations, self.data.readings, self.whitening.batches)
+        return Evaluation(robot, configurations, self.data.readings)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
@@ -252,7 +231,7 @@ class Problem(ReadOnlyArrays):
             evaluation, groups, unknowns: As of `rows`.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        jacobian = self.derivative(evaluation, groups, chosen).whole()
+        jacobian = self.derivative(evaluation, groups, chosen)
         deviations = chosen.deviations(evaluation.robot.values)
         return Rows(self.residuals(evaluation, groups), jacobian, chosen.prior, deviations, self.whitening.layout)
 
@@ -265,49 +244,36 @@ class Problem(ReadOnlyArrays):
         return self.whitening.flatten(evaluation.residuals) / self.whitening.row_scale(groups)
 
     def derivative(
-        self,
-        evaluation: Evaluation,
-        groups: FloatArray,
-        unknowns: Unknowns,
-        weights: FloatArray | None = None,
-    ) -> Tall:
+        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None = None
+    ) -> FloatArray:
         """Return the derivative of the rows by some scaled parameters, without whitening for shared errors.
 
         Args:
             evaluation, groups, unknowns: As of `rows`.
             weights: Of each reading, (n_readings,).
+
+        Returns:
+            (n_rows, n_unknowns).
         """
-        layout = self.whitening.layout
-        roots = None if weights is None else np.sqrt(weights)[layout.reading]
-
-        def batches() -> Iterator[tuple[IntArray | slice, FloatArray]]:
-            for batch, observed in evaluation.observed(unknowns.index):
-                columns = self.whitening.columns(observed, groups, unknowns, batch)
-                if roots is not None:
-                    columns *= roots[batch.rows][:, None]
-                yield batch.rows, columns
-
-        if len(evaluation.batches) == 1:
-            return Tall.of(next(batches())[1])
-        return Tall((layout.n_rows, len(unknowns)), batches)
+        columns = self.whitening.columns(evaluation.observed, groups, unknowns)
+        if weights is not None:
+            columns *= np.sqrt(weights)[self.whitening.layout.reading][:, None]
+        return columns
 
     def condensed(
-        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, *, alone: bool = False
+        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None = None
     ) -> LinearModel:
         """Return a model of a few rows, (n_few, n_unknowns), that have the products of all.
 
-        They are made of the triangular factors of the rows of each group, which one pass over very many rows gives for
-        an evaluation, by all parameters that belong to no family.
+        They are made of the triangular factors of the rows of each group, which are made once for an evaluation.
 
         Args:
             evaluation, groups: As of `rows`.
-            unknowns: Some of these parameters.
-            alone: Whether the pass need not tell of the others.
+            unknowns: Some parameters.
+            rows: The derivative of the rows by these, (n_rows, n_unknowns), if it is there.
         """
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
-            every = Unknowns.of(self.robot, np.array([not p.family for p in self.robot.parameters]))
-            looked = unknowns if alone else every
-            evaluation.factors[:] = [(looked, self._factors(evaluation, looked))]
+            evaluation.factors[:] = [(unknowns, self._factors(evaluation, groups, unknowns, rows))]
         known, factors = evaluation.factors[0]
         chosen = np.append(np.searchsorted(known.index, unknowns.index), len(known))
         sizes = np.append(unknowns.scales / known.scales[chosen[:-1]], 1.0)
@@ -316,22 +282,22 @@ class Problem(ReadOnlyArrays):
             np.repeat(np.arange(len(groups)), [len(factor) for factor in factors]), self.whitening.layout.counts
         )
         deviations = unknowns.deviations(evaluation.robot.values)
-        return LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
+        model = LinearModel(rows[:, -1], rows[:, :-1], unknowns.prior, deviations, few)
+        if len(groups) == 1 and len(unknowns) == len(known):  # they are that factor already
+            model.remember(rows)
+        return model
 
-    def _factors(self, evaluation: Evaluation, unknowns: Unknowns) -> list[FloatArray]:
+    def _factors(
+        self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None
+    ) -> list[FloatArray]:
         """Triangular factors of [J r] of the rows of each group, as stated, (at most n + 1, n + 1)."""
-        ones = np.ones(len(self.whitening.groups))
-        group, residuals = self.whitening.layout.group, self.residuals(evaluation, ones)
-        factors: list[FloatArray] = [np.zeros((0, len(unknowns) + 1)) for _ in ones]
-        for places, columns in self.derivative(evaluation, ones, unknowns).parts():
-            for g in range(len(ones)):
-                mine = group[places] == g
-                whole = bool(np.all(mine))
-                rows, right = (columns, residuals[places]) if whole else (columns[mine], residuals[places][mine])
-                factors[g] = reduced_with(factors[g], rows, right)
-        return factors
+        rows = self.derivative(evaluation, groups, unknowns) if rows is None else rows
+        residuals, group = self.residuals(evaluation, groups), self.whitening.layout.group
+        members = [group == g for g in range(len(groups))]
+        parts = [slice(None) if np.all(mine) else mine for mine in members]  # a slice copies nothing
+        return [scale * reduced(rows[part], residuals[part]) for part, scale in zip(parts, groups, strict=True)]
 
-    def products(self, evaluation: Evaluation, groups: FloatArray, rows: Tall | None = None) -> Products:
+    def products(self, evaluation: Evaluation, groups: FloatArray, rows: FloatArray | None = None) -> Products:
         """Return the products of the rows by the free parameters, whitened by what is stated.
 
         They are made once for an evaluation, whatever scales of noise and sizes of families are tried there.
@@ -419,21 +385,26 @@ class _Way:
             residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
         return np.concatenate([residuals, self._unknowns.prior.times(u)])
 
-    def jacobian(self, u: FloatArray) -> Tall:
+    def jacobian(self, u: FloatArray) -> RowStack:
         """Return their derivative by u, (n_rows, n_unknowns), and go there."""
         evaluation = self._evaluation(u)
         if evaluation is None:  # derivatives are asked for only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
         self.current, self._looked_at = evaluation, [(u, evaluation)]  # the others take memory
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
-        rows = plain = problem.derivative(evaluation, groups, unknowns, self._weights)
+        rows, prior = problem.derivative(evaluation, groups, unknowns, self._weights), unknowns.prior
         if problem.weighing is not None:
-            rows = Tall.of(problem.weighing.whiten(plain.whole()))
-        elif self._weights is None and unknowns is problem.unknowns and unknowns.families:
-            rows = plain.with_known(products=lambda: problem.products(evaluation, groups, plain).weighed(groups))
-        elif self._weights is None and plain.is_cut and not np.any(unknowns.family >= 0):
-            rows = plain.with_known(lambda: problem.condensed(evaluation, groups, unknowns, alone=True).factor)
-        return rows.above(unknowns.prior)
+            return RowStack(problem.weighing.whiten(rows), prior)
+        if self._weights is not None:
+            return RowStack(rows, prior)
+        if unknowns.families:
+            of_all = unknowns is problem.unknowns
+            return RowStack(rows, prior, products=partial(self._products, evaluation, rows) if of_all else None)
+        return RowStack(rows, prior, lambda: problem.condensed(evaluation, groups, unknowns, rows).factor)
+
+    def _products(self, evaluation: Evaluation, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """J^T J (n, n) and J^T r (n,) of rows (n_rows, n) there."""
+        return self._problem.products(evaluation, self._groups, rows).weighed(self._groups)
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:

@@ -40,6 +40,7 @@ from calib.core.fitting.settings import Settings
 from calib.core.fitting.starts import explore
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.clusters import Scatter, scatter
+from calib.core.numerics.identifiability import reduced
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.prior_sizes import variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, found_factors, statistics
@@ -129,10 +130,8 @@ def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     solution.
     """
     unknowns, groups = problem.unknowns, problem.whitening.start()
-    if len(placed.batches) > 1 and not unknowns.families:
-        lengths = np.linalg.norm(problem.condensed(placed, groups, unknowns).jacobian, axis=0)
-    else:
-        lengths = problem.derivative(placed, groups, unknowns).lengths()
+    columns = problem.derivative(placed, groups, unknowns)
+    lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
     if not np.any(blind):
         return placed
@@ -157,7 +156,7 @@ def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> b
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
     groups = problem.whitening.start(placed.residuals)
     residuals = problem.residuals(placed, groups)
-    explained = problem.derivative(placed, groups, places).factor(residuals)[: len(places), -1]
+    explained = reduced(problem.derivative(placed, groups, places), residuals)[: len(places), -1]
     return bool(explained @ explained <= _PLACED * (residuals @ residuals))
 
 

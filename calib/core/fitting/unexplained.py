@@ -20,9 +20,12 @@ all readings alike, as in a gantry, it is most of what residuals have.
 Delta is no part of the covariance of parameters: these are found with residuals as large as they are. Of very many
 poses, some tell it.
 
-When it fails. A stated noise that is too small counts as an error of the joints. What the parameters took up shows in
-no residual: at poses unlike those measured the robot may be further off. Gross errors that a robust loss lets through
-count, too. Of a robot that its parameters describe, noise alone makes delta larger than 0 in about half of all fits.
+When it fails. A stated noise that is too small counts as an error of the joints. Where noise is not stated, an error of
+few joints, as of a coupling, does not look like one of all joints, and most of it counts as noise: of three simulated
+arms with couplings, positions were off by 1.8 to 2.7 standard deviations (RMS), of twelve with gears, a sag or gains by
+0.85 to 1.35. State the noise, or fit the term. What the parameters took up shows in no residual: at poses unlike those
+measured the robot may be further off. Gross errors that a robust loss lets through count, too. Of a robot that its
+parameters describe, noise alone makes delta larger than 0 in about half of all fits.
 
 Reference: patterson1971.
 """
@@ -33,7 +36,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics.mixed_model import MixedModel
-from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import likeliest_sizes, scatter_beside_noise
 from calib.core.rows.rows import Rows
 
@@ -59,10 +62,5 @@ def _model(rows: Rows, by_joint: FloatArray) -> MixedModel:
     layout, pose = rows.layout, rows.layout.pose_of_row
     poses = np.unique(pose)
     use = np.isin(pose, poses[:: -(-len(poses) // _POSES)]) & (layout.group >= 0) & np.any(rows.jacobian != 0.0, axis=1)
-    noise = NoiseOfRows(layout.group[use], np.array([group.stated for group in layout.groups]), pose[use])
-    no_family = np.full(rows.jacobian.shape[1], -1)
-    return MixedModel.of(
-        MixedRows.of(
-            rows.jacobian[use], rows.residuals[use], rows.prior, rows.deviations, no_family, noise, by_joint[use]
-        )
-    )
+    no_family, stated = np.full(rows.jacobian.shape[1], -1), np.array([group.stated for group in layout.groups])
+    return MixedModel.of(MixedRows.of(rows.at(use), no_family, stated, pose[use], by_joint[use]))

@@ -34,7 +34,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,9 +46,8 @@ from calib.core.instruments.kind import Part
 from calib.core.judging.repeatability import repeatability
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced, unit_columns
-from calib.core.numerics.tall import Tall, in_parts
 from calib.core.robots.robot import Robot
-from calib.core.rows.batches import Batch, batches_of, observed_in
+from calib.core.rows.observed import observe
 from calib.core.rows.rows import Layout, Rows
 from calib.core.rows.unknowns import Unknowns
 
@@ -185,24 +184,18 @@ def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, count
     removed = np.zeros((layout.n_rows, n_causes))
     pulling = np.zeros((layout.n_rows, 2 + n_causes))  # what the J of the end is multiplied with
     of_counted = slice(None) if np.all(counted) else counted
-    residuals, along, at_places = _empty(layout.n_rows, 1, n_causes, int(np.sum(unknowns.placement)))
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        for batch, jacobian, there in _seen(robot, errors, unknowns, layout):
-            residuals[batch.rows, 0], along[batch.rows] = there, jacobian @ steps
-            at_places[batch.rows] = jacobian[:, unknowns.placement]
-        by_places, moved = at_places[of_counted], along[of_counted]
+        jacobian, residuals = _seen(robot, errors, unknowns, layout)
+        by_places, moved = jacobian[of_counted][:, unknowns.placement], (jacobian @ steps)[of_counted]
         root, total = _root_of_span(by_places), np.sum(moved, axis=1)
         absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
         moved -= by_places @ (root @ (root.T @ (by_places.T @ moved)))
         moved[:, places] += absorbed
-        removed[of_counted] -= weight * residuals[of_counted] * moved
+        removed[of_counted] -= weight * residuals[of_counted, None] * moved
         for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
             pulling[of_counted, k] += weight / 2.0 * column
-    pulled = np.zeros((len(unknowns), pulling.shape[1]))
-    for batch, jacobian, _ in _seen(after, errors, unknowns, layout):
-        own = counted[batch.rows]
-        pulled += _counted(jacobian, own).T @ _counted(pulling[batch.rows], own)
+    pulled = _seen(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
     gradient = members * pulled[:, 0] + pulled[:, 2:].T
     gradient[places] += pulled[:, 1]
     chosen = np.unique(layout.reading[counted])
@@ -212,27 +205,20 @@ def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, count
     return _Path(sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen])
 
 
-def _empty(n_rows: int, *widths: int) -> list[FloatArray]:
-    """Arrays to fill, (n_rows, width) each."""
-    return [np.empty((n_rows, width)) for width in widths]
-
-
-def _seen(
-    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout
-) -> Iterator[tuple[Batch, FloatArray, FloatArray]]:
-    """Yield batches of rows with their derivative (n, n_free) and residuals (n,), under a robot on the way."""
+def _seen(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
+    """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, under a robot on the way."""
     data = errors.data
     conditions = data.conditions if robot.terms else None
     configurations = robot.assemble(data.joints, errors.passive, data.labels, conditions)
-    for batch, observed in observed_in(robot, configurations, data.readings, batches_of(layout), index=unknowns.index):
-        jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
-        yield batch, jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
+    observed = observe(robot, configurations, data.readings, index=unknowns.index)
+    jacobian = _flat({name: block.by(unknowns.index) for name, block in observed.items()}, layout)
+    return jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
     """Return h_k of the module docstring, (n_causes,)."""
     n = rows.jacobian.shape[1]  # of rows alone that count: sums over them stay as they are
-    jacobian = rows.factor[:n, :-1] if np.all(counted) else _reduced(rows.jacobian, counted)
+    jacobian = rows.factor[:n, :-1] if np.all(counted) else reduced(rows.jacobian[counted])
     pulled = (jacobian @ rows.known.root) @ rows.known.root.T
     placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian
@@ -258,17 +244,6 @@ def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
     """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
     parts = [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _counted(jacobian: FloatArray, counted: BoolArray) -> FloatArray:
-    """The rows that count; without a copy where all do, as it is large for many poses."""
-    return jacobian if np.all(counted) else jacobian[counted]
-
-
-def _reduced(rows: FloatArray, counted: BoolArray) -> FloatArray:
-    """Return the triangular factor of the rows that count."""
-    parts = ((part, _counted(rows[part], counted[part])) for part in in_parts(len(rows)))
-    return Tall((len(rows), rows.shape[1]), lambda: parts).factor()
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:

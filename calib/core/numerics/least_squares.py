@@ -94,8 +94,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError
-from calib.core.numerics.linear_point import ON_RADIUS, LinearPoint
-from calib.core.numerics.tall import Tall
+from calib.core.numerics.linear_point import ON_RADIUS, LinearPoint, RowStack
 
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
@@ -137,7 +136,7 @@ class Solution:
 
     x: FloatArray
     residuals: FloatArray
-    jacobian: FloatArray | Tall
+    jacobian: FloatArray | RowStack
     cost: float
     converged: bool
     evaluations: int
@@ -147,7 +146,7 @@ class Solution:
 
 def minimise(
     residuals: Callable[[FloatArray], FloatArray],
-    jacobian: Callable[[FloatArray], FloatArray | Tall],
+    jacobian: Callable[[FloatArray], FloatArray | RowStack],
     start: FloatArray,
     *,
     scaling: Literal["unit", "jacobian"] = "unit",
@@ -158,7 +157,7 @@ def minimise(
 
     Args:
         residuals: x (n,) -> r (m,); NaN where r has no value.
-        jacobian: x (n,) -> dr/dx (m, n), as an array or in parts; asked for only where r was finite, and where the
+        jacobian: x (n,) -> dr/dx (m, n), as an array or above a prior; asked for only where r was finite, and where the
             iteration goes back to.
         start: Where to begin, (n,).
         scaling: D of the module docstring.
@@ -304,7 +303,7 @@ class _Path:
         back = self._back(values - self.current.residuals - self.current.jacobian.times(self._taken))
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
-    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | Tall]) -> int:
+    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | RowStack]) -> int:
         """Take the step to x (n,) with these residuals (m,), or stay; return how many further evaluations that took."""
         reached, length = _cost(values), min(self._length(self._step), self._radius)
         self._undone = not reached < self.lowest.cost
@@ -330,7 +329,7 @@ class _Path:
         self._rescale(trial)
         return 0
 
-    def go_back(self, jacobian: Callable[[FloatArray], FloatArray | Tall]) -> int:
+    def go_back(self, jacobian: Callable[[FloatArray], FloatArray | RowStack]) -> int:
         """Go back to the bottom of the valley for good, if the path is away; return how many evaluations that takes."""
         if self._left is None:
             return 0

@@ -106,6 +106,11 @@ class LinearModel:
         jacobian, deviations = self.jacobian[:, chosen], self.deviations[chosen]
         return replace(self, jacobian=jacobian, prior=self.prior.only(chosen), deviations=deviations)
 
+    def at(self, places: IntArray | BoolArray) -> LinearModel:
+        """Return some of the rows: their places (k,), or a mask (n_rows,)."""
+        groups = RowGroups.of(self.layout.group[places], len(self.layout.counts))
+        return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)
+
     def left_out(self, block: IntArray) -> LeftOut:
         """Return the model with blocks of rows (n_rows,) left out in turn."""
         return LeftOut(self.span, block)

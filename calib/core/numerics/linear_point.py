@@ -10,6 +10,8 @@ next one takes away. Beyond, rotations are used, whatever time they take.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +19,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.tall import Tall
+from calib.core.numerics.identifiability import reduced, reduced_with
+from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
 """Relative length within which a step counts as being on the ball that holds it."""
@@ -29,6 +32,61 @@ _EXACT = 1e-6  # inverse of the condition down to which they are exact enough
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 
+@dataclass(frozen=True, eq=False)
+class RowStack:
+    """Rows J of derivatives above those P of a prior, which are hardly more than ones.
+
+    Attributes:
+        rows: J, (n_rows, n).
+        prior: Of the unknowns.
+        factor: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where that is known.
+        products: Returns J^T J (n, n) and J^T r (n,), where these are known.
+    """
+
+    rows: FloatArray
+    prior: Prior
+    factor: Callable[[], FloatArray] | None = None
+    products: Callable[[], tuple[FloatArray, FloatArray]] | None = None
+
+    @staticmethod
+    def of(matrix: FloatArray | RowStack) -> RowStack:
+        """Return a matrix (m, n) as such a one without a prior."""
+        if isinstance(matrix, RowStack):
+            return matrix
+        return RowStack(matrix, Prior(np.zeros(matrix.shape[1], dtype=bool)))
+
+    @property
+    def whole(self) -> FloatArray:
+        """J above P, (m, n)."""
+        return np.vstack([self.rows, self.prior.rows]) if np.any(self.prior.has) else self.rows
+
+    def times(self, column: FloatArray) -> FloatArray:
+        """Return the product with a column (n,), (m,)."""
+        return np.concatenate([self.rows @ column, self.prior.times(column)])
+
+    def pulled(self, column: FloatArray) -> FloatArray:
+        """Return the product of its transpose with a column (m,), (n,)."""
+        n_rows = len(self.rows)
+        return np.asarray(self.rows.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
+
+    def reduced(self, right: FloatArray) -> FloatArray:
+        """Return the triangular factor of it and one more column (m,), (n + 1, n + 1) or fewer rows."""
+        if self.factor is None:
+            return reduced(self.whole, right)
+        return reduced_with(self.factor(), self.prior.rows, right[len(self.rows) :])
+
+    def gram(self, right: FloatArray) -> FloatArray:
+        """Return the products of its columns and one more (m,) with each other, (n + 1, n + 1)."""
+        n_rows, n = self.rows.shape
+        gram = np.zeros((n + 1, n + 1))
+        known = self.products or (lambda: (self.rows.T @ self.rows, self.rows.T @ right[:n_rows]))
+        gram[:n, :n], gram[:n, n] = known()
+        self.prior.added_to(gram[:n, :n])
+        gram[:n, n] += self.prior.rows.T @ right[n_rows:]
+        gram[n, :n], gram[n, n] = gram[:n, n], right @ right
+        return gram
+
+
 class LinearPoint:
     """A point, and the linear model there.
 
@@ -38,8 +96,8 @@ class LinearPoint:
         jacobian: J(x), (m, n).
     """
 
-    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | Tall) -> None:
-        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, Tall.of(jacobian)
+    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | RowStack) -> None:
+        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, RowStack.of(jacobian)
         self.cost = float(residuals @ residuals)
         self.triangle, self.projected, self.unseen = _reduced(self.jacobian, residuals)
 
@@ -146,14 +204,14 @@ def _solved(triangle: FloatArray, right: FloatArray, *, transposed: bool = False
     return solution
 
 
-def _reduced(jacobian: Tall, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def _reduced(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return R, Q^T r, and the square of r that no step takes away, to first order."""
-    n = jacobian.shape[1]
+    n = jacobian.rows.shape[1]
     if n >= _MANY:
-        products = jacobian.products(residuals)
+        products = jacobian.gram(residuals)
         triangle, failed = scipy.linalg.lapack.dpotrf(products[:n, :n])
         if not failed and scipy.linalg.lapack.dtrcon(triangle)[0] >= _EXACT:
             projected = _solved(triangle, products[:n, n], transposed=True)
             return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
-    factor = jacobian.factor(residuals)
+    factor = jacobian.reduced(residuals)
     return factor[:n, :n], factor[:n, n], float(np.sum(factor[n:, n] ** 2))

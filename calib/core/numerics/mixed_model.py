@@ -32,13 +32,16 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
                            mixed     sum of w_i T_ic^2 / V_i over the rows and the columns of f
                            noise, d  1/2 sum of w_i w'_i (1 - 2 h_i) + 1/2 tr(K A^-1 K' A^-1),  K = Z^T (w / V) Z
 
-Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
-a ten-thousandth of the largest are put aside: rows do not see them. They keep their prior, which counts where one
-predicts.
+With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
-Another row, of derivatives b, has the variance  b S A^-1 S b^T + sum over f of s_f^2 |b_f aside|^2 + d^2 |h|^2. And a
-pose that was used is predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k,
-and its covariance Q_kk^-1, the noise of the pose included.
+Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Those below
+a ten-thousandth of the largest are put aside: rows do not see them. So are, if that is asked for, those of a family
+that move all rows together by less than a part of noise: of a coefficient u ~ N(0, 1) whose column has the length l,
+rows say l^2 / (1 + l^2) of its variance.
+
+Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2. A pose that was used is
+predicted by all others: with Q_kk the block of its rows, the error of that is Q_kk^-1 (Q y)_k, and its covariance
+Q_kk^-1, the noise of the pose included.
 
 When it fails. What is far from linear, and families of which the sizes are as large as the rows are (`size_search` has
 priors for them). A family of a size says: its coefficients are about as large as each other.
@@ -91,12 +94,17 @@ class MixedModel(ReadOnlyArrays):
     turns: tuple[FloatArray, ...]
 
     @staticmethod
-    def of(rows: MixedRows) -> MixedModel:
-        """Rotate rows, and condense their columns."""
+    def of(rows: MixedRows, least: float = 0.0) -> MixedModel:
+        """Rotate rows, and condense their columns.
+
+        Args:
+            rows: The rows.
+            least: Length of a component of a family, as large as is expected, below which it is put aside.
+        """
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
         members = [np.flatnonzero(rows.family == number) for number in numbers]
         parts = tuple(
-            Part.of(places, rows.columns[:, places], number)
+            Part.of(places, rows.columns[:, places], number, least)
             for number, places in zip(numbers, members, strict=True)
             if len(places)
         )
@@ -120,11 +128,6 @@ class MixedModel(ReadOnlyArrays):
         """Groups whose noise is found, (n,)."""
         return np.flatnonzero(~self.rows.stated)
 
-    @property
-    def n_sizes(self) -> int:
-        """Number of sizes: of families, of noise that is not stated, and of scatter."""
-        return self.n_families + len(self.unstated) + self.scatters
-
     @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
@@ -136,10 +139,6 @@ class MixedModel(ReadOnlyArrays):
         noise[self.unstated] = np.exp(logs[self.n_families : self.n_families + len(self.unstated)])
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
 
-    def components(self, derivative: FloatArray) -> FloatArray:
-        """Return derivatives by the condensed columns (..., n), from those by all columns (..., n_columns)."""
-        return np.concatenate([derivative[..., part.members] @ part.kept for part in self.parts], axis=-1)
-
     def coefficients(self, condensed: FloatArray) -> FloatArray:
         """Return those of all columns (n_columns,), from those of the condensed ones (n,)."""
         result, start = np.zeros(self.rows.columns.shape[1]), 0
@@ -148,14 +147,6 @@ class MixedModel(ReadOnlyArrays):
             result[part.members] = part.kept @ condensed[start:end]
             start = end
         return result
-
-    def aside(self, derivative: FloatArray) -> FloatArray:
-        """Return |b_f aside|^2 of derivatives (n, n_columns), by family, (n_families, n)."""
-        squares = np.zeros((self.n_families, len(derivative)))
-        for part in self.parts:
-            if part.family >= 0:
-                squares[part.family] = np.sum((derivative[:, part.members] @ part.aside) ** 2, axis=1)
-        return squares
 
     def without(self, families: BoolArray) -> MixedModel:
         """Return the model without the columns of some families, (n_families,); their sizes stay, and say nothing."""
@@ -168,18 +159,18 @@ class MixedModel(ReadOnlyArrays):
         families, noise, scatter = self.sizes(logs)
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the last ones for -2 and -1
-        z = self.x * scale
-        weighed = z / variance[:, None]
-        matrix = z.T @ weighed
+        root = np.sqrt(variance)
+        z, y = self.x * scale / root[:, None], self.y / root
+        matrix = z.T @ z  # of a matrix with itself: half of the work
         matrix[np.diag_indices_from(matrix)] += self.has_prior + _RIDGE * np.diag(matrix)
         upper = np.linalg.cholesky(matrix).T
         inverse, _ = scipy.linalg.lapack.dpotri(upper)
         inverse = np.triu(inverse) + np.triu(inverse, 1).T
-        v = inverse @ (weighed.T @ self.y)
-        left = self.y - z @ v
+        v = inverse @ (z.T @ y)
+        left = y - z @ v
         determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(np.sum(np.log(variance)))
-        cost = float(np.sum(left**2 / variance) + np.sum(self.has_prior * v**2))
-        return SolvedModel(self, logs, scale, variance, z, inverse, v, left, 0.5 * (determinant + cost))
+        cost = float(np.sum(left**2) + np.sum(self.has_prior * v**2))
+        return SolvedModel(self, logs, scale, variance, z, upper, inverse, v, left, 0.5 * (determinant + cost))
 
 
 def _turned(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
@@ -206,10 +197,11 @@ class SolvedModel(ReadOnlyArrays):
         logs: Logarithms of the sizes, (n_sizes,).
         scale: Diagonal of S, (n,).
         variance: Diagonal of V, (n_rows,).
-        z: Z, (n_rows, n).
+        z: V^-1/2 Z, (n_rows, n).
+        upper: R with A = R^T R, (n, n).
         inverse: A^-1, (n, n).
         v: Scaled coefficients, (n,).
-        left: r, (n_rows,).
+        left: V^-1/2 r, (n_rows,).
         cost: -log L, up to a constant.
     """
 
@@ -218,25 +210,31 @@ class SolvedModel(ReadOnlyArrays):
     scale: FloatArray
     variance: FloatArray
     z: FloatArray
+    upper: FloatArray
     inverse: FloatArray
     v: FloatArray
     left: FloatArray
     cost: float
 
     @cached_property
+    def _spread(self) -> FloatArray:
+        """V^-1/2 Z R^-1, with A = R^T R, (n_rows, n)."""
+        return scipy.linalg.blas.dtrsm(1.0, self.upper, self.z, side=1)
+
+    @cached_property
     def _spanned(self) -> FloatArray:
-        """T, (n_rows, n)."""
-        return self.z @ self.inverse
+        """V^-1/2 T, (n_rows, n)."""
+        return scipy.linalg.blas.dtrsm(1.0, self.upper, self._spread, side=1, trans_a=1)
 
     @cached_property
     def _leverage(self) -> FloatArray:
         """h, (n_rows,)."""
-        return np.asarray(np.einsum("ij,ij->i", self._spanned, self.z) / self.variance)
+        return np.asarray(np.einsum("ij,ij->i", self._spread, self._spread))
 
     @cached_property
-    def _members(self) -> list[IntArray]:
-        """Columns of each family."""
-        return [np.flatnonzero(self.model.family == f) for f in range(self.model.n_families)]
+    def _members(self) -> FloatArray:
+        """1 where a column is of a family, else 0, (n_families, n)."""
+        return (self.model.family == np.arange(self.model.n_families)[:, None]).astype(float)
 
     @cached_property
     def _shares(self) -> FloatArray:
@@ -252,29 +250,20 @@ class SolvedModel(ReadOnlyArrays):
     @property
     def gradient(self) -> FloatArray:
         """That of `cost` by the logarithms of the sizes, (n_sizes,)."""
-        decided = 1.0 - np.diag(self.inverse) - self.v**2
-        of_rows = 1.0 - self._leverage - self.left**2 / self.variance
-        of_families = np.array([np.sum(decided[members]) for members in self._members])
-        return np.concatenate([of_families, 0.5 * self._shares @ of_rows])
+        of_families = self._members @ (1.0 - np.diag(self.inverse) - self.v**2)
+        return np.concatenate([of_families, 0.5 * self._shares @ (1.0 - self._leverage - self.left**2)])
 
     @property
     def information(self) -> FloatArray:
         """Fisher's, of the logarithms of the sizes, (n_sizes, n_sizes)."""
-        n, shares = self.model.n_families, self._shares
-        result = np.zeros((self.model.n_sizes, self.model.n_sizes))
-        squares, diagonal = self.inverse**2, np.diag(self.inverse)
-        rows = shares / self.variance @ self._spanned**2  # (n_noise, n)
-        for f, members in enumerate(self._members):
-            by_column = np.sum(squares[members], axis=0)
-            result[f, :n] = [2.0 * np.sum(by_column[others]) for others in self._members]
-            result[f, f] += 2.0 * np.sum(1.0 - 2.0 * diagonal[members])
-            result[f, n:] = result[n:, f] = np.sum(rows[:, members], axis=1)
-        seen = [(self.z.T * (share / self.variance)) @ self._spanned for share in shares]
-        for a, (share, one) in enumerate(zip(shares, seen, strict=True)):
-            for b, (other, two) in enumerate(zip(shares, seen, strict=True)):
-                direct = float(np.sum(share * other * (1.0 - 2.0 * self._leverage)))
-                result[n + a, n + b] = 0.5 * (direct + float(np.sum(one * two.T)))
-        return result
+        shares, members = self._shares, self._members
+        families = 2.0 * members @ self.inverse**2 @ members.T
+        families += np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(self.inverse)))
+        mixed = members @ (shares @ self._spanned**2).T
+        weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
+        seen = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
+        noise = 0.5 * ((shares * (1.0 - 2.0 * self._leverage)) @ shares.T + seen @ seen.T)
+        return np.block([[families, mixed], [mixed.T, noise]])
 
     @property
     def coefficients(self) -> FloatArray:
@@ -298,18 +287,15 @@ class SolvedModel(ReadOnlyArrays):
         weights, squares = weight[self.model.rows.group], np.zeros(int(np.max(block)) + 1)
         for k in range(len(squares)):
             places = np.concatenate([self.model.poses[pose] for pose in np.flatnonzero(block == k)])
-            unit, inner = self._kept_without(places)
-            values, vectors = linalg.eigh(inner)
+            values, vectors = self._kept_without(places)
             told = values > _DECIDES
-            error = (vectors[:, told] / values[told]) @ (vectors[:, told].T @ (self.left[places] / unit))
-            squares[k] = np.sum(weights[places] * (unit * error) ** 2)
+            error = (vectors[:, told] / values[told]) @ (vectors[:, told].T @ self.left[places])
+            squares[k] = np.sum(weights[places] * self.variance[places] * error**2)
         return squares
 
     def _kept_without(self, places: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Roots of V of some rows (k,), and Q of these rows in units of these, (k, k)."""
-        unit = np.sqrt(self.variance[places])
-        spanned, z = self._spanned[places] / unit[:, None], self.z[places] / unit[:, None]
-        return unit, np.eye(len(places)) - spanned @ z.T
+        """Eigenvalues (k,) and eigenvectors (k, k) of V^1/2 Q V^1/2 of some rows."""
+        return linalg.eigh(np.eye(len(places)) - self._spanned[places] @ self.z[places].T)
 
     def left_out(self) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Yield of each pose its rows (k,), and of these the error (k,) and its covariance (k, k).
@@ -317,9 +303,9 @@ class SolvedModel(ReadOnlyArrays):
         The pose is predicted by all others. A pose that alone decides a direction is left out.
         """
         for places, turn in zip(self.model.poses, self.model.turns, strict=True):
-            unit, inner = self._kept_without(places)
-            values, vectors = linalg.eigh(inner)
+            values, vectors = self._kept_without(places)
             if values[0] > _DECIDES:
+                unit = np.sqrt(self.variance[places])
                 root = turn @ (unit[:, None] * vectors / np.sqrt(values))
                 covariance = root @ root.T
-                yield places, covariance @ (turn @ (self.left[places] / unit**2)), covariance
+                yield places, covariance @ (turn @ (self.left[places] / unit)), covariance

@@ -8,21 +8,12 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from calib.core.numerics.prior import Prior
+from calib.core.numerics.linear_model import LinearModel
 
 FLAT, KNOWN = -2, -1
 """In place of the number of a family: a column without a prior, and one whose prior is N(0, 1)."""
 _ASIDE = 1e-4  # of the largest singular value of a family, below which its components are put aside
 _UNSEEN = 1e-11  # the same of flat columns: what rounding leaves of columns that depend on others
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseOfRows(ReadOnlyArrays):
-    """Which rows share noise; as of `MixedRows`."""
-
-    group: IntArray
-    stated: BoolArray
-    pose: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,30 +39,19 @@ class MixedRows(ReadOnlyArrays):
     levers: FloatArray
 
     @staticmethod
-    def of(
-        rows: FloatArray,
-        residuals: FloatArray,
-        prior: Prior,
-        deviations: FloatArray,
-        family: IntArray,
-        noise: NoiseOfRows,
-        levers: FloatArray,
-    ) -> MixedRows:
-        """Return the rows of a linear problem whose residuals are those at some deviations from what is expected.
+    def of(model: LinearModel, family: IntArray, stated: BoolArray, pose: IntArray, levers: FloatArray) -> MixedRows:
+        """Return the rows of a linear model around some deviations from what is expected.
 
         Args:
-            rows: Derivatives of the residuals by scaled parameters, (n_rows, n_columns).
-            residuals: Predicted minus read, (n_rows,).
-            prior: Of the parameters.
-            deviations: Of these, u, (n_columns,).
+            model: Its residuals are predicted minus read.
             family: Family of each parameter whose size is found, -1 for others, (n_columns,).
-            noise: Of the rows.
-            levers: H, (n_rows, n_scattering).
+            stated, pose, levers: As of the class.
         """
+        rows, prior = model.jacobian, model.prior
         kind = np.where(family >= 0, family, np.where(prior.has, KNOWN, FLAT))
-        values = rows @ np.where(prior.has, deviations, 0.0) - residuals
+        values = rows @ np.where(prior.has, model.deviations, 0.0) - model.residuals
         columns = rows @ (prior.root + np.diag(~prior.has)) if len(prior.together) else rows
-        return MixedRows(columns, values, kind, noise.group, noise.stated, noise.pose, levers)
+        return MixedRows(columns, values, kind, model.layout.group, stated, pose, levers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,35 +60,32 @@ class Part(ReadOnlyArrays):
 
     Attributes:
         members: Their places, (n,).
-        kept: Components, (n, n_kept).
-        aside: Components that the rows do not see, (n, n_aside).
+        kept: Components that the rows see, (n, n_kept).
         family: As of `MixedRows`.
     """
 
     members: IntArray
     kept: FloatArray
-    aside: FloatArray
     family: int
 
     @property
     def empty(self) -> Part:
         """The same columns, with coefficients of zero."""
-        nothing = np.zeros((len(self.members), 0))
-        return Part(self.members, nothing, nothing, self.family)
+        return Part(self.members, np.zeros((len(self.members), 0)), self.family)
 
     @staticmethod
-    def of(members: IntArray, columns: FloatArray, family: int) -> Part:
-        """Return that of the columns of a family, (n_rows, n)."""
+    def of(members: IntArray, columns: FloatArray, family: int, least: float = 0.0) -> Part:
+        """Return that of the columns of a family, (n_rows, n); without components shorter than `least`."""
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
             values, vectors = _principal(columns / lengths)
             seen = values > _UNSEEN**2 * values[-1]
             kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
-            return Part(members, kept, np.zeros((len(members), 0)), family)
+            return Part(members, kept, family)
         values, vectors = _principal(columns)
-        seen = values > _ASIDE**2 * values[-1]
-        return Part(members, vectors[:, seen], vectors[:, ~seen], family)
+        seen = values > max(_ASIDE**2 * values[-1], least**2 if family >= 0 else 0.0)
+        return Part(members, vectors[:, seen], family)
 
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

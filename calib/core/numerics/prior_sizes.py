@@ -28,7 +28,6 @@ Reference: kass1989; patterson1971; mackay1992; chung2013.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -38,7 +37,6 @@ from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import inverse_of_triangle
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import Tall
 
 _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found
@@ -103,19 +101,21 @@ class Products:
     count: IntArray
 
     @staticmethod
-    def of(jacobian: FloatArray | Tall, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
+    def of(jacobian: FloatArray, residuals: FloatArray, group: IntArray, n_groups: int) -> Products:
         """Return those of rows (n_rows, n_free) and residuals (n_rows,), by the group of each row (n_rows,)."""
         n = jacobian.shape[1]
         gram, pull, square = np.zeros((n_groups, n, n)), np.zeros((n_groups, n)), np.zeros(n_groups)
-        for places, columns in Tall.of(jacobian).parts():
-            groups, rights = group[places], residuals[places]
-            for g in range(n_groups):
-                in_group = groups == g
-                rows, right = (columns, rights) if np.all(in_group) else (columns[in_group], rights[in_group])
-                gram[g] += rows.T @ rows
-                pull[g] += rows.T @ right
-                square[g] += right @ right
+        for g in range(n_groups):
+            in_group = group == g
+            rows, right = (jacobian, residuals) if np.all(in_group) else (jacobian[in_group], residuals[in_group])
+            gram[g], pull[g], square[g] = rows.T @ rows, rows.T @ right, right @ right
         return Products(gram, pull, square, np.bincount(group[group >= 0], minlength=n_groups))
+
+    @staticmethod
+    def of_model(model: LinearModel) -> Products:
+        """Return those of the rows of a linear model."""
+        counts = model.layout.counts
+        return replace(Products.of(model.jacobian, model.residuals, model.layout.group, len(counts)), count=counts)
 
     def times(self, scales: FloatArray) -> Products:
         """Return those of rows times the scales of their groups, (n_groups,)."""
@@ -140,83 +140,6 @@ class Products:
         return np.maximum(self.square + 2.0 * self.pull @ step + self.gram @ step @ step, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class FamilyModel:
-    """Products of rows with the priors beside them.
-
-    Attributes:
-        products: Of the rows, whitened by what is stated.
-        prior, deviations: As of `LinearModel`.
-        unstated: Which groups' scales are to be found, (n_groups,).
-        family: Family of each parameter, -1 for none, (n_free,).
-        n_families: Number of families.
-    """
-
-    products: Products
-    prior: Prior
-    deviations: FloatArray
-    unstated: BoolArray
-    family: IntArray
-    n_families: int
-
-    @staticmethod
-    def of(model: LinearModel, unstated: BoolArray, family: IntArray, n_families: int) -> FamilyModel:
-        """Return the model of rows, with `unstated` (n_groups,) and `family` (n_free,)."""
-        products = Products.of(model.jacobian, model.residuals, model.layout.group, len(unstated))
-        products = replace(products, count=model.layout.counts)
-        return FamilyModel(products, model.prior, model.deviations, unstated, family, n_families)
-
-    def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
-        """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""
-        factor = np.append(sizes, 1.0)[self.family]
-        matrix, pull = self.products.weighed(scales)
-        deviations = self.deviations / factor
-        right = pull + self.prior.pull(deviations) / factor
-        return SizedModel(self.prior.added_to(matrix, factor), right, factor, deviations)
-
-
-@dataclass(frozen=True, eq=False)
-class SizedModel:
-    """The linear model of `FamilyModel` with the sizes of its families.
-
-    Attributes:
-        matrix: J^T V^-1 J + D^-1 P D^-1 with D the factors, (n_free, n_free).
-        right: Right side of its equations, matrix x step = -right, (n_free,).
-        factor: Size of the family of each column, 1 for none, (n_free,).
-        deviations: u over these, (n_free,).
-    """
-
-    matrix: FloatArray
-    right: FloatArray
-    factor: FloatArray
-    deviations: FloatArray
-
-    @cached_property
-    def root(self) -> FloatArray:
-        """T with T T^T = matrix^-1, upper triangular, (n_free, n_free)."""
-        return inverse_root(self.matrix)
-
-    @cached_property
-    def step(self) -> FloatArray:
-        """To the minimum, (n_free,)."""
-        return -self.root @ (self.root.T @ self.right)
-
-    @cached_property
-    def variances(self) -> FloatArray:
-        """Those of u over the factors, (n_free,)."""
-        return np.asarray(np.einsum("ij,ij->i", self.root, self.root) / self.factor**2)
-
-    @property
-    def reached(self) -> FloatArray:
-        """Where the step leads to: u over the factors, (n_free,)."""
-        return self.deviations + self.step / self.factor
-
-    def share(self, prior: Prior) -> float:
-        """Return how many coefficients the prior decides: the trace of P times their covariance, over the factors."""
-        known = prior.together
-        return prior.share(self.root[known] / self.factor[known, None], self.variances)
-
-
 def inverse_root(matrix: FloatArray) -> FloatArray:
     """Return the upper triangular T with T T^T = matrix^-1, (n, n): a third of the work of an inverse.
 
@@ -228,7 +151,14 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
     return inverse_of_triangle(upper)
 
 
-def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+def found_with_families(
+    products: Products,
+    prior: Prior,
+    deviations: FloatArray,
+    sought: BoolArray,
+    family: IntArray,
+    start: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Find scales of groups together with the size of the priors of families.
 
     By restricted maximum likelihood, a_f^2 = |u_f|^2 / (n_f - trace of C_ff / a_f^2) with C the posterior covariance.
@@ -238,33 +168,38 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
     that the data do not see keep an interval.
 
     Args:
-        model: The rows, by their products.
+        products: Of the rows, whitened by what is stated.
+        prior, deviations: As of `LinearModel`.
+        sought: Which groups' scales are to be found, (n_groups,).
+        family: Family of each parameter, -1 for none, (n_free,).
         start: Scales of the groups to start from, (n_groups,).
 
     Returns:
         Scales of the groups (n_groups,), and a_f of the families (n_families,).
     """
-    products, n = model.products, len(model.deviations)
-    scales, sizes = start.copy(), np.ones(model.n_families)
-    members = [np.flatnonzero(model.family == f) for f in range(model.n_families)]
-    sought = np.flatnonzero(model.unstated & (products.count > 0))
+    members, known = _members(family), prior.together
+    scales, sizes = start.copy(), np.ones(len(members))
     alone = int(np.sum(products.count > 0)) == 1
     for _ in range(_ROUNDS):
-        solved = model.solved(scales, sizes)
-        variances, left = solved.variances, products.left(solved.step)
-        inverse = None if alone else solved.root @ solved.root.T
+        factor = np.append(sizes, 1.0)[family]  # everything else is over these
+        gram, pull = products.weighed(scales)
+        root = inverse_root(prior.added_to(gram, factor))
+        step = -root @ (root.T @ (pull + prior.pull(deviations / factor) / factor))
+        reached, left = (deviations + step) / factor, products.left(step)
+        variances = np.einsum("ij,ij->i", root, root) / factor**2
+        inverse = None if alone else root @ root.T
         change = np.ones(len(start))
-        for g in map(int, sought):
+        for g in map(int, np.flatnonzero(sought & (products.count > 0))):
             if inverse is None:  # what the rows determine is all that priors do not
-                used = n - solved.share(model.prior)
+                used = len(factor) - prior.share(root[known] / factor[known, None], variances)
             else:
                 used = float(np.sum(inverse * products.gram[g])) / scales[g] ** 2
             change[g] = np.sqrt(left[g] / max(products.count[g] - used, 0.5)) / scales[g]
-        growth = np.ones(model.n_families)
+        growth = np.ones(len(members))
         for f, in_family in enumerate(members):
             determined = len(in_family) - float(np.sum(variances[in_family]))
             if determined > _SEEN:  # else the data say nothing of it: it stays
-                square = float(np.sum(solved.reached[in_family] ** 2))
+                square = float(np.sum(reached[in_family] ** 2))
                 growth[f] = np.sqrt(square / determined)
                 if sizes[f] * growth[f] < 1.0:
                     growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])

@@ -279,26 +279,14 @@ def found_factors(
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    squares, freedom = _by_group(residuals**2, squares_of_rows(span), groups, n_groups)
+    own = (groups[:, None] == np.arange(n_groups)).astype(float)
+    squares, freedom = residuals**2 @ own, (1.0 - squares_of_rows(span)) @ own
     if confirmed is not None:
         squares, freedom = squares + confirmed, freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
-    factor = _factor(squares, freedom)
+    total = np.sum(squares) / np.sum(freedom)  # where a group's own rows say nothing about it
+    factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
     return Factors(factor, freedom, factor)
-
-
-def _by_group(
-    squares: FloatArray, leverage: FloatArray, groups: IntArray, n_groups: int
-) -> tuple[FloatArray, FloatArray]:
-    """Sums of squares of residuals (..., n_rows), and degrees of freedom, of each group, (..., n_groups)."""
-    own = (groups[:, None] == np.arange(n_groups)).astype(float)
-    return squares @ own, (1.0 - leverage) @ own
-
-
-def _factor(squares: FloatArray, freedom: FloatArray) -> FloatArray:
-    """Return f of each group, (..., n_groups); that of all where its own rows say nothing about it."""
-    total = np.sum(squares, axis=-1, keepdims=True) / np.sum(freedom, axis=-1, keepdims=True)
-    return np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
 
 
 def statistics(

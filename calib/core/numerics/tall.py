@@ -1,128 +1,18 @@
-"""Matrices of very many rows, of which no more is ever there than is looked at."""
+"""The product of a matrix of very many rows with a small one, of which no more is ever there than is looked at."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from copy import copy
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.numerics.identifiability import reduced, reduced_with
-from calib.core.numerics.prior import Prior
 
 ROWS_AT_ONCE = 1 << 13
 _KEPT = 1 << 15  # rows that a product of rows may have to be kept
 Places = IntArray | slice
 """Which rows."""
-
-
-class Tall:
-    """A matrix whose rows are made where they are looked at, perhaps above those of a prior.
-
-    Args:
-        shape: Of the matrix, without a prior.
-        parts: Makes its rows: yields their places, and the rows, (n_of_part, n_columns).
-        is_cut: Whether there is more than one part.
-    """
-
-    def __init__(
-        self, shape: tuple[int, int], parts: Callable[[], Iterable[tuple[Places, FloatArray]]], *, is_cut: bool = True
-    ) -> None:
-        self.shape, self._parts, self.is_cut = shape, parts, is_cut
-        self._factor: Callable[[], FloatArray] | None = None
-        self._products: Callable[[], tuple[FloatArray, FloatArray]] | None = None
-        self._prior: Prior | None = None
-
-    @staticmethod
-    def of(matrix: FloatArray | Tall) -> Tall:
-        """Return a matrix (n_rows, n_columns) that is there as a whole as such a one."""
-        if isinstance(matrix, Tall):
-            return matrix
-        return Tall((len(matrix), matrix.shape[1]), lambda: [(slice(len(matrix)), matrix)], is_cut=False)
-
-    def with_known(
-        self,
-        factor: Callable[[], FloatArray] | None = None,
-        products: Callable[[], tuple[FloatArray, FloatArray]] | None = None,
-    ) -> Tall:
-        """Return it with what is known of it and the residuals r beside it, made where it is asked for.
-
-        Args:
-            factor: Returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows.
-            products: Returns J^T J (n, n) and J^T r (n,).
-        """
-        result = copy(self)
-        result._factor, result._products = factor, products
-        return result
-
-    def above(self, prior: Prior) -> Tall:
-        """Return it above the rows P of a prior of its columns, which are hardly more than ones."""
-        result = copy(self)
-        result._prior, result.shape = prior, (self.shape[0] + len(prior.rows), self.shape[1])
-        return result
-
-    def _below(self) -> Iterator[tuple[Places, FloatArray]]:
-        if self._prior is not None:
-            yield slice(self.shape[0] - len(self._prior.rows), None), self._prior.rows
-
-    def parts(self) -> Iterator[tuple[Places, FloatArray]]:
-        """Yield places of rows, and the rows, (n_of_part, n_columns)."""
-        yield from self._parts()
-        yield from self._below()
-
-    def whole(self) -> FloatArray:
-        """Return all rows, (n_rows, n_columns)."""
-        if not self.is_cut:
-            together = [rows for _, rows in self.parts()]
-            return together[0] if len(together) == 1 else np.vstack(together)
-        result: FloatArray = np.empty(self.shape)
-        for places, rows in self.parts():
-            result[places] = rows
-        return result
-
-    def factor(self, right: FloatArray | None = None) -> FloatArray:
-        """Return the triangular factor of the matrix, with one more column (n_rows,) if given, (n, n)."""
-        if not self.is_cut:
-            return reduced(self.whole(), right)
-        factor: FloatArray = np.zeros((0, self.shape[1] + (right is not None)))
-        if self._factor is not None:
-            factor = self._factor() if right is not None else self._factor()[: self.shape[1], :-1]
-        for places, rows in self.parts() if self._factor is None else self._below():
-            factor = reduced_with(factor, rows, None if right is None else right[places])
-        return factor
-
-    def products(self, right: FloatArray) -> FloatArray:
-        """Return the products of its columns and one more (n_rows,) with each other, (n, n)."""
-        n = self.shape[1]
-        products = np.zeros((n + 1, n + 1))
-        if self._products is not None:
-            products[:n, :n], products[:n, n] = self._products()
-        else:
-            for places, rows in self._parts():
-                products[:n, :n] += rows.T @ rows
-                products[:n, n] += rows.T @ right[places]
-        if self._prior is not None:
-            self._prior.added_to(products[:n, :n])
-            products[:n, n] += self._prior.rows.T @ right[len(right) - len(self._prior.rows) :]
-        products[n, :n], products[n, n] = products[:n, n], right @ right
-        return products
-
-    def times(self, column: FloatArray) -> FloatArray:
-        """Return the product with a column (n_columns,), (n_rows,)."""
-        result = np.empty(self.shape[0])
-        for places, rows in self.parts():
-            result[places] = rows @ column
-        return result
-
-    def pulled(self, column: FloatArray) -> FloatArray:
-        """Return the product of its transpose with a column (n_rows,), (n_columns,)."""
-        return np.asarray(sum(rows.T @ column[places] for places, rows in self.parts()))
-
-    def lengths(self) -> FloatArray:
-        """Return the length of each column, (n_columns,)."""
-        return np.sqrt(sum(np.einsum("ij,ij->j", rows, rows) for _, rows in self.parts()))
 
 
 class Span:

@@ -24,8 +24,9 @@ and what they leave to the priors, as far as a position in this frame depends on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from calib.core.rows.common_motion import CommonMotion, Loose, target_poses
 from calib.core.rows.gauge import around_home, nearest_to_nominal
 from calib.core.rows.jacobian import linearise
 from calib.core.rows.known_robot import KnownRobot
-from calib.core.rows.prediction import CHUNK, PositionUncertainty, carried
+from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertainLinear
 
 _MOST = 400  # poses over which robots agree
 
@@ -80,30 +81,16 @@ class Frame(ReadOnlyArrays):
         Raises:
             UnreachablePoseError: A loop stays open.
         """
-        context = Context.neutral(*q.shape) if context is None else context
-        parts = [self._predicted(q[k : k + CHUNK], context.at(slice(k, k + CHUNK))) for k in range(0, len(q), CHUNK)]
-        positions, covariance, turned = (np.concatenate(part) for part in zip(*parts, strict=True))
-        uncertainty = self.known.uncertainty
-        factor = np.nan if uncertainty is None else uncertainty.coverage_factor
-        return PositionUncertainty(positions, covariance, factor, turned, self.robot.left_out)
-
-    def _predicted(self, q: FloatArray, context: Context) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, their covariance, and that of turns."""
         uncertainty = self.known.uncertainty
         if uncertainty is None:
             positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
             unknown = np.full((*positions.shape, 3), np.nan)
-            return positions, unknown, unknown
-        linear = uncertainty.linearised(self.robot, q, context)
+            return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.left_out)
         counts = uncertainty.counting(self.robot, self.counts)
-        jacobian = linear.jacobian[..., counts]
-        covariance = uncertainty.covariance_of(self.robot)[np.ix_(counts, counts)]
-        if self.motion is not None:
-            jacobian = (
-                jacobian - self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
-            )
-        spread, turned = (carried(jacobian[:, :, rows], covariance) for rows in (slice(3), slice(3, 6)))
-        return linear.positions, spread, turned
+        told = uncertainty.at(self.robot, q, context, counts=counts, common=self._common)
+        return PositionUncertainty(
+            told.positions, told.covariance, told.coverage_factor, told.turn_covariance, self.robot.left_out
+        )
 
     def not_corrected(self, q: FloatArray, context: Context) -> FloatArray:
         """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
@@ -125,14 +112,25 @@ class Frame(ReadOnlyArrays):
         return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
 
     @cached_property
-    def _following(self) -> FloatArray:
-        """How common motion follows the parameters that count, (k, n)."""
-        assert self.motion is not None
-        assert self.known.uncertainty is not None
-        joints, uncertainty = self.motion.joints, self.known.uncertainty
-        linear = uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
-        counts = uncertainty.counting(self.robot, self.counts)
-        return self.motion.following(linear.jacobian[..., counts]) * uncertainty.lasting(self.robot)[counts]
+    def _common(self) -> Callable[[UncertainLinear], FloatArray] | None:
+        """The common motion that follows what is uncertain; None where all counts."""
+        if self.motion is None or self.known.uncertainty is None:
+            return None
+        return beside_motion(self.motion, self.robot, self.known.uncertainty)
+
+
+def beside_motion(
+    motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
+) -> Callable[[UncertainLinear], FloatArray]:
+    """Return `common` of `ParameterUncertainty.at`: the common motion that follows all that is uncertain of a robot."""
+    linear = uncertainty.linearised(robot, motion.joints, Context.neutral(*motion.joints.shape))
+    following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
+    return partial(_common, motion, following)
+
+
+def _common(motion: CommonMotion, following: FloatArray, linear: UncertainLinear) -> FloatArray:
+    """How all moves together as common motion (k, n_uncertain) follows what is uncertain."""
+    return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
 def as_described(robot: Robot) -> Robot:

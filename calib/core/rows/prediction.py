@@ -20,8 +20,8 @@ Reference: jcgm100 (GUM), section 5.2.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -423,6 +423,8 @@ class ParameterUncertainty(ReadOnlyArrays):
         near: FloatArray | None = None,
         *,
         turns: bool = True,
+        counts: BoolArray | None = None,
+        common: Callable[[UncertainLinear], FloatArray] | None = None,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -432,19 +434,31 @@ class ParameterUncertainty(ReadOnlyArrays):
             context: Under which conditions they are given; joint terms may depend on it.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether the covariance of the orientations is wanted.
+            counts: Which of all that is uncertain counts, (n_uncertain,); all if not given.
+            common: Returns how positions and turns move together in a way that does not count, (n, n_targets, 6,
+                n_uncertain); then the covariance with it is `measured`.
 
         Raises:
             UnreachablePoseError: A loop stays open.
         """
         context = Context.neutral(*q.shape) if context is None else context
         known, shape = self.covariance_of(robot), (len(q), len(robot.mechanism.targets), 3)
-        points, covariances = np.empty(shape), [np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]]
+        known = known if counts is None else known * np.outer(counts, counts)
+        points = np.empty(shape)
+        whole, beside = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
         for some, linear in self.linearised_in_parts(robot, q, context, near, turns=turns):
             points[some] = linear.positions
-            for covariance, rows in zip(covariances, ROWS, strict=False):
-                covariance[some] = carried(linear.jacobian[:, :, rows], known)
-        hold(points, *covariances)
-        turned = covariances[1] if turns else None
-        return PositionUncertainty(
-            points, covariances[0], self.coverage_factor, turned, robot.left_out, contains=self.contains
+            jacobians = [linear.jacobian]
+            if common is not None:
+                jacobians.append(linear.jacobian - common(linear)[:, :, : linear.jacobian.shape[2]])
+            for to, jacobian in zip((whole, beside), jacobians, strict=False):
+                for covariance, rows in zip(to, ROWS, strict=False):
+                    covariance[some] = carried(jacobian[:, :, rows], known)
+        hold(points, *whole, *beside)
+        told, measured = (
+            PositionUncertainty(
+                points, own[0], self.coverage_factor, own[1] if turns else None, robot.left_out, contains=self.contains
+            )
+            for own in (beside, whole)
         )
+        return measured if common is None else replace(told, measured=measured)

@@ -129,12 +129,6 @@ class Layout(RowGroups):
         k = self.instruments.index(instrument)
         return slice(int(self.start[k]), int(self.start[k + 1]))
 
-    def rows_of_readings(self, instrument: str, chosen: IntArray) -> IntArray:
-        """Return the rows of some of the readings of an instrument, (n,), one reading's after the other's."""
-        rows, readings = self.rows_of(instrument), self.readings_of(instrument)
-        width = (rows.stop - rows.start) // (readings.stop - readings.start)
-        return (rows.start + chosen[:, None] * width + np.arange(width)).ravel()
-
 
 @dataclass(frozen=True, eq=False)
 class Rows(LinearModel):

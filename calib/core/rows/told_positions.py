@@ -12,20 +12,19 @@ covariance told is that of J d - A z(d). Where the measured point is on its link
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contribution
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.common_motion import CommonMotion, Loose, target_poses
-from calib.core.rows.frames import poses_of_agreement
+from calib.core.rows.common_motion import CommonMotion, Loose
+from calib.core.rows.frames import beside_motion, poses_of_agreement
 from calib.core.rows.known_robot import KnownRobot
-from calib.core.rows.prediction import ROWS, ParameterUncertainty, PositionUncertainty, carried
+from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertainLinear
 
 OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
 """Which frame it is where that is not the measurement frame."""
@@ -83,38 +82,11 @@ class ToldPositions(ReadOnlyArrays):
         """
         if self.motion is None:
             return self.uncertainty.at(self.robot, q, context, near, turns=turns)
-        context = Context.neutral(*q.shape) if context is None else context
-        known, shape = self.uncertainty.covariance_of(self.robot), (len(q), len(self.robot.mechanism.targets), 3)
-        points, measured, told = (
-            np.empty(shape),
-            *([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2)),
-        )
-        for some, linear in self.uncertainty.linearised_in_parts(self.robot, q, context, near, turns=turns):
-            points[some] = linear.positions
-            common = self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
-            common = common[:, :, : linear.jacobian.shape[2]]
-            for to, jacobian in ((measured, linear.jacobian), (told, linear.jacobian - common)):
-                for covariance, rows in zip(to, ROWS, strict=False):
-                    covariance[some] = carried(jacobian[:, :, rows], known)
-        hold(points, *measured, *told)
-        factor, left_out = self.uncertainty.coverage_factor, self.robot.left_out
-        turned, told_turned = (covariances[1] if turns else None for covariances in (measured, told))
-        contains = self.uncertainty.contains
-        in_measured = PositionUncertainty(points, measured[0], factor, turned, left_out, contains=contains)
-        contains |= {Contribution.FRAME}
-        return replace(
-            in_measured,
-            covariance=told[0],
-            turn_covariance=told_turned,
-            frame=OWN_FRAME,
-            measured=in_measured,
-            contains=contains,
-        )
+        told = self.uncertainty.at(self.robot, q, context, near, turns=turns, common=self._common)
+        return replace(told, frame=OWN_FRAME, contains=told.contains | {Contribution.FRAME})
 
     @cached_property
-    def _following(self) -> FloatArray:
-        """How common motion follows what is uncertain, (k, n_uncertain)."""
+    def _common(self) -> Callable[[UncertainLinear], FloatArray]:
+        """The common motion that follows what is uncertain."""
         assert self.motion is not None
-        joints = self.motion.joints
-        linear = self.uncertainty.linearised(self.robot, joints, Context.neutral(*joints.shape))
-        return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
+        return beside_motion(self.motion, self.robot, self.uncertainty)

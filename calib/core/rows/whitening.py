@@ -14,7 +14,6 @@ from calib.core.instruments.kind import Instrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.numerics.variance_components import SharedError
 from calib.core.robots.robot import Robot
-from calib.core.rows.batches import Batch, batches_of
 from calib.core.rows.observed import Observed
 from calib.core.rows.rows import Group, Layout, Rows, Scales
 from calib.core.rows.unknowns import Unknowns
@@ -72,19 +71,11 @@ class Whitening:
         """Groups of rows whose noise has one scale."""
         return self.layout.groups
 
-    @cached_property
-    def batches(self) -> tuple[Batch, ...]:
-        """The rows in batches of whole visits; few rows are one."""
-        return batches_of(self.layout)
-
-    def flatten(
-        self, arrays: Mapping[str, FloatArray], batch: Batch | None = None, *, in_place: bool = False
-    ) -> FloatArray:
+    def flatten(self, arrays: Mapping[str, FloatArray], *, in_place: bool = False) -> FloatArray:
         """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
         Args:
             arrays: By instrument.
-            batch: Of which readings they are; all if not given.
             in_place: Whether the arrays may be used up, so that large ones are not copied.
 
         Returns:
@@ -93,17 +84,18 @@ class Whitening:
         parts = []
         for name in self._names:
             array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
-            chosen = slice(None) if batch is None else batch.readings[name]
-            parts.append(self.whitened(name, array, chosen, in_place=in_place).reshape(-1, *array.shape[2:]))
+            parts.append(self.whitened(name, array, in_place=in_place).reshape(-1, *array.shape[2:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def whitened(self, name: str, array: FloatArray, chosen: IntArray | slice, *, in_place: bool = False) -> FloatArray:
+    def whitened(
+        self, name: str, array: FloatArray, chosen: IntArray | slice = slice(None), *, in_place: bool = False
+    ) -> FloatArray:
         """Whiten what some readings of an instrument have by the stated covariance, (n, n_rows) or (n, n_rows, k).
 
         Args:
             name: The instrument.
             array: What they have.
-            chosen: Which readings, (n,).
+            chosen: Which readings, (n,); all if not given.
             in_place: Whether the array may be used up.
         """
         inverse = self._inverse[name][chosen]
@@ -132,14 +124,9 @@ class Whitening:
                 result[name] = np.linalg.solve(inverse + nothing, own[:, :, None])[:, :, 0]
         return result
 
-    def row_scale(self, groups: FloatArray, batch: Batch | None = None) -> FloatArray:
-        """Return the scale of each row, or of those of a batch, 1 for rows that were not read, (n_rows,).
-
-        Args:
-            groups: Of each group, (n_groups,).
-            batch: Which rows; all if not given.
-        """
-        number = self.layout.group if batch is None else self.layout.group[batch.rows]
+    def row_scale(self, groups: FloatArray) -> FloatArray:
+        """Return the scale of each row, from those of the groups (n_groups,); 1 for rows not read, (n_rows,)."""
+        number = self.layout.group
         return np.where(number >= 0, groups[number], 1.0)
 
     def rows(
@@ -160,19 +147,12 @@ class Whitening:
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / self.row_scale(groups)
         return Rows(residuals, self.columns(observed, groups, unknowns), unknowns.prior, deviations, self.layout)
 
-    def columns(
-        self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, batch: Batch | None = None
-    ) -> FloatArray:
-        """Return the whitened derivative of the rows of a batch, or of all, by the scaled unknowns, (n_rows, n_free).
-
-        Args:
-            observed, groups, unknowns: As of `rows`.
-            batch: Of which readings they are.
-        """
-        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, batch, in_place=True)
+    def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
+        """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free); as of `rows`."""
+        columns = self.flatten({name: observed[name].by(unknowns.index) for name in self._names}, in_place=True)
         columns *= unknowns.scales
         if np.any(groups != 1.0):
-            columns /= self.row_scale(groups, batch)[:, None]
+            columns /= self.row_scale(groups)[:, None]
         return columns
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:

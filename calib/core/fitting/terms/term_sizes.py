@@ -57,12 +57,11 @@ from calib.core.fitting.terms.candidate_terms import TELLS, Candidate, TermChoic
 from calib.core.fitting.validation import stretches
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import MixedRows, NoiseOfRows
+from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import drawn_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
-from calib.core.rows.rows import Scales
 from calib.core.rows.unknowns import Unknowns
 
 LEAST_POSES = 16
@@ -71,6 +70,7 @@ _SMALL = 0.05  # of what is usual: a family so small is fitted only if the rows 
 _SHOWS = 1.0  # rise of the log likelihood by a family that they show
 _POSES = 500  # that tell the sizes
 _DRAWS = 24
+_HARDLY_FELT = 0.3  # length of a component of usual size, over the noise of the fit, that is nothing beside others
 _LITTLE = 0.01  # of the largest variance that readings feel of undecided terms, below which directions are left out
 _LIMITS = (0.025, 0.975)
 
@@ -154,23 +154,25 @@ class _TermModel:
     @cached_property
     def _at(self) -> SolvedModel:
         """The model with its likeliest sizes."""
+        return likeliest_sizes(MixedModel.of(self._rows))
+
+    @cached_property
+    def _rows(self) -> MixedRows:
+        """Rows of the model, over the noise that the fit found."""
         fit, layout = self._fit, self._fit.whitening.layout
         data, near = fit.identification.data, fit.configurations.passive
         observed = observe(
             self.robot, self.robot.assemble(data.joints, near, data.labels, data.conditions), data.readings
         )
-        ones, deviations = np.ones(len(layout.groups)), self._unknowns.deviations(self.robot.values)
+        groups, deviations = fit.scales.groups, self._unknowns.deviations(self.robot.values)
         weighing = fit.whitening.weighing(fit.scales.ratios)
-        rows = fit.whitening.rows(observed, ones, self._unknowns, deviations).weighted(fit.weights).whitened(weighing)
-        by_joint = fit.whitening.joint_columns(observed)[:, : len(fit.robot.joint_names)]
+        rows = fit.whitening.rows(observed, groups, self._unknowns, deviations).weighted(fit.weights).whitened(weighing)
+        by_joint = fit.whitening.joint_columns(observed) / fit.whitening.row_scale(groups)[:, None]
         levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
         levers = levers if weighing is None else weighing.whiten(levers)
         read = self._read
         found = np.zeros(len(layout.groups), dtype=bool)  # stated noise knows nothing of what the robot does
-        noise = NoiseOfRows(layout.group[read], found, layout.pose_of_row[read])
-        columns, residuals = rows.jacobian[read], rows.residuals[read]
-        mixed = MixedRows.of(columns, residuals, rows.prior, rows.deviations, self._family, noise, levers[read])
-        return likeliest_sizes(MixedModel.of(mixed))
+        return MixedRows.of(rows.at(read), self._family, found, layout.pose_of_row[read], levers[read])
 
     def _without_families(self, families: BoolArray) -> SolvedModel:
         """The model without some families, (n_families,), and with the likeliest sizes of the others."""
@@ -203,7 +205,8 @@ class _TermModel:
         """Squares of errors of blocks left out, in units of what no term leaves, (n_blocks,)."""
         bare = self._with(frozenset())
         rows, left = bare.model.rows, bare.left
-        sums, counts = (np.bincount(rows.group, values, len(rows.stated)) for values in (left**2, np.ones(len(left))))
+        squares = bare.variance * left**2
+        sums, counts = (np.bincount(rows.group, values, len(rows.stated)) for values in (squares, np.ones(len(left))))
         return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
@@ -300,7 +303,7 @@ class _TermModel:
 
     def undecided(self, fitted_terms: tuple[TermSection, ...]) -> UndecidedTerms | None:
         """Return what the sizes leave uncertain of these terms and of the others; None if that is nothing."""
-        model = self._at.model
+        model = MixedModel.of(self._rows, _HARDLY_FELT)
         logs = self._chosen.logs.copy()
         logs[: len(self._families)][~self._there] = self._least[: len(self._families)][~self._there]
         fitted = model.solved(logs)
@@ -336,7 +339,7 @@ class _TermModel:
         for places, _, covariance in self._chosen.left_out():
             std[self._read[places]] = np.sqrt(np.diag(covariance))
         std *= np.sqrt((1.0 if weighing is None else weighing.variances()) / fit.weights[layout.reading])
-        scales = Scales(np.ones(len(layout.groups)), np.zeros(len(fit.scales.ratios)))
+        scales = replace(fit.scales, ratios=np.zeros(len(fit.scales.ratios)))
         expected = replace(fit.identification, after=fit.whitening.read(std, scales))
         lengths = np.nansum(expected.errors("after", expected.main_part.name) ** 2, axis=1)
         return float(np.sqrt(np.mean(lengths[lengths > 0.0]))) if np.any(lengths > 0.0) else float("nan")

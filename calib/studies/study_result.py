@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, counted, data_frame, listed, plain_text, text_table
@@ -60,10 +60,10 @@ class Draws(ReadOnlyArrays):
             **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
         )
 
-    def answered(self) -> Draws:
-        """Return the draws that gave an answer."""
-        kept = np.isfinite(self.values[:, 0])
-        return Draws(**{field.name: getattr(self, field.name)[kept] for field in fields(Draws)})
+    @property
+    def answered(self) -> BoolArray:
+        """Which draws gave an answer, (n,)."""
+        return np.isfinite(self.values[:, 0])
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,8 @@ class Study(ReadOnlyArrays):
     @cached_property
     def answered(self) -> Draws:
         """The draws that gave an answer."""
-        return self.draws.answered()
+        kept = self.draws.answered
+        return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
 
     @property
     def parameters(self) -> tuple[ParameterStudy, ...]:

@@ -28,6 +28,7 @@ from calib.core.robots.robot_files import urdf_of_origins, without_terms
 ENDINGS = {
     "urdf": ".urdf",
     "mjcf": ".xml",
+    "drake": ".drake",
     "toolbox": ".yaml",
     "xacro": ".xacro",
     "joint-tables": "",

@@ -113,7 +113,7 @@ def test_export_load_export_is_identical(values: str, tmp_path: Path, request: p
     export(robot, tmp_path / "robot.yaml", "toolbox")
     loaded = calib.load(tmp_path / "robot.yaml")
     assert plain(urdf_bytes(loaded)) == urdf_bytes(robot)
-    for file_format in ("toolbox", "mjcf"):
+    for file_format in ("toolbox", "mjcf", "drake"):
         first, two = tmp_path / "one" / "robot.yaml", tmp_path / "two" / "robot.yaml"
         for path, source in ((first, robot), (two, loaded)):
             path.parent.mkdir(exist_ok=True)
@@ -148,7 +148,7 @@ def test_a_found_base_and_target_are_in_the_exported_description(tmp_path: Path)
     assert np.abs(calib.load(tmp_path / "robot.yaml").positions(q) - placed.positions(q)).max() < 1e-12
 
 
-# ---------------------------------------------------------------- MJCF
+# ---------------------------------------------------------------- MJCF and Drake
 
 
 def test_mjcf_bodies_stand_at_the_assembled_home(calibrated: calib.Robot) -> None:
@@ -186,6 +186,19 @@ def test_mjcf_has_a_servo_for_each_motor_and_a_connect_for_each_loop(nominal: ca
         ("distal_B2", "distal_D2"),
         ("distal_D2", "G2_slide"),
     ]
+
+
+def test_drake_urdf_is_the_calibrated_urdf_plus_one_block(calibrated: calib.Robot, tmp_path: Path) -> None:
+    export(calibrated, tmp_path / "out.urdf", "drake")
+    written, before = read_plain(tmp_path / "out.urdf"), urdf_bytes(calibrated)
+    start = written.index(b"\n<!-- calib: a closed robot for Drake")
+    end = written.index(b"</robot>")
+    namespace = b' xmlns:drake="http://drake.mit.edu"'
+    assert written.count(namespace) == 1
+    assert (written[:start] + written[end:]).replace(namespace, b"") == before
+    assert written[start:end].count(b"<drake:ball_constraint>") == 3
+    assert written[start:end].count(b"<transmission ") == 6
+    assert [j.name for j in parse_urdf(written).joints] == [j.name for j in calibrated.urdf.joints]
 
 
 def test_link_poses_of_the_text_are_those_of_the_engine(calibrated: calib.Robot) -> None:

@@ -21,7 +21,7 @@ SIGMA = 2e-5
 MIDDLE = np.array([0.0, 0.9, -0.8, 0.0, 0.7, 0.0])
 """Where the arm's zeros were set: gears turn too far from there."""
 GAIN = 0.01
-FILES = {"urdf": "arm.urdf", "mjcf": "arm.xml", "toolbox": "arm.yaml", "xacro": "arm.xacro",
+FILES = {"urdf": "arm.urdf", "mjcf": "arm.xml", "drake": "arm.drake", "toolbox": "arm.yaml", "xacro": "arm.xacro",
          "dh": "dh.csv", "mdh": "mdh.csv"}  # fmt: skip
 """Formats that hold joint origins, and a file of each."""
 

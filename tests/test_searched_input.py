@@ -46,7 +46,7 @@ OPTIONS = [
     "--result out", "--result .", "--json -", "--json j.json", "--json out", "--quiet", "--skip-unreachable",
     "--poses 3", "--poses 0", "--poses -1", "--count 3", "--count 0", "--count 5..2", "--count 99", "--index task",
     "--task data.csv", "--measured data.csv", "--exclude 1", "--min-distance-mm 1e9", "--min-distance-mm nan",
-    "--start random", "--format urdf", "--format dh", "--format mdh", "--format mjcf",
+    "--start random", "--format urdf", "--format dh", "--format mdh", "--format mjcf", "--format drake",
     "--format toolbox", "--format xacro", "--format joint-offsets", "--format ur-kinematics", "--format joint-tables",
     "--keep axis", "--grid 2,2,2", "--grid 0,0,0", "--grid 9,,", "--same-setup", "--plan", "--change turn.x=1mm",
     "--change turn.x=nan", "--change x", "--provenance", "--free-slide", "--meshes ''", "--target tool", "--target x",

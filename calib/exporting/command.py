@@ -35,8 +35,9 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     "file_format",
     type=click.Choice(tuple(formats())),
     help="By the ending of FILE (.urdf, .xml, .xacro, .c) if not given. urdf: only edited origins change. mjcf:"
-    " MuJoCo, Pinocchio, Drake; loops closed. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it."
-    " dh, mdh: Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
+    " MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
+    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
+    " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The files from dh to xacro"
     " state their error. joint-tables: a folder with tables of each joint's error, as CSV, and the URDF"
     " that goes with it. klipper, marlin, duet: lines to paste into the settings of a delta printer. Each file gets"
@@ -46,13 +47,13 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @click.option(
     "--free-slide",
     is_flag=True,
-    help="mjcf: add a free joint for each direction that a closure"
+    help="mjcf, drake: add a free joint for each direction that a closure"
     " leaves free, so that a 3D constraint has nothing to absorb.",
 )
 @click.option(
     "--meshes",
     metavar="PREFIX",
-    help="urdf, toolbox: put this before relative mesh paths, such as package://my_robot or /home/me/robot, so"
+    help="urdf, drake, toolbox: put this before relative mesh paths, such as package://my_robot or /home/me/robot, so"
     " that the file may lie anywhere.",
 )
 @click.option(
@@ -111,7 +112,7 @@ def command(
             output.note(
                 "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
             )
-    if relative and not meshes and file_format in ("urdf", "toolbox"):
+    if relative and not meshes and file_format in ("urdf", "drake", "toolbox"):
         output.note(
             f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them, or give"
             " --meshes"

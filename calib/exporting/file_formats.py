@@ -36,7 +36,7 @@ def _has_functions(robot: Robot) -> bool:
 
 _origins = partial(Format, holds=Holds.ORIGINS)
 FORMATS = (
-    *(_origins(name) for name in ("urdf", "mjcf", "toolbox")),
+    *(_origins(name) for name in ("urdf", "mjcf", "drake", "toolbox")),
     _origins("dh", fits=_is_chain, write=_controller("dh_file", "standard")),
     _origins("mdh", fits=_is_chain, write=_controller("dh_file", "modified")),
     Format("ur-kinematics", Holds.TO_LAST_AXIS, _is_ur, _controller("ur_kinematics")),

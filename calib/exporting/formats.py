@@ -13,13 +13,14 @@ from calib.core.robots.held import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import closed_model
+from calib.exporting.drake import drake_bytes
 from calib.exporting.functions.languages import LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
 from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 
-_WITH_URDF = ("urdf", "toolbox")
+_WITH_URDF = ("urdf", "drake", "toolbox")
 _UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is something to say
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
@@ -53,7 +54,7 @@ def export(
     Args:
         robot: The robot.
         format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
-            closed. `toolbox`: robot.yaml for toolbox-parallel-robots, with
+            closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error
@@ -61,8 +62,8 @@ def export(
             `duet`: lines to paste into the settings of a delta printer. `numpy`, `c`,
             `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
         path: File to write, or folder of `joint-tables`.
-        free_slide: Format `mjcf`: a free joint for each direction that a closure leaves free.
-        meshes: Formats that hold a URDF (`urdf`, `toolbox`): what to put before relative mesh paths, such as
+        free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
+        meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
             `package://my_robot`, so that they do not depend on where the file lies.
         provenance: Lines for the comment that says where the numbers come from; if this is None, formats `urdf` and
             `toolbox` put no comment into the URDF, unless it holds less than the robot.
@@ -86,8 +87,8 @@ def export(
     known = formats()
     if format not in known:
         raise InputError(f"format '{format}': unknown{nearest(format, known)}; the path comes before the format")
-    if free_slide and format != "mjcf":
-        raise InputError(f"format '{format}' has no variant with free slides; only mjcf has")
+    if free_slide and format not in ("mjcf", "drake"):
+        raise InputError(f"format '{format}' has no variant with free slides; only mjcf and drake have")
     if meshes and format not in _WITH_URDF:
         raise InputError(f"format '{format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
     sources = (robot.urdf.path, robot.path)
@@ -155,5 +156,7 @@ def _contents(
             write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()}, force=force)
             note(f"meshes that MuJoCo cannot read were converted into {folder}; keep that folder beside {path.name}")
         return {path: written.content}
+    if file_format == "drake":
+        return {path: drake_bytes(closed_model(robot, free_slide=free_slide), provenance or ())}
     urdf = path.with_suffix(".urdf")
     return {urdf: urdf_bytes(robot, provenance), path: toolbox_yaml(robot, urdf.name, provenance or ())}

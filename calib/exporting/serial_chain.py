@@ -70,7 +70,7 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
         elif np.any(mechanism.select_passive[index]) or np.any(mechanism.select_actuated[index]):
             raise InputError(
                 f"{robot.urdf.path}: joint '{joint.name}' on the way from {base} to {tip} follows other joints; this"
-                " format holds chains in which every joint has a motor, so use urdf, mjcf or toolbox"
+                " format holds chains in which every joint has a motor, so use urdf, mjcf, drake or toolbox"
             )
         elif joint.type not in HELD_TYPES:
             links[-1] = links[-1] * joint_motion(joint.type, joint.axis, float(mechanism.constant[index]))

@@ -29,7 +29,7 @@ class Case:
 
     Attributes:
         robot: What was exported.
-        folder: Exports: robot.urdf, robot.yaml, robot.xml, free.xml.
+        folder: Exports: robot.urdf, robot.yaml, robot.xml, free.xml, drake.urdf, free_drake.urdf.
         q: Actuated joints, (50, 6).
         joints: Every moving joint's value by name, per configuration.
         poses: Every link's pose in the world by name, per configuration, (4, 4) each.
@@ -64,7 +64,9 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     folder = tmp_path_factory.mktemp(request.param)
     for file_format, name in (("urdf", "robot.urdf"), ("toolbox", "robot.yaml"), ("mjcf", "robot.xml")):
         export(robot, folder / name, file_format)
+    export(robot, folder / "drake.urdf", "drake")
     export(robot, folder / "free.xml", "mjcf", free_slide=True)
+    export(robot, folder / "free_drake.urdf", "drake", free_slide=True)
     q = target_workspace().q[::8][:50]
     closed = forward(q, values)
     names = (*ACTUATED_JOINTS, *PASSIVE_JOINTS)

@@ -1,4 +1,4 @@
-"""Drake: the exported URDF and the MJCF; still and servoed under gravity."""
+"""Drake: the exported URDF, the one with ball constraints, and the MJCF; still and servoed under gravity."""
 
 import logging
 
@@ -22,10 +22,12 @@ def _quiet() -> None:
     logging.getLogger("drake").setLevel(logging.ERROR)  # it remarks on every MJCF tag that it passes over
 
 
-def load(file):
+def load(file, weld: str | None = None):
     plant = MultibodyPlant(time_step=1e-3)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     (instance,) = Parser(plant).AddModels(str(file))
+    if weld is not None:
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(weld, instance))
     plant.Finalize()
     return plant, instance
 
@@ -46,7 +48,7 @@ def read(plant, instance, context, names) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("file", ["robot.urdf", "robot.xml", "free.xml"])
+@pytest.mark.parametrize("file", ["robot.urdf", "drake.urdf", "free_drake.urdf", "robot.xml", "free.xml"])
 def test_every_link_is_where_pinocchio_says(case, file: str) -> None:
     plant, instance = load(case.folder / file)
     context = plant.CreateDefaultContext()
@@ -63,14 +65,15 @@ def test_every_link_is_where_pinocchio_says(case, file: str) -> None:
     assert case.largest_difference(f"Drake, {file}", pose) < 1e-9
 
 
-def test_the_loops_and_the_motors_are_read(case) -> None:
-    plant, _ = load(case.folder / "robot.xml")
+@pytest.mark.parametrize("file", ["drake.urdf", "robot.xml"])
+def test_the_loops_and_the_motors_are_read(case, file: str) -> None:
+    plant, _ = load(case.folder / file)
     assert (plant.num_constraints(), plant.num_actuators()) == (3, 6)
 
 
-def hold(file, robot: calib.Robot, q, values: dict[str, float], seconds: float = 1.0):
+def hold(file, robot: calib.Robot, q, values: dict[str, float], weld: str | None = None, seconds: float = 1.0):
     """Simulate with servos at q until the robot rests; returns plant, instance, context, and the joints there."""
-    plant, instance = load(file)
+    plant, instance = load(file, weld)
     simulator = Simulator(plant)
     context = simulator.get_mutable_context()
     put(plant, instance, context, values)
@@ -88,7 +91,7 @@ def place(plant, instance, context, frame: str) -> np.ndarray:
     return plant.GetFrameByName(frame, instance).CalcPoseInWorld(context).translation()
 
 
-@pytest.mark.parametrize("file", ["robot.xml", "free.xml"])
+@pytest.mark.parametrize("file", ["drake.urdf", "free_drake.urdf"])
 def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predicts(case, file: str) -> None:
     opening = there = from_commanded = 0.0
     for k in range(0, 50, 12):
@@ -109,15 +112,15 @@ def test_a_tilted_five_bar_stands_right_with_a_free_slide(tilted, tmp_path) -> N
     q = tilted.home + np.array([0.0, 0.25, 0.2, 0.1, -0.2, 0.3])
     passive = tilted.assemble(q).passive[0]
     joints = dict(zip((*tilted.joint_names, *tilted.passive_names), (*q, *passive), strict=True))
-    export(tilted, tmp_path / "out.xml", "mjcf", free_slide=True)
-    *where, actual = hold(tmp_path / "out.xml", tilted, q, joints)
+    export(tilted, tmp_path / "out.urdf", "drake", free_slide=True)
+    *where, actual = hold(tmp_path / "out.urdf", tilted, q, joints)
     assert np.linalg.norm(place(*where, "target_tool") - tilted.forward(actual)[:3, 3]) < SOFTNESS
     assert np.linalg.norm(place(*where, "target_tool") - tilted.forward(q)[:3, 3]) < SAG
 
 
-def test_whole_frames_that_meet_are_tied(four_bar, tmp_path) -> None:
-    export(four_bar, tmp_path / "out.xml", "mjcf")
+def test_whole_frames_that_meet_are_tied_at_three_points(four_bar, tmp_path) -> None:
+    export(four_bar, tmp_path / "out.urdf", "drake")
     start = {"motor": 0.9, "a": -0.9, "foot": 0.9, "b": -0.9}
-    *where, actual = hold(tmp_path / "out.xml", four_bar, [0.9], start)
+    *where, actual = hold(tmp_path / "out.urdf", four_bar, [0.9], start, weld="ground")
     point = np.array([0.2 * np.cos(actual[0]) + 0.1, 0.2 * np.sin(actual[0]) + 0.05, 0.0])  # a parallelogram
     assert np.abs(place(*where, "target_coupler") - point).max() < SOFTNESS

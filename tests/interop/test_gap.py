@@ -46,13 +46,14 @@ def test_gaps_of_tilted_links_are_those_that_pinocchio_measures(tilted: calib.Ro
 
 def test_the_gap_is_said_in_every_export_that_has_it(tilted: calib.Robot, tmp_path) -> None:
     said = f"a 3D constraint would have to absorb up to {1e3 * loop_gaps(tilted)[0].change:.4f} mm"
-    for file_format, name in (("mjcf", "a.xml"), ("toolbox", "a.yaml")):
+    for file_format, name in (("mjcf", "a.xml"), ("drake", "a.urdf"), ("toolbox", "a.yaml")):
         export(tilted, tmp_path / name, file_format)
         assert said in (tmp_path / name).read_text(encoding="utf-8")
-    assert export(tilted, tmp_path / "b.xml", "mjcf", free_slide=True) == ()
-    text = (tmp_path / "b.xml").read_text(encoding="utf-8")
-    assert "would have to absorb" not in text
-    assert "E1_B_to_E1_D_free_x" in text
+    for file_format, name in (("mjcf", "b.xml"), ("drake", "b.urdf")):
+        assert export(tilted, tmp_path / name, file_format, free_slide=True) == ()
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert "would have to absorb" not in text
+        assert "E1_B_to_E1_D_free_x" in text
 
 
 def test_free_slides_stand_where_the_gap_is(tilted: calib.Robot) -> None:

@@ -39,7 +39,7 @@ def transform(joint, value: float) -> np.ndarray:
     return result @ motion
 
 
-@pytest.mark.parametrize("file", ["robot.urdf"])
+@pytest.mark.parametrize("file", ["robot.urdf", "drake.urdf", "free_drake.urdf"])
 def test_check_urdf_accepts_the_file(case, file: str) -> None:
     beside_python = Path(sys.executable).parent / "check_urdf"
     program = str(beside_python) if beside_python.exists() else shutil.which("check_urdf")

@@ -1,0 +1,87 @@
+"""The calibrated URDF with Drake's extensions: ball constraints that close the loops, servo gains, frames.
+
+The URDF itself keeps its bytes; one block is added before `</robot>` and the namespace is declared on the top element.
+A tie of a point is one `drake:ball_constraint`. A tie of whole frames is three of them, at three points that are not in
+line. Drake simulates ball constraints in discrete time (the plant's time step above zero).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from calib.core.base.arrays import FloatArray
+from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
+from calib.core.robots.urdf.links import element_tree
+from calib.core.robots.urdf.text import parse_urdf, quoted
+from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
+
+NAMESPACE = "http://drake.mit.edu"
+
+_ARM = 0.1  # from the first to the second and third point of a tie of whole frames [m]
+
+
+def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
+    """Return the URDF for Drake, with these lines among those of its comment."""
+    origin = [*provenance, *provenance_lines(model.robot)]
+    lines = [comment(["calib: a closed robot for Drake", *origin, *tie_lines(model)])]
+    lines += [_ball(tie, point) for tie in model.ties for point in _points(tie)]
+    lines += [_frame(marker) for marker in model.markers]
+    lines += _transmissions(model)
+    urdf = model.urdf
+    text = "\n" + "\n".join(lines) + "\n"
+    closed = parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path)
+    tag = closed.source[slice(*closed.root_span)]
+    if b"xmlns:drake" in tag:
+        return closed.source
+    return with_inserted(closed, f' xmlns:drake="{NAMESPACE}"', at=closed.root_span[0] + len("<robot"))
+
+
+def _points(tie: Tie) -> list[FloatArray]:
+    """Points of link a that are fixed points of link b."""
+    if not tie.full_pose:
+        return [np.zeros(3)]
+    return [np.zeros(3), np.array([_ARM, 0.0, 0.0]), np.array([0.0, _ARM, 0.0])]
+
+
+def _ball(tie: Tie, point: FloatArray) -> str:
+    on_b = tie.placement.act(point)
+    return (
+        f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quoted(tie.a)}/>\n"
+        f"    <drake:ball_constraint_body_B name={quoted(tie.b)}/>\n"
+        f'    <drake:ball_constraint_p_AP value="{numbers(point)}"/>\n'
+        f'    <drake:ball_constraint_p_BQ value="{numbers(on_b)}"/>\n  </drake:ball_constraint>'
+    )
+
+
+def _frame(marker: Marker) -> str:
+    rpy = pin.rpy.matrixToRpy(marker.placement.rotation)
+    return (
+        f"  <frame name={quoted(marker.name)} link={quoted(marker.link)}"
+        f' xyz="{numbers(marker.placement.translation)}" rpy="{numbers(rpy)}"/>'
+    )
+
+
+def _transmissions(model: ClosedModel) -> list[str]:
+    """An actuator with servo gains for each motor that the file gives none."""
+    root = element_tree(model.urdf.source)
+    present = {joint.get("name") for entry in root.iterfind("transmission") for joint in entry.iterfind("joint")}
+    return [
+        _transmission(name, inertia)
+        for name, inertia in zip(model.actuated, model.inertia, strict=True)
+        if name not in present
+    ]
+
+
+def _transmission(name: str, inertia: float) -> str:
+    stiffness, damping = servo_gains(inertia)
+    return (
+        f"  <transmission name={quoted(name + '_transmission')}>\n"
+        "    <type>transmission_interface/SimpleTransmission</type>\n"
+        f"    <joint name={quoted(name)}/>\n"
+        f"    <actuator name={quoted(name)}>"
+        f'<drake:controller_gains p="{stiffness!r}" d="{damping!r}"/></actuator>\n'
+        "  </transmission>"
+    )

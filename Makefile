@@ -23,7 +23,7 @@ demo: $(VENV)/.ready
 
 test: $(VENV)/.ready-dev
 	@echo "The tests, in $(JOBS) processes. The first dots come after half a minute, the last after some minutes."
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 test-processors: $(VENV)/.ready-dev
 	$(BIN)/python tests/processors.py -n $(JOBS)

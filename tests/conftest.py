@@ -5,7 +5,7 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -15,8 +15,30 @@ import pytest
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
 
 import calib
+from calib.pictures import pages
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+LONGEST = (
+    "test_snippets.py",
+    "test_hand_eye.py",
+    "test_report_page.py",
+    "test_viewer_page.py",
+    "test_suspects.py",
+    "test_every_reason.py",
+    "test_code_comparison.py",
+    "test_many_calibrations.py",
+    "test_example_robots.py",
+    "test_qualification.py",
+)
+"""Files that take longest: first, so that no process is left alone with one at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files that take longest first."""
+    order = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
 
 
 @dataclass(frozen=True)
@@ -97,7 +119,14 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_pages() -> Iterator[None]:
+    """Write no report pages beside results: half of the time of a fit."""
+    with mock.patch("calib.pictures.pages", return_value={}):
+        yield
+
+
 @pytest.fixture
-def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write no report pages, which take seconds and have tests of their own."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
+def with_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write report pages all the same."""
+    monkeypatch.setattr("calib.pictures.pages", pages)

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from small_robots import ARM_URDF, ARM_YAML, write_arm, write_parallelogram
+from small_robots import ARM_URDF, ARM_YAML, write_arm
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROWS = ["turn,slide [mm],wrist [deg],tip_x [mm],tip_y [mm],tip_z [mm]"] + [
@@ -66,47 +66,24 @@ def data(**changes):
     return "\n".join(lines) + "\n"
 
 
-BAD_DATA = {  # more mistakes in tests/test_tables.py and tests/test_measurements.py
+BAD_DATA = {  # what other readers of tables refuse: tests/test_tables.py and tests/test_measurements.py
     "missing joint column": (DATA.replace("slide", "slid_e"), "no column 'slide'; did you mean 'slid_e'?"),
     "missing measured column": (DATA.replace("tip_z", "other"), "data.csv: no column 'tip_z'; the file has turn"),
-    "wrong joint name": (DATA.replace("wrist", "wirst"), "no column 'wrist'; did you mean 'wirst'? The file has turn,"),
-    "duplicate with another unit": (DATA.replace("tip_y [mm]", "turn [deg]"), "data.csv: column 'turn' appears twice"),
     "unknown unit": (DATA.replace("turn", "turn [degree]"), "unknown unit 'degree'; did you mean 'deg'?"),
     "text": (data(line4="a,0,0,1,2,3"), "data.csv, line 4, column 'turn': 'a' is not a number"),
-    "empty cell": (data(line6="0,0,0,1,,3"), "data.csv, line 6, column 'tip_y': is empty; fill it in, or leave all"),
-    "short row": (data(line7="0,0,0,1,2"), "data.csv, line 7: 5 cells for 6 columns"),
-    "degrees without a unit": (DATA.replace(" [deg]", ""), "line 9, column 'wrist': -35 rad is not plausible; write"),
     "millimetres without a unit": (DATA.replace("tip_x [mm]", "tip_x"), "column 'tip_x': 382 m is not plausible;"),
-    "empty file": ("", "data.csv: is empty; expected a header line and rows of numbers"),
-    "header only": (ROWS[0] + "\n", "data.csv: has a header but no rows"),
-    "repeats that differ": (
-        "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",
-        "data.csv, line 2 (pose a): joint 'turn' differs by 5.73 deg among the rows of pose 'a'",
-    ),
     "misspelt direction": (
         "turn,slide,wrist,tip_x,tip_y,tip_z,approach_sldie\n0,0,0,1,1,1,1\n",
         "data.csv, column 'approach_sldie': no joint 'sldie'; did you mean 'slide'?",
     ),
-    "nameless pose": ("pose,turn,slide,wrist,tip_x,tip_y,tip_z\n,0,0,0,1,1,1\n", "data.csv, line 2, column 'pose':"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("content", "message"), BAD_DATA.values(), ids=BAD_DATA)
-def test_bad_measurements_are_refused_by_fit(folder, refused, content, message):
-    (folder / "data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
-    assert message in refused(FIT)
-
-
-@pytest.mark.parametrize("command", [PREDICT, SIMULATE])
-@pytest.mark.parametrize(
-    "case",
-    ["missing joint column", "wrong joint name", "unknown unit", "text", "short row", "degrees without a unit",
-     "header only"],
-)  # fmt: skip
-def test_bad_joint_values_are_refused_by_predict_and_simulate(folder, refused, command, case):
-    content, message = BAD_DATA[case]
-    (folder / "data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
-    assert message in refused(command)
+def test_bad_measurements_are_refused(folder, refused, content, message):
+    (folder / "data.csv").write_text(content)
+    for command in (FIT, PREDICT, SIMULATE) if content == BAD_DATA["text"][0] else (FIT,):
+        assert message in refused(command)
 
 
 def test_data_that_is_not_there_is_refused(folder, refused):
@@ -118,16 +95,10 @@ def test_data_that_is_not_there_is_refused(folder, refused):
         assert refused(command) == "calib: data.csv: cannot be read (is a directory)"
 
 
-NO_PARAMETRISATION = ARM_YAML[: ARM_YAML.index("parametrisation:")]
 BAD_ROBOTS = {  # more in tests/test_description.py
     "no file": (None, "arm.yaml: no such file or folder; give a robot description"),
-    "empty": ("", "arm.yaml: is not a mapping of keys to values"),
-    "tab": (ARM_YAML.replace("base:", "\tbase:"), "arm.yaml, line 3: not valid YAML (found character '\\t'"),
     "unknown key": (ARM_YAML + "hold: []\n", "arm.yaml: unknown key 'hold'; did you mean 'held'?"),
-    "unknown joint": (ARM_YAML.replace("[turn,", "[trun,"), "name_mot: no joint 'trun'; did you mean 'turn'?"),
-    "unknown plugin": (NO_PARAMETRISATION + "parametrisation: scara\n", "arm.yaml: no parametrisation 'scara' is"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
-    "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
     "zero byte in a name": (ARM_YAML.replace("arm.urdf", '"arm\\0.urdf"'), "holds \\x00, which nobody sees"),
     "overflow": (ARM_YAML + "sigma: 1e300 mm\n", "arm.yaml: sigma: '1e300 mm' is too large to mean anything"),
 }  # fmt: skip
@@ -146,11 +117,8 @@ def test_a_bad_description_is_refused(folder, refused, content, message):
 
 LINK = '<link name="upper"/>'
 BAD_URDFS = {  # more in tests/test_urdf_text.py
-    "broken XML": (ARM_URDF.replace("</robot>", ""), "arm.urdf, line 20: not valid XML (no element found)"),
-    "UTF-16": (ARM_URDF.encode("utf-16"), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
     "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: it has no model with links"),
     "unknown link": (ARM_URDF.replace('parent link="upper"', 'parent link="uper"'), "did you mean 'upper'?"),
-    "text in an origin": (ARM_URDF.replace("0.25 0 0", "0.25 0 O"), "joint 'slide', xyz: 'O' is not a number"),
     "entity of a file": (
         ARM_URDF.replace("<robot", '<!DOCTYPE robot [<!ENTITY secret SYSTEM "file:///etc/passwd">]><robot'),
         "arm.urdf, line 2: entity 'secret' stands for another file, which is not read",
@@ -187,13 +155,6 @@ def test_a_shape_that_says_nothing_is_refused_before_anything_is_written(folder,
     assert "'a b c' is not 3 numbers" in refused("export arm.yaml --format urdf --out new.urdf")
 
 
-def test_a_home_that_does_not_close_is_refused(folder, refused):
-    path = write_parallelogram(folder)
-    path.write_text(path.read_text().replace("b: -90 deg", "b: -80 deg"))
-    line = refused("predict parallelogram.yaml data.csv --out new.csv")
-    assert "parallelogram.yaml: home: loop rocker_end-coupler_end is open by 174.311 mm" in line
-
-
 def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, refused):
     medrue = Path(__file__).parents[1] / "urdf" / "medrue.yaml"
     header = "pose,q1 [mm],q2,q3,q4,q5,q6,tool_x,tool_y,tool_z"
@@ -210,11 +171,8 @@ def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, r
 BAD_OPTIONS = {
     "validate fraction": (f"{FIT} --validate 1.5", "1.5 of 8 poses held out leave no pose to"),
     "validate zero": (f"{FIT} --validate 0", "0 of 8 poses held out leave no pose to"),
-    "validate nan": (f"{FIT} --validate nan", "nan"),
     "validate file": (f"{FIT} --validate other.csv", "other.csv: is neither a file nor a fraction"),
     "sigma text": (f"{FIT} --sigma-mm abc", "'--sigma-mm': 'abc' is not a valid float"),
-    "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a positive number"),
-    "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be a positive number"),
     "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a positive number"),
     "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
     "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be zero or a positive number"),

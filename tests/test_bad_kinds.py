@@ -91,17 +91,6 @@ def test_a_mistake_in_an_entry_is_named(tmp_path, run_calib, kind, mistake):
     assert all(words in line for words in said.split("...")), line
 
 
-def at(row, column, value):
-    """A cell of the table becomes this; columns count from the end, as what is read comes last."""
-
-    def edit(header, rows):
-        rows = [list(cells) for cells in rows]
-        rows[row][column] = value
-        return header, rows
-
-    return edit
-
-
 def header(column, change):
     def edit(names, rows):
         names = list(names)
@@ -111,20 +100,9 @@ def header(column, change):
     return edit
 
 
-def without(column):
-    return lambda names, rows: (
-        [name for k, name in enumerate(names) if k != column % len(names)],
-        [[cell for k, cell in enumerate(cells) if k != column % len(names)] for cells in rows],
-    )
-
-
 IN_FILES = {  # what is wrong with columns of joints is tested with one kind: tests/test_bad_input.py
     "no header": (lambda names, rows: (rows[0], rows[1:]), ""),
     "no rows": (lambda names, rows: (names, []), "no rows"),
-    "a joint without a column": (without(2), "no column 'j3'"),
-    "a joint that is a word": (at(3, 1, "zero"), "line 5, column 'j2': 'zero' is not a number"),
-    "a row that is too short": (lambda names, rows: (names, [*rows[:4], rows[4][:-1], *rows[5:]]), "line 6"),
-    "one column twice": (header(1, lambda _: "j1 [rad]"), "j1"),
     "no column of the instrument": (header(-1, lambda _: "remark"), "seen"),
 }
 

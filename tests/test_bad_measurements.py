@@ -19,8 +19,6 @@ ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m
 UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
 
-pytestmark = pytest.mark.usefixtures("without_pages")
-
 
 @pytest.fixture
 def folder(tmp_path):
@@ -194,33 +192,20 @@ def test_a_senseless_noise_is_refused(folder, sigma):
         calib.fit(robot, measurements(robot, joints(40), robot.positions(joints(40))), sigma=sigma)
 
 
-def test_joints_and_positions_that_do_not_belong_together_fail(folder, fit_file):
-    run, result = fit_file(joints(60), arm_positions(folder, joints(60, seed=9)))
-    assert run.code == 3
-    assert result["verdict"]["grade"] == "FAIL"
-    assert result["verdict"]["codes"][0] in ("not_converged", "noise_as_large_as_robot")
-
-
-def test_positions_in_the_wrong_unit_fail(folder, fit_file):
-    run, result = fit_file(joints(60), 1e-3 * arm_positions(folder, joints(60)))
-    assert run.code == 3
-    assert result["verdict"]["grade"] == "FAIL"
-
-
-@pytest.mark.parametrize("trouble", ["metres", "other poses", "wrong unit"])
-def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path, trouble):
+def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path):
+    """Positions of other poses."""
     q = np.linspace(0.35, 2.8, 20)[:, None]
     positions = 0.5 * np.column_stack([np.cos(q) + 1, np.sin(q), 0 * q])
     noise = RNG.standard_normal(positions.shape)
-    read = {"metres": positions + 2.0 * noise, "other poses": positions[::-1], "wrong unit": 1e-3 * positions}[trouble]
-    run, result = fit_file(q, read + SIGMA * noise, write_parallelogram(tmp_path), header="a [rad],pin_x,pin_y,pin_z")
+    read, header = positions[::-1] + SIGMA * noise, "a [rad],pin_x,pin_y,pin_z"
+    run, result = fit_file(q, read, write_parallelogram(tmp_path), header=header)
     assert run.code == 3
     one_line(run)
     if result is not None:
         assert result["verdict"]["grade"] == "FAIL"
 
 
-@pytest.mark.amount(15_000, 100_000)
+@pytest.mark.amount(3000, 100_000)
 def test_a_hundred_thousand_rows_are_one_fit_like_any_other(tmp_path, amount):
     yaml = """\
 urdf: arm.urdf

@@ -130,7 +130,7 @@ def test_poses_read_from_elsewhere_are_judged_with_their_frame_placed_anew(unkno
     assert "Placed anew, its error falls from" in verdict.reasons[0].text
     assert not {"validation", "worse_on_validation"} & set(verdict.to_dict()["codes"])
     assert verdict.claim.gain is Benefit.BETTER
-    assert verdict.claim.shown[0].rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.25)
+    assert verdict.claim.unused[0].accuracy.rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.25)
 
 
 def test_another_robot_fails_wherever_the_tracker_stands(unknown_base):
@@ -151,12 +151,12 @@ def test_a_few_bad_rows_of_many_decide_nothing_and_are_named(arm, truth, n_bad, 
     points[:: 300 // n_bad, :, 2][:n_bad] += 3e-3
     fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=with_points(arm, other, points))
     claim = fit.verdict.claim
-    assert claim.shown[0].rms > 2.0 * claim.told.rms
+    assert claim.unused[0].accuracy.rms > 2.0 * claim.told.rms
     assert claim.holds == holds
     assert fit.verdict.grade == ("PASS" if holds else "CHECK")
     named = [reason.text for reason in fit.verdict.reasons if reason.code == "outliers"]
     assert any("among the poses that were not used" in text for text in named)
     if holds:
-        assert claim.but_for[0].rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.15)
+        assert claim.unused[0].without_outliers.rms == pytest.approx(np.sqrt(3) * SIGMA, rel=0.15)
         assert "without outliers" in claim.words
         assert Claim.from_dict(claim.to_dict()).words == claim.words

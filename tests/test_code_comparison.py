@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import os
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +28,8 @@ from code_comparison.running import compared
 OURS, HAND_EYE, PRINTER = ALL_OURS["arm"], ALL_OURS["photographs"], ALL_OURS["printers"]
 SHOWN = [code for code in CODES if code.name in (PLACED, OURS, "SciPy, priors", "robotkinecal")]
 SHOWN += [code for code in CODES if code.problem != "arm" and not code.script.startswith("opencv")]
+THOROUGH = os.environ.get("CALIB_TESTS") == "thorough"
+STARTS = 25 if THOROUGH else 2
 NOISE, ORIGINS = 2e-5, [(0, 0, 0.3), (0, 0.05, 0.2), (0.4, 0, 0), (0.3, 0.1, 0), (0, 0, 0.2), (0, 0.1, 0.1)]
 TURNS = [(0, 0, 0), (np.pi / 2, 0, 0), (0, 0, 0), (0, np.pi / 2, 0), (np.pi / 2, 0, 0), (-np.pi / 2, 0, 0)]
 JOINT = """<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/><origin xyz="{2}" rpy="{3}"/>
@@ -142,7 +146,8 @@ def stand_ins(tmp_path_factory):
         for hole in (0, 1):
             goal = np.array(middle) + (hole - 0.5) * 0.05 * np.array([0.6, 0.8, 0.0])
             ends = (
-                least_squares(lambda x, goal=goal: tip(x) - goal, start) for start in rng.uniform(-1.5, 1.5, (25, 6))
+                least_squares(lambda x, goal=goal: tip(x) - goal, start)
+                for start in rng.uniform(-1.5, 1.5, (STARTS, 6))
             )
             touched += [end.x for end in ends if end.cost < 1e-12]
             sockets += [[place, hole]] * (len(touched) - len(sockets))
@@ -169,13 +174,18 @@ def stand_ins(tmp_path_factory):
     )
 
 
+def compared_sets(sets):
+    """All, or few: each code starts anew for each, which takes seconds."""
+    return sets if THOROUGH else (sets[0], *sets[3:])
+
+
 @pytest.fixture(scope="module")
 def ran(stand_ins, tmp_path_factory):
     folder, sets = stand_ins
     out = tmp_path_factory.mktemp("out")
     (out / "page.md").write_text("Own words.\n\n<!-- begin results -->\nold\n<!-- end results -->\n\nMore.\n")
     given = [str(folder), "--results", str(out / "results.json"), "--page", str(out / "page.md")]
-    assert main(given, sets, SHOWN) == 0
+    assert main(given, compared_sets(sets), SHOWN) == 0
     rows = json.loads((out / "results.json").read_text())["rows"]
     return out, {(row["data"], row["code"]): row for row in rows}
 
@@ -184,22 +194,20 @@ def rms(row):
     return float(np.sqrt(np.mean(np.square(row["errors"]))))
 
 
-def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran):
+@pytest.mark.amount(1, 3)
+def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran, amount):
+    """Of points; thorough, of sockets and of pixels, too."""
     _, rows = ran
     # beside noise: what 60 rows leave unknown of some 30 combinations, sqrt(1 + 30/180) times as much, up to half more
     for code in (OURS, "SciPy, priors"):
         assert NOISE < rms(rows["points", code]) / np.sqrt(3) < 1.5 * NOISE
         assert rms(rows["points", code]) < rms(rows["points", PLACED]) / 20
-        assert rms(rows["sockets", code]) < rms(rows["sockets", PLACED]) / 3
     # one least-squares problem, two programs that share no code
     assert rms(rows["points", OURS]) == pytest.approx(rms(rows["points", "SciPy, priors"]), rel=0.05)
-
-
-def test_codes_find_the_simulated_robot_in_pixels(ran):
-    _, rows = ran
-    ours, plain, placed = (rms(rows["watched", name]) for name in (OURS, "SciPy, priors", PLACED))
-    assert ours < placed / 4
-    assert ours == pytest.approx(plain, rel=0.05)
+    for name, least, alike in (("sockets", 3, np.inf), ("watched", 4, 0.05))[: amount - 1]:
+        ours, plain, placed = (rms(rows[name, code]) for code in (OURS, "SciPy, priors", PLACED))
+        assert max(ours, plain) < placed / least
+        assert ours == pytest.approx(plain, rel=alike)
 
 
 def test_codes_find_a_simulated_camera(ran):
@@ -253,7 +261,7 @@ def test_what_a_code_says_of_itself_and_costs_is_kept(ran):
 def test_a_code_that_is_not_there_says_so_in_the_table(ran):
     out, rows = ran
     assert "robotkinecal==0.1.0" in rows["points", "robotkinecal"]["failed"]
-    assert "| robotkinecal | points, sockets, watched (3 splits) | not installed" in (out / "page.md").read_text()
+    assert re.search(r"\| robotkinecal \| points.* \| not installed", (out / "page.md").read_text())
 
 
 def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran, stand_ins):
@@ -265,7 +273,7 @@ def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran
     assert "points: 60 rows" in page
     assert (out / "figures" / "page.svg").read_text().count("<text") > 4
     again = ["--results", str(out / "results.json"), "--page", str(out / "page.md")]
-    assert main(again, stand_ins[1], SHOWN) == 0
+    assert main(again, compared_sets(stand_ins[1]), SHOWN) == 0
     assert (out / "page.md").read_text() == page
 
 
@@ -280,7 +288,7 @@ def test_the_page_says_which_codes_ran_elsewhere_or_at_another_time(ran, stand_i
     (tmp_path / "results.json").write_text(json.dumps(told))
     (tmp_path / "page.md").write_text("<!-- begin results -->\n<!-- end results -->\n")
     given = ["--results", str(tmp_path / "results.json"), "--page", str(tmp_path / "page.md")]
-    assert main(given, stand_ins[1], SHOWN) == 0
+    assert main(given, compared_sets(stand_ins[1]), SHOWN) == 0
     page = (tmp_path / "page.md").read_text()
     assert "\nLast year: SciPy, priors.\n" in page
     assert f"\nToday: {PLACED}, {OURS}, " in page

@@ -398,9 +398,6 @@ def test_the_command_says_what_is_held(tmp_path: Path) -> None:
     assert "held exactly" in json.loads(result.stdout)["notes"][0]
 
 
-FOLLOWING = '"wrist" type="continuous"><mimic joint="turn"/>'
-
-
 @pytest.mark.parametrize(
     ("file_format", "old", "new", "words"),
     [

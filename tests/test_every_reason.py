@@ -29,6 +29,9 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
     assert match, made.reasons(made.there)
     assert [float(number) for number in match.groups()] == pytest.approx(list(made.numbers), rel=made.within), texts
     assert code not in [reason.code for reason in made.reasons(made.gone)], made.gone.verdict
+    if made.rule is None:
+        grades = [reason.grade for reason in made.there.verdict.reasons]
+        assert grades == sorted(grades, key=["FAIL", "CHECK", "PASS"].index)
     if code in GRADES:
         (reason,) = (reason for reason in made.there.verdict.reasons if reason.code == code)
         assert (made.there.verdict.grade, reason.grade) == (GRADES[code], GRADES[code])

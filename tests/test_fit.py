@@ -43,9 +43,6 @@ def failed(good):
     return replace(good, convergence=Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True))
 
 
-pytestmark = pytest.mark.usefixtures("without_pages")
-
-
 def test_lengths_that_want_to_be_infinite_are_named_at_once_and_the_others_are_found_without_them(medrue):
     """20 poses behind each other, on which a link's arc explains the readings the better the more it is a line."""
     rows = np.arange(279, 299)

@@ -26,11 +26,6 @@ FILES = {"urdf": "arm.urdf", "mjcf": "arm.xml", "drake": "arm.drake", "toolbox":
 """Formats that hold joint origins, and a file of each."""
 
 
-@pytest.fixture(autouse=True)
-def _without_pages(without_pages):
-    """Report pages take seconds, and have tests of their own."""
-
-
 def arm_with(folder, terms="", more=""):
     folder.mkdir(exist_ok=True)
     return calib.load(write_six_axis(folder, YAML + FREE + terms + more))

@@ -130,7 +130,7 @@ def test_uncertainty_beside_common_motion_follows_parameters_as_differences_say(
         return frame.robot.positions(q)[:, 0] - frame.meant.positions(q)[:, 0]
 
     step, names = 1e-5, [parameter.name for parameter in nominal.parameters]
-    for name in ("left_motor.y", "right_motor.rz", "left_elbow.x", "right_end.x", "pen.x", "base.ry"):
+    for name in ("left_motor.y", "right_end.x", "base.ry"):
         k = names.index(name)
         parameter, free = nominal.parameters[k], np.arange(len(names)) == k
         sure = ParameterUncertainty(free, np.array([[1.0]]), 1.96)

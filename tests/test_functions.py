@@ -15,10 +15,9 @@ from calib.core.robots.configurations import configured
 from calib.core.robots.joint_errors import term_columns
 from calib.exporting.functions.c_text import c_name
 
-N = {"six-axis arm, every term": 1000, "example arm": 1000}
-"""Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of each."""
+N = {"six-axis arm, every term": 300, "example arm": 300}
+"""Poses of each robot; of those with loops, 40: `tests/function_robots.py` looks at 10 000 of each."""
 LANGUAGES = ("numpy", "c")
-OF_EVERY_KIND = ("six-axis arm, every term", "MedRUE with a rail's terms", "Stewart platform, compliance")
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
@@ -26,7 +25,7 @@ class Case:
     """A robot, commands under all kinds of conditions, and what the engine says there."""
 
     def __init__(self, name, folder):
-        self.robot, n = ROBOTS[name](folder), N.get(name, 150)
+        self.robot, n = ROBOTS[name](folder), N.get(name, 40)
         self.folder = folder
         self.q, self.context = some_commands(self.robot, n), some_conditions(self.robot, n)
         self.truth = [poses_of_engine(self.robot, self.q, self.context, k) for k in range(len(self.robot.target_names))]

@@ -25,6 +25,20 @@ def codes(result):
     return [mistake.code for mistake in result.mistakes]
 
 
+@pytest.fixture(scope="module")
+def clean():
+    return scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4)
+
+
+@pytest.fixture(scope="module")
+def good(clean):
+    return calibrate(clean, INTRINSICS, mounts=("tool",))
+
+
+def test_good_photographs_show_no_mistake(good):
+    assert (codes(good), judge(good).grade, good.lens_found) == ([], "PASS", False)
+
+
 @pytest.mark.parametrize("mount", ["tool", "base"])
 def test_camera_board_and_mount_are_found_without_any_guess(mount):
     exact = scene(8, mount, noise=0.0)
@@ -87,7 +101,7 @@ def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
 
 
 def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong():
-    view = scene(10, "base", noise=0.2)
+    view = scene(8, "base", noise=0.2)
     wrong = INTRINSICS.copy()
     wrong[2:6] += [25.0, -15.0, 0.1, 0.0]
     for given in (None, wrong):
@@ -95,33 +109,27 @@ def test_the_lens_is_found_where_none_is_given_and_where_the_given_one_is_wrong(
         assert result.lens_found
         assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
         assert rms(result.pixels) < 0.3
-    kept = calibrate(view, wrong, lens="given", mounts=("base",))
-    assert "lens_given" in codes(kept)
-    assert judge(kept).grade != "PASS"
-    assert not calibrate(view, INTRINSICS, mounts=("base",)).lens_found
 
 
 def test_the_robots_part_is_told_from_the_cameras():
-    result = calibrate(scene(16, "tool", noise=0.2, shift=4e-4, turn=3e-4), INTRINSICS, mounts=("tool",))
+    result = calibrate(scene(12, "tool", noise=0.2, shift=4e-4, turn=3e-4), INTRINSICS, mounts=("tool",))
     noise = result.fitted.noise
     assert noise.pixel == pytest.approx(0.2, rel=0.1)
-    assert noise.shift == pytest.approx(4e-4, rel=0.35)  # 84 squares: 16 images of 6, less 12 unknowns
+    assert noise.shift == pytest.approx(4e-4, rel=0.4)  # 60 squares: 12 images of 6, less 12 unknowns
     assert rms(result.alone) < 0.35 < rms(result.pixels)
     assert "comes from the robot's poses" in report(result, Frames())
-    exact = calibrate(scene(10, "tool", noise=0.2), INTRINSICS, mounts=("tool",))
+    exact = calibrate(scene(8, "tool", noise=0.2), INTRINSICS, mounts=("tool",))
     assert exact.fitted.noise.shift < 5e-5
-    assert judge(exact).grade == "PASS"
 
 
-def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares():
-    result = calibrate(scene(12, "tool", noise=0.2, shift=4e-4), INTRINSICS)
+def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares(good):
     generator, size = np.random.default_rng(5), 7e-4
-    n, m = len(result.scene), len(result.scene.pixels)
+    n, m = len(good.scene), len(good.scene.pixels)
     held, widths = [], []
     for _ in range(400):
         used, new = size * generator.standard_normal((2, n, 2))
-        left = replace(result.left, pixels=np.full((m, 2), 50.0), board=used[result.scene.image])
-        limit = replace(result, left=left).limit
+        left = replace(good.left, pixels=np.full((m, 2), 50.0), board=used[good.scene.image])
+        limit = replace(good, left=left).limit
         held.append(np.sqrt(np.mean(np.sum(new**2, axis=1))) < limit)
         widths.append(limit / np.sqrt(np.mean(np.sum(used**2, axis=1))))
     assert np.mean(held) > 0.97  # more than 0.95: these errors, unlike those of a fit, are independent
@@ -135,48 +143,49 @@ def test_order_names_and_the_boards_origin_do_not_matter():
     result = calibrate(view, INTRINSICS, mounts=("tool",))
     order = np.random.default_rng(1).permutation(len(view.image))
     order = order[np.argsort(view.image[order], kind="stable")]
-    shuffled = replace(view, names=tuple("abcdefg"), body=view.body[order], pixels=view.pixels[order])
-    again = calibrate(shuffled, INTRINSICS, mounts=("tool",))
-    assert np.allclose(again.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
-    moved = calibrate(replace(view, body=view.body - [0.09, 0.12, 0.0]), INTRINSICS, mounts=("tool",))
+    body = view.body[order] - [0.09, 0.12, 0.0]
+    other = replace(view, names=tuple("abcdefg"), body=body, pixels=view.pixels[order])
+    moved = calibrate(other, INTRINSICS, mounts=("tool",))
     back = moved.fitted.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
     assert np.allclose(moved.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
     assert np.allclose(back, result.fitted.placed.board, atol=1e-9)
 
 
-def test_each_mistake_is_named_and_none_passes():
+@pytest.mark.amount(2, 4)
+def test_each_mistake_is_named_and_none_passes(amount):
     view = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
     late = np.arange(len(view)) >= 5
     moved = replace(view, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ view.tool, view.tool))
     cases = {
         "pairs_shifted": (replace(view, tool=np.roll(view.tool, 1, axis=0)), INTRINSICS),
-        "square_size": (replace(view, body=view.body / 1.02), INTRINSICS),
         "principal_point": (view, swapped),
+        "square_size": (replace(view, body=view.body / 1.02), INTRINSICS),
         "moved": (moved, INTRINSICS),
     }
-    for code, (case, intrinsics) in cases.items():
+    for code, (case, intrinsics) in list(cases.items())[:amount]:
         result = calibrate(case, intrinsics, mounts=("tool",))
         assert code in codes(result), code
         assert judge(result).grade != "PASS"
 
 
-@pytest.mark.parametrize(("order", "words"), [((2, 1, 0, 3), "fx and cx"), ((0, 1, 3, 2), "cx and cy")])
-def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(order, words):
+@pytest.mark.amount(1, 2)
+def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(amount):
     view = scene(10, "base", noise=0.2)
-    swapped = INTRINSICS[[*order, 4, 5, 6, 7, 8]]
-    result = calibrate(view, swapped, mounts=("base",))
-    assert codes(result) == ["lens_given"]
-    assert f"({words} are exchanged)" in judge(result).reasons[0]
-    assert judge(result).grade == "CHECK"
-    assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
-    kept = calibrate(view, swapped, lens="given", mounts=("base",))
-    assert codes(kept)[0] == "lens_given"
-    assert judge(kept).grade == "FAIL"
+    for order, words in (((2, 1, 0, 3), "fx and cx"), ((0, 1, 3, 2), "cx and cy"))[:amount]:
+        swapped = INTRINSICS[[*order, 4, 5, 6, 7, 8]]
+        result = calibrate(view, swapped, mounts=("base",))
+        assert codes(result) == ["lens_given"]
+        assert f"({words} are exchanged)" in judge(result).reasons[0]
+        assert judge(result).grade == "CHECK"
+        assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+        kept = calibrate(view, swapped, lens="given", mounts=("base",))
+        assert codes(kept)[0] == "lens_given"
+        assert judge(kept).grade == "FAIL"
 
 
 def test_a_size_far_off_is_named():
-    exact = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    exact = scene(6, "tool", noise=0.2, shift=2e-4, turn=2e-4)
     result = calibrate(replace(exact, body=1.2 * exact.body), INTRINSICS, mounts=("tool",))
     assert codes(result)[:1] == ["square_size"]
     assert "17 % smaller" in judge(result).reasons[0]
@@ -224,7 +233,7 @@ def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
 
 @pytest.mark.amount(1, 6)
 def test_another_reading_is_named_with_what_it_leaves(amount):
-    for words, wrong in list(misread(scene(9, "tool", noise=0.2, shift=2e-4, turn=2e-4)))[:amount]:
+    for words, wrong in list(misread(scene(7, "tool", noise=0.2, shift=2e-4, turn=2e-4)))[:amount]:
         judgement = judge(calibrate(wrong, INTRINSICS, mounts=("tool",)))
         assert judgement.grade == "FAIL"
         assert words in judgement.reasons[0]
@@ -233,13 +242,12 @@ def test_another_reading_is_named_with_what_it_leaves(amount):
 @pytest.mark.amount(1, 2)
 def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it_is_not(amount):
     for mount in ("base", "tool")[:amount]:
-        exact = scene(10, mount, noise=0.2, shift=2e-4, turn=2e-4)
+        exact = scene(6, mount, noise=0.2, shift=2e-4, turn=2e-4)
         inverted = replace(exact, tool=np.linalg.inv(exact.tool))
         stated = calibrate(inverted, INTRINSICS, mounts=(mount,))
         assert "poses_inverted" in codes(stated)
         assert judge(stated).grade == "FAIL"
         assert codes(calibrate(inverted, INTRINSICS)) == ["exchanged"]
-        assert codes(calibrate(exact, INTRINSICS)) == []
 
 
 @pytest.mark.amount(1, 3)
@@ -254,7 +262,7 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     view = scene(9, "base", noise=0.2, shift=2e-4)
     tool = view.tool.copy()
     tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
-    result = calibrate(replace(view, tool=tool), INTRINSICS)
+    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",))
     assert [image.name for image in result.off] == ["shot_05"]
     assert result.off[0].shift == pytest.approx(0.012, rel=0.15)
     assert judge(result).grade == "CHECK"
@@ -262,12 +270,12 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
 
 
 def test_a_large_move_is_named_as_a_move():
-    view = scene(10, "base", noise=0.2, shift=2e-4, turn=2e-4)
-    late = np.arange(10)[:, None, None] >= 5
+    view = scene(8, "base", noise=0.2, shift=2e-4, turn=2e-4)
+    late = np.arange(8)[:, None, None] >= 4
     tool = np.where(late, view.tool @ pose((0.03, 0.01, 0.0), (0, 0, 4)), view.tool)
     result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",))
     assert codes(result)[0] == "moved"
-    assert "the board is elsewhere from image shot_06 on" in judge(result).reasons[0]
+    assert "the board is elsewhere from image shot_05 on" in judge(result).reasons[0]
     assert judge(result).grade == "FAIL"
 
 
@@ -287,8 +295,8 @@ def test_too_few_images_are_an_error():
 
 
 @pytest.mark.parametrize("mount", ["tool", "base"])
-def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format(mount):
-    result = calibrate(scene(7, mount, noise=0.2), INTRINSICS)
+def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format(mount, good):
+    result = replace(good, scene=replace(good.scene, mount=mount))
     made = {name: text.decode() for name, text in files(result, Frames("world", "flange", "cam", "chart")).items()}
     want, parent = result.fitted.placed.camera, {"tool": "flange", "base": "world"}[mount]
     at = made["static_transform.sh"].split("static_transform_publisher ")[1].split()
@@ -329,21 +337,18 @@ def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format
     assert content(result, Frames())["camera_on"] == mount
 
 
-def test_corners_that_are_off_go_by_themselves_and_are_no_doubt():
-    clean = scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4)
+def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
     assert not np.any(starts.points_off(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
     off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
     pixels = clean.pixels.copy()
     pixels[list(off)] += list(off.values())
-    result, without = (
-        calibrate(images, INTRINSICS, mounts=("tool",)) for images in (replace(clean, pixels=pixels), clean)
-    )
+    result = calibrate(replace(clean, pixels=pixels), INTRINSICS, mounts=("tool",))
     told = {(point.image, point.pixel) for point in result.points_off}
     assert told == {(clean.names[clean.image[k]], tuple(pixels[k].tolist())) for k in off}
     distances = sorted((point.distance for point in result.points_off), reverse=True)
     assert np.allclose(distances, sorted((np.hypot(*step) for step in off.values()), reverse=True), atol=1.2)  # 4 sigma
-    assert judge(result).grade == judge(without).grade == "PASS"
-    assert rms(result.left.board) < 1.02 * rms(without.left.board)
+    assert judge(result).grade == "PASS"
+    assert rms(result.left.board) < 1.02 * rms(good.left.board)
     assert f"4 of {len(pixels)}: " in report(result, Frames())
     assert len(content(result, Frames())["points_left_out"]) == 4
 
@@ -359,10 +364,8 @@ def test_so_many_corners_off_are_a_reason_to_look():
     assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)
 
 
-def test_a_place_that_is_known_to_a_twentieth_of_the_distance_is_no_pass():
+def test_a_place_that_is_known_to_a_twentieth_of_the_distance_is_no_pass(good):
     """The same photographs, with a covariance as of poses that say little."""
-    good = calibrate(scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4), INTRINSICS, mounts=("tool",))
-    assert judge(good).grade == "PASS"
     shift, turn = good.uncertainty()["camera"]
     assert max(shift / good.distance, turn) < 0.01
     for times, grade in ((0.045, "PASS"), (0.055, "CHECK")):

@@ -204,12 +204,12 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     """A five-bar off its plane by a hair reaches x and y, and no height."""
     nominal = load("docs/examples/five_bar.yaml")
     robot = nominal.with_parameters({"base.z": 1e-5, "left_end.x": 0.2995})
-    positions = nominal.positions(nominal.sample(20, seed=1))[:, 0]
+    positions = nominal.positions(nominal.sample(8, seed=1))[:, 0]
     assert not np.any(solve(robot, positions).ok)
     flat = positions * [1, 1, np.nan]
     solution = solve(robot, flat)
     reached = robot.positions(solution.q[solution.ok])[:, 0]
-    assert np.sum(solution.ok) > 15  # a shorter link does not reach all
+    assert np.sum(solution.ok) > 5  # a shorter link does not reach all
     np.testing.assert_allclose(reached[:, :2], positions[solution.ok, :2], atol=1e-9)
     np.testing.assert_allclose(reached, solution.positions[solution.ok], atol=1e-9)
     cells = "\n".join(f"{1e3 * x:.12g},{1e3 * y:.12g}," for x, y, _ in flat)
@@ -220,7 +220,7 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     flat[4, 2] = 0.02
     with pytest.raises(DataError, match="goal 5: other coordinates are NaN than in the first goal"):
         solve(robot, flat)
-    assert len(solve(robot, Goals(flat)).q) == 20
+    assert len(solve(robot, Goals(flat)).q) == 8
     flat[4, 2] = np.nan
     with pytest.raises(DataError, match="goal 1: a coordinate is empty; a program needs all three"):
         compensate(robot, Goals(flat))

@@ -184,14 +184,11 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
             "{kind: joint_reading, joint: left_elbow, dimension: length}",
             "joint 'left_elbow' turns; set dimension: angle",
         ),
-        ("{kind: joint_reading, joint: left_elbow, sigma: 1 mm}", "sigma: unit 'mm' is for a length"),
-        ("{kind: joint_reading, joint: left_elbow, sigma: 0 deg}", "instruments.e: sigma must be positive"),
         (
             "{kind: joint_reading, joint: left_elbow, sigma_zero: 1 deg}",
             "sigma_zero is for an encoder whose zero is unknown",
         ),
         ("{kind: joint_reading, joint: left_elbow, zero: unkown}", "unknown value 'unkown'; did you mean 'unknown'"),
-        ("{kind: joint_reading, joint: left_elbow, targt: pen}", "unknown key 'instruments.e.targt'"),
         ("{kind: joint_reading, joint: left_elbow, offset: about 3}", "offset: 'about 3' is not a finite number"),
     ],
 )
@@ -213,7 +210,6 @@ def test_an_encoder_must_not_be_called_as_a_motor(tmp_path, run_calib):
 @pytest.mark.parametrize(
     ("header", "said"),
     [
-        ("elbow [mm]", "column 'elbow': unit 'mm' is for a length"),
         ("elbw [deg]", "has no column of any instrument; expected: elbow"),
     ],
 )

@@ -196,9 +196,8 @@ def written(folder, q, words, edit=("", "")):
 
 
 @pytest.fixture
-def fit_file(tmp_path, run_calib, monkeypatch):
+def fit_file(tmp_path, run_calib):
     """Fit a file of touches of a plate; edits are (old, new) of either file."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
     def fit(in_yaml=(), in_csv=("", ""), instrument=PLATE):
         robot = arm_with(tmp_path, instrument)
@@ -275,7 +274,6 @@ def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_
         (PLATE.replace("pose: unknown", "sigma: 1 mm"), "for an artefact whose pose is unknown"),
         (SOCKETS.replace("left: {frame: l0, position: unknown}", "left: {frame: l0, sigma: 1 mm}"), "sigma is for a"),
         (SOCKETS.replace("left:", "ball:"), "two places are called 'ball'; rename one"),
-        (SOCKETS.replace("left: {frame: l0", "left: {frame: l9"), "no link or joint 'l9'"),
         (SOCKETS.replace("left: {frame: l0, ", "left: {"), "key 'instruments.probe.places.left.frame' is missing"),
     ],
 )
@@ -290,7 +288,6 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, instrument, said):
     [
         ((",q\n", ",quu\n"), "column 'probe': 'probe' touches nothing called 'quu'"),
         (("probe", "prob"), "has no column of any instrument; expected: probe"),
-        (("probe", "j1"), "column"),
     ],
 )
 def test_files_that_cannot_be(fit_file, edit, said):
@@ -374,23 +371,22 @@ def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_ou
     assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("arm", "places", "held", "least", "after"),
-    [
-        ("panda_1", ("front", "back-high"), "right", {"bending"}, 0.51),
-        ("kuka_14", ("front", "raised_left"), "left_back", {"bending"}, 0.09),
-    ],
-)
-def test_joint_terms_found_in_two_places_help_in_a_third(shared_data, arm, places, held, least, after):
-    folder, masses = shared_data / "mukca", masses_of(arm)
-    if not masses.is_file():
-        pytest.skip(f"no package with the masses of {arm} is installed")
-    fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
-    added = {trial.term for trial in fit.terms.tried if trial.added}
-    assert least <= added
-    assert not added & {"curve", "harmonics"}  # likelier with them, and 0.69 mm off there
-    result = from_sockets(fit.robot, mukca_joints(folder, arm, held))
-    assert result == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16
+@pytest.mark.amount(1, 2)
+def test_joint_terms_found_in_two_places_help_in_a_third(shared_data, amount):
+    folder = shared_data / "mukca"
+    for arm, places, held, after in (
+        ("kuka_14", ("front", "raised_left"), "left_back", 0.09),
+        ("panda_1", ("front", "back-high"), "right", 0.51),
+    )[:amount]:
+        masses = masses_of(arm)
+        if not masses.is_file():
+            pytest.skip(f"no package with the masses of {arm} is installed")
+        fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
+        added = {trial.term for trial in fit.terms.tried if trial.added}
+        assert "bending" in added
+        assert not added & {"curve", "harmonics"}  # likelier with them, and 0.69 mm off there
+        result = from_sockets(fit.robot, mukca_joints(folder, arm, held))
+        assert result == pytest.approx(after, abs=0.02)  # origins alone: 0.16 and 0.76
 
 
 @pytest.mark.xfail(strict=True, reason="a gain is added, and is 2.0 mm off in another place, where origins are 1.5 mm")

@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.core.robots.closure import residual
-from calib.core.robots.loops import smallest_gap
+from calib.core.robots.loops import reached_from_home, smallest_gap
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
@@ -254,3 +254,26 @@ def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
     assert large.mechanism.length == pytest.approx(3000)
     q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", small).joints
     np.testing.assert_allclose(large.assemble(q).passive, small.assemble(q).passive, rtol=0, atol=1e-11)
+
+
+def test_closed_poses_follow_from_home_unless_one_of_them_is_assembled_in_another_way(tmp_path):
+    """The pen of a five-bar, mirrored at the line between its elbows by plane geometry: the loop is closed as well."""
+    examples = Path(__file__).parents[1] / "docs" / "examples"
+    urdf = re.sub(r'lower="[-\d.]+" upper="[-\d.]+"', 'lower="-6" upper="6"', (examples / "five_bar.urdf").read_text())
+    (tmp_path / "five_bar.urdf").write_text(urdf)
+    (tmp_path / "five_bar.yaml").write_text((examples / "five_bar.yaml").read_text())
+    robot = calib.load(tmp_path / "five_bar.yaml")
+    q = robot.home + 0.3 * np.random.default_rng(1).uniform(-1, 1, (20, 2))
+    known = robot.assemble(q).passive
+    left, right = (robot.passive_names.index(f"{side}_elbow") for side in ("left", "right"))
+    elbows = np.stack([0.2 * np.exp(1j * q[:, k]) + x for k, x in ((0, -0.1), (1, 0.1))])
+    pen = elbows[0] + 0.3 * np.exp(1j * (q[:, 0] + known[:, left]))
+    along = elbows[1] - elbows[0]
+    other = elbows[0] + along * np.conj((pen - elbows[0]) / along)
+    mirrored = known.copy()
+    for joint, elbow in ((left, elbows[0]), (right, elbows[1])):
+        mirrored[:, joint] += np.angle((other - elbow) / (pen - elbow))
+    assert np.max(np.abs(residual(robot.mechanism, q, mirrored)[0])) < 1e-9
+    one = np.where(np.arange(20)[:, None] == 7, mirrored, known)
+    reached = [reached_from_home(robot.mechanism, robot.mode, q, passive) for passive in (known, one, mirrored)]
+    assert reached == [True, False, False]

@@ -28,6 +28,14 @@ def arm(tmp_path_factory):
     return six_axis_arm(tmp_path_factory.mktemp("arm"))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _small_chunks():
+    """Two chunks of work from 6 draws on."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.studies.study._CHUNK", 5)
+        yield
+
+
 @pytest.fixture(scope="module")
 def five_bar():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
@@ -37,7 +45,7 @@ def five_bar():
 @pytest.fixture(scope="module")
 def alone(five_bar):
     """A study that nobody shares the work of."""
-    return calib.study(*five_bar, draws=60)
+    return calib.study(*five_bar, draws=6)
 
 
 @pytest.fixture(scope="module")
@@ -160,20 +168,20 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
 
 def test_numbers_do_not_depend_on_who_works(five_bar):
     robot, data = five_bar
-    given = {"truth": bent(robot), "draws": 60, "seed": 3, "elsewhere": data.joints[::9]}
+    given = {"truth": bent(robot), "draws": 6, "seed": 3, "elsewhere": data.joints[::9]}
     told = []
     alone = calib.study(robot, data, **given, progress=lambda done, total: told.append((done, total)))
-    assert told == [(50, 60), (60, 60)]
+    assert told == [(5, 6), (6, 6)]
     with Workers(2) as processes, ThreadPoolExecutor(2) as threads:
         for executor in (processes, threads):
             shared = calib.study(robot, data, **given, executor=executor)
             for name in ("truth", "values", "std", "chi_square", "errors", "error_half_width", "names_outliers"):
                 assert np.array_equal(getattr(shared.draws, name), getattr(alone.draws, name)), name
-        resampled = [calib.study(robot, data, draws=60, resample=True, executor=item) for item in (None, processes)]
+        resampled = [calib.study(robot, data, draws=6, resample=True, executor=item) for item in (None, processes)]
         assert np.array_equal(resampled[0].draws.values, resampled[1].draws.values)
         assert np.all(resampled[0].draws.answered)
-    fewer = calib.study(robot, data, **given | {"draws": 5})
-    assert fewer.draws.values == pytest.approx(alone.draws.values[:5], rel=1e-9)  # a draw has its own seed
+    fewer = calib.study(robot, data, **given | {"draws": 3})
+    assert fewer.draws.values == pytest.approx(alone.draws.values[:3], rel=1e-9)  # a draw has its own seed
 
 
 def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
@@ -213,9 +221,9 @@ class Mislaying(Executor):
 def test_a_lost_worker_loses_no_draw(five_bar):
     robot, data = five_bar
     executor = Mislaying()
-    studied = calib.study(robot, data, draws=60, executor=executor)
+    studied = calib.study(robot, data, draws=6, executor=executor)
     assert executor.sent == 3  # two chunks, one of them twice
-    assert np.array_equal(studied.draws.values, calib.study(robot, data, draws=60).draws.values)
+    assert np.array_equal(studied.draws.values, calib.study(robot, data, draws=6).draws.values)
 
 
 def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
@@ -255,7 +263,7 @@ def test_a_dask_cluster_does_the_draws(five_bar, alone, monkeypatch):
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        studied = calib.study(robot, data, draws=60, executor=client.get_executor())
+        studied = calib.study(robot, data, draws=6, executor=client.get_executor())
         folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
         products = list(in_order(Shared(3), range(20), client.get_executor()))
     assert products == [3 * k for k in range(20)]
@@ -269,9 +277,9 @@ def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_b
     robot, data = five_bar
     executor = loky.get_reusable_executor(max_workers=2)
     try:
-        studied = calib.study(robot, data, draws=60, executor=executor)
+        studied = calib.study(robot, data, draws=6, executor=executor)
         os.kill(executor.submit(os.getpid).result(), signal.SIGKILL)
-        after_loss = calib.study(robot, data, draws=60, executor=executor)
+        after_loss = calib.study(robot, data, draws=6, executor=executor)
     finally:
         executor.shutdown(kill_workers=True)
     assert np.array_equal(studied.draws.values, alone.draws.values)

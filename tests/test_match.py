@@ -115,7 +115,7 @@ def test_what_a_controller_knows_beside_joint_origins_is_named_and_no_pass(
     q = joint_values(1)
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(knows(q), origins())))
     assert matched.grade != "PASS"
-    assert "the controller knows something that joint origins cannot hold" in matched.conclusion
+    assert "the controller computes with something that joint origins cannot hold" in matched.conclusion
     assert words in matched.conclusion
     assert matched.agreed.left_out > 2 * matched.agreed.allowed
 

@@ -100,7 +100,7 @@ def test_free_is_what_mujoco_finds_free(tmp_path):
 
 
 @needs_ompl
-@pytest.mark.amount(4, 60)
+@pytest.mark.amount(3, 60)
 def test_no_contact_anywhere_on_a_route(tmp_path, amount):
     robot = calib.load(_write(tmp_path, _obstacles()))
     route = plan_route(robot, calib.sample(robot, amount, 1))

@@ -14,6 +14,7 @@ import yaml
 from small_robots import write_arm
 
 import calib
+import viz
 from calib import extend
 from calib.core.base.registry import Registry
 from calib.core.data.measurement_files import format_measurements
@@ -167,7 +168,7 @@ def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
         first = row[f"{name}_station.rz"]
         assert abs(first["value"] - np.degrees(heading)) < 4 * first["std"]
     assert {part["name"] for turn in content["instruments"] for part in turn["parts"]} == {"direction"}
-    report = (folder / "fit" / "report.html").read_text()
+    report = viz.report(calib.load_result(folder / "fit").fit).html
     assert "azimuth" in report
     assert "elevation" in report
 
@@ -366,7 +367,7 @@ def quick(tmp_path_factory):
     return folder, robot
 
 
-def test_a_term_with_a_column_of_its_own_is_found_reported_and_predicted_with(quick, run_calib):
+def test_a_term_with_a_column_of_its_own_is_found_reported_and_predicted_with(quick, run_calib, with_pages):
     folder, robot = quick
     assert "speed" in (folder / "data.csv").read_text().splitlines()[0].split(",")
     run = run_calib("fit", "arm.yaml", "data.csv", "--terms", "auto", "--out", "out", cwd=folder)
@@ -528,7 +529,7 @@ class Points(KINDS["position"]):
     parts = (replace(KINDS["position"].parts[0], name="point"),)
 
 
-def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_calib, monkeypatch):
+def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_calib, monkeypatch, with_pages):
     monkeypatch.setattr(KINDS, "_given", {"cloud": Points})
     examples = ROOT / "docs" / "examples"
     for name in ("arm.urdf", "arm_simulated.csv"):

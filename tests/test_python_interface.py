@@ -340,11 +340,7 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
 GUESSES = {
     # numpy and pandas: rows, masks, length, tables
     "len of data": lambda t: len(t.data) == 80,
-    "slice of data": lambda t: len(t.data[:60]) == 60,
     "every other row": lambda t: len(t.data[::2]) == 40,
-    "last row": lambda t: t.data[-1].joints.shape == (1, 6),
-    "mask of data": lambda t: np.all(t.data[t.data.joints[:, 0] > 0].joints[:, 0] > 0),
-    "rows by their numbers": lambda t: t.data[[3, 1]].names == (t.data.names[3], t.data.names[1]),
     "shuffled rows": lambda t: len(t.data[np.random.default_rng(0).permutation(len(t.data))]) == 80,
     "slice of poses": lambda t: len(t.candidates[10:20]) == 10,
     "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
@@ -356,10 +352,8 @@ GUESSES = {
         list(t.candidates.to_dict(t.robot)) == ["pose"] + [f"joint_{k} [deg]" for k in range(1, 7)]
     ),
     "joints are an array": lambda t: t.data.joints.mean(axis=0).shape == (6,),
-    "repr of data is short": lambda t: len(repr(t.data)) < 200,
     "html of data": lambda t: "<table>" in t.data._repr_html_(),
     # scikit-learn: split, fit, predict, seed
-    "split": lambda t: [len(part) for part in t.data.split(validation=0.25, seed=1)] == [60, 20],
     "the same seed": lambda t: (
         t.data.split(validation=0.25, seed=1)[0].names == t.data.split(validation=0.25, seed=1)[0].names
     ),
@@ -378,26 +372,13 @@ GUESSES = {
     "a fit is pickled": lambda t: str(pickle.loads(pickle.dumps(t.fit))) == str(t.fit),
     "a robot is copied": lambda t: copy.deepcopy(t.robot).parameters == t.robot.parameters,
     # lmfit: parameters by name, reports, intervals, covariance
-    "value": lambda t: 430 < t.fit.parameters["joint_3.z"].value < 450,
-    "std": lambda t: t.fit.parameters["joint_3.z"].std > 0,
-    "interval": lambda t: np.diff(t.fit.parameters["joint_3.z"].interval) > 0,
-    "nominal": lambda t: t.fit.parameters["joint_3.z"].nominal == 440,
-    "status": lambda t: t.fit.parameters["joint_3.z"].status == "identified",
     "names": lambda t: "joint_3.z" in list(t.fit.parameters),
     "membership": lambda t: "joint_3.z" in t.fit.parameters and "nobody" not in t.fit.parameters,
-    "items": lambda t: all(name == parameter.name for name, parameter in t.fit.parameters.items()),
     "values": lambda t: len(t.fit.parameters.values()) == len(t.robot.parameters),
-    "covariance by names": lambda t: t.fit.covariance["joint_3.z", "joint_3.z"] > 0,
-    "covariance as an array": lambda t: np.asarray(t.fit.covariance).shape == (len(t.fit.free_names),) * 2,
-    "residuals": lambda t: next(iter(t.fit.residuals.values())).shape == (60, 3),
     "converged": lambda t: t.fit.converged is True,
     "verdict": lambda t: t.fit.verdict.grade in ("PASS", "CHECK"),
     "report": lambda t: t.fit.report().startswith("Calibration of"),
-    "print": lambda t: str(t.fit) == t.fit.report() and len(str(t.fit)) < 20000,
-    "repr of a fit": lambda t: len(repr(t.fit)) < 200 and "array(" not in repr(t.fit),
     "html of a fit": lambda t: "joint_3.z" in t.fit._repr_html_(),
-    "hold": lambda t: calib.fit(t.robot.fix("joint_3.z"), t.used).parameters["joint_3.z"].status == "held",
-    "free again": lambda t: np.all(t.robot.fix("joint_3.z").free("joint_3.z").is_free),
     "parameter of a robot": lambda t: t.robot.parameters["joint_3.z"].nominal == 440,
     "parameters of a robot in a row": lambda t: t.robot.parameters[:2] == tuple(t.robot.parameters)[:2],
     "prior": lambda t: t.robot.with_prior("joint_3.z", "1 um").parameters["joint_3.z"].sigma_si == 1e-6,

@@ -35,7 +35,9 @@ def regressions():
         yield from operation._regression(problem)
 
 
-def test_a_sound_installation_has_no_failed_check(tmp_path, run_calib):
+@pytest.mark.amount(10, 40)
+def test_a_sound_installation_has_no_failed_check(tmp_path, run_calib, monkeypatch, amount):
+    monkeypatch.setattr(operation, "_FITS", amount)
     run = run_calib("qualify", "--out", tmp_path / "protocol")
     assert run.code == 0, run.err
     protocol = json.loads((tmp_path / "protocol" / "protocol.json").read_text())
@@ -63,8 +65,10 @@ def test_noise_that_is_found_too_small_is_found(monkeypatch):
     assert len(failures(regressions)) == 8
 
 
-@pytest.mark.parametrize("factor", [0.85, 1.15])
-def test_intervals_of_another_width_are_found(monkeypatch, factor):
+@pytest.mark.amount(10, 40)
+@pytest.mark.parametrize("factor", [0.8, 1.3])
+def test_intervals_of_another_width_are_found(monkeypatch, factor, amount):
+    monkeypatch.setattr(operation, "_FITS", amount)
     right = Statistics.coverage_factor.fget
     monkeypatch.setattr(Statistics, "coverage_factor", property(lambda self: factor * right(self)))
     assert failures(operation._coverage) == ["coverage of intervals"]

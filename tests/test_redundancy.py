@@ -295,7 +295,7 @@ def coverage(case, folder, n):
     return np.mean(hits, axis=0), float(np.mean(squares))
 
 
-@pytest.mark.amount(6, 40)
+@pytest.mark.amount(3, 40)
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold_the_truth(tmp_path, case, amount):
     parts, chi_square = coverage(CASES[case], tmp_path, amount)

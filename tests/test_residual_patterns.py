@@ -10,9 +10,8 @@ import calib
 from calib.core.data.measurements import directions_of_motion
 from calib.core.judging import findings
 from calib.core.judging.blind_spots import not_covered
-from calib.core.judging.effect_kinds import Family, Kind
-from calib.core.judging.effects import ORDERS, JointWaves
-from calib.core.judging.residual_patterns import Pattern, describe
+from calib.core.judging.effect_kinds import Family, Kind, Pattern, describe
+from calib.core.judging.effects import ORDERS, wave_orders
 
 SIGMA = 4e-5
 N_WAVES = 3 * 6 * 119
@@ -132,7 +131,7 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened(setting.by_joint)[:, 1]
+    by_joint = setting.joint_columns[:, 1]
     z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
     r = linear.rows.residuals
     span = linear.span[:]
@@ -157,7 +156,7 @@ def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_
     result = next(p for p in tested if p.detail.startswith(f"{order} "))
     assert result.significant == (height > 0)
     setting, linear = findings.setting(fit), findings.linear(fit)
-    by_joint = setting.whitened(setting.by_joint)[:, joint]
+    by_joint = setting.joint_columns[:, joint]
     phase = np.repeat(order * q[:, joint], 3)
     span, r = linear.span[:], linear.rows.residuals
     z = by_joint[:, None] * np.column_stack([np.sin(phase), np.cos(phase)])
@@ -355,10 +354,8 @@ def test_of_joint_values_on_a_grid_the_lowest_number_of_cycles_is_named(arm, ste
     """On a grid of 5 degrees 71 cycles are at every pose minus 1 cycle, on one of 20 degrees 93 are 3."""
     grid = np.deg2rad(step) * np.round(np.rad2deg(joints(80)) / step)
     assert np.allclose(np.cos(beyond * grid[:, 1]), np.cos(true * grid[:, 1]))
-    waves = JointWaves("j2", np.ones(80), np.arange(80), grid[:, 1], "cycles a turn")
-    assert waves.orders.stop - 1 == 180 // step
-    free = JointWaves("j2", np.ones(80), np.arange(80), joints(80)[:, 1], "cycles a turn")
-    assert free.orders.stop == ORDERS.stop
+    assert wave_orders(grid[:, 1]).stop - 1 == 180 // step
+    assert wave_orders(joints(80)[:, 1]).stop == ORDERS.stop
 
 
 def test_a_number_of_cycles_that_few_poses_do_not_determine_is_not_named(arm):

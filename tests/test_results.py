@@ -55,14 +55,6 @@ columns: {"T": "turn [deg]"}
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _without_pages():
-    """Report pages take seconds, and have tests of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.pictures.entry_points", lambda group: ())
-        yield
-
-
 def measured(robot, n_poses, seed):
     generator = np.random.default_rng(seed)
     q = generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (n_poses, 3))
@@ -451,7 +443,7 @@ def saved_robot(folder, name):
     return fit, poses.joints
 
 
-@pytest.mark.parametrize("name", ["arm", "five_bar", "medrue"])
+@pytest.mark.parametrize("name", ["arm", "five_bar"])
 def test_a_folder_that_was_moved_loads_as_the_calibrated_robot(tmp_path, name):
     fit, q = saved_robot(tmp_path, name)
     assert np.all(fit.robot.values[fit.robot.coefficients][:2] != 0.0)

@@ -10,7 +10,8 @@ from calib.core.fitting.fit import minimum_of
 from calib.core.fitting.settings import Settings
 from calib.core.numerics.statistics import prior_directions
 
-PLACED = ARM_YAML.replace("frame: ground}", "frame: ground, pose: unknown}")
+SMALL = ARM_YAML.replace("all, components: [x", "wrist, components: [x").replace("all,", "slide,")
+PLACED = SMALL.replace("frame: ground}", "frame: ground, pose: unknown}")
 TRACKER = PLACED.replace("targets:\n", "targets:\n  corner: {frame: slider, position: unknown}\n") + (
     "sigma: {range: 0.01 mm, angle: 0.02 mrad}\n"
 )
@@ -25,7 +26,7 @@ TERMS = (
 STEP = 0.1  # standard deviations
 
 
-def fitted(folder, yaml, n=40):
+def fitted(folder, yaml, n):
     """What `mean_square_beyond_linear` is asked of at the minimum of a small arm."""
     robot = calib.load(write_arm(folder, yaml))
     sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
@@ -61,7 +62,7 @@ def expected(problem, at, rows, groups):
 
 @pytest.mark.parametrize("yaml", [PLACED, TRACKER, TERMS], ids=["placed", "two targets", "joint terms"])
 def test_squares_beyond_the_linear_model_are_those_of_second_differences(yaml, tmp_path):
-    at = fitted(tmp_path, yaml)
+    at = fitted(tmp_path, yaml, 16)
     squares = curvature.mean_square_beyond_linear(*at)
     variances = np.sum(at[2].known.root ** 2, axis=1) * at[0].unknowns.scales ** 2
     assert np.max(squares) > 1e-13

@@ -182,7 +182,7 @@ def test_many_fits_in_one_process_do_not_grow(robot, data, fitted):
             loaded = calib.load(ROBOT)
             calib.fit(loaded, calib.read_measurements(DATA, loaded))
 
-    work(10)
+    work(5)
     before = memory()
     work(FITS)
     assert memory() - before < 2e6 + 1e3 * FITS  # what the allocator does not give back, and far less than one result

@@ -49,9 +49,9 @@ def test_measurements_of_other_poses_show_no_mistake(arm, data):
     assert likely_mistake(arm, replace(data, joints=data.joints[::-1])) == ""
 
 
-@pytest.mark.amount(3, 6)
+@pytest.mark.amount(1, 6)
 def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
-    for j in (0, 2, 5, 1, 3, 4)[:amount]:
+    for j in (2, 0, 5, 1, 3, 4)[:amount]:
         wrong = joint_changed(data, lambda q, j=j: q.__setitem__((slice(None), j), -q[:, j]))
         assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
 
@@ -104,6 +104,7 @@ def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, d
     assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
 
 
+@placed_anew
 def test_joint_values_beside_the_wrong_row_are_named(arm, data):
     above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
     assert "all joint values stood one row below their measurements" in likely_mistake(arm, above)
@@ -112,10 +113,10 @@ def test_joint_values_beside_the_wrong_row_are_named(arm, data):
 
 
 @placed_anew
-@pytest.mark.amount(2, 4)
+@pytest.mark.amount(1, 4)
 def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
     """The file is shifted, and then split: rows that were neighbours in it need not be so any more."""
-    for rows in (-5, 3, -2, 4)[:amount]:
+    for rows in (3, -5, -2, 4)[:amount]:
         n = np.arange(len(data) - abs(rows))
         joints_, measured = (n, n + rows) if rows > 0 else (n - rows, n)
         shifted = replace(data.subset(measured), joints=data.joints[joints_], order=None)
@@ -125,9 +126,9 @@ def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
 
 
 @placed_anew
-@pytest.mark.amount(3, 5)
+@pytest.mark.amount(1, 5)
 def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
-    for joint, factor in ((0, 1.1), (3, 0.5), (4, 10 / 9), (1, 2.0), (5, 0.7))[:amount]:
+    for joint, factor in ((4, 10 / 9), (0, 1.1), (3, 0.5), (1, 2.0), (5, 0.7))[:amount]:
         q = data.joints.copy()
         q[:, joint] *= factor
         told = likely_mistake(arm, replace(data, joints=q), 0.1)
@@ -138,6 +139,7 @@ def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
         assert ("gon read as degrees" in told) == (factor == 10 / 9)
 
 
+@placed_anew
 def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
     wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
@@ -151,10 +153,10 @@ def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
 
 
 @placed_anew
-@pytest.mark.amount(2, 3)
+@pytest.mark.amount(1, 3)
 def test_values_mapped_to_a_range_are_named(arm, data, amount):
     """Columns [deg] hold parts of the range from -3 to 3 rad."""
-    for low, high in ((-100, 100), (0, 1), (0, 4095))[:amount]:
+    for low, high in ((0, 4095), (-100, 100), (0, 1))[:amount]:
         mapped = low + (data.joints + 3.0) / 6.0 * (high - low)
         said = likely_mistake(arm, replace(data, joints=np.radians(mapped)))
         assert f"mapped from the joints' limits to the range {low} to {high}" in said
@@ -166,6 +168,7 @@ def with_zeros(arm, data, rows):
     return with_points(arm, data, positions)
 
 
+@placed_anew
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
     zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
@@ -180,7 +183,7 @@ def test_columns_that_are_copies_are_named(arm, data):
     assert likely_mistake(arm, wrong) == f"probable mistake: {copied}"
 
 
-@pytest.mark.amount(3, 20)
+@pytest.mark.amount(1, 20)
 def test_healthy_arms_show_no_mistake(arm, amount):
     sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
     for seed in range(amount):
@@ -234,6 +237,7 @@ def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
 
 def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     robot, data = motoman
+    data = data.subset(np.arange(80))
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
     assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
     zero = np.radians([0, 0, -90, 0, 0, 0, 0])
@@ -252,21 +256,20 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
 
 
 @placed_anew
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [
-        (1e3, "mm were read as m"),
-        (1e-3, "m were read as mm"),
-        (1 / 25.4, "inches were read as mm"),
-        (1 / 0.0254, "inches were read as m"),
-        (1 / 304.8, "feet were read as mm"),
-        (0.1, "cm were read as mm"),
-        (1 / 2.54, "tenths of an inch were read as mm"),
-        (0.2, " times as long as the robot's, which no usual unit explains"),
-    ],
-)
-def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
-    assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
+@pytest.mark.amount(3, 8)
+def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
+    units = {
+        1e3: "mm were read as m",
+        1 / 2.54: "tenths of an inch were read as mm",
+        0.2: " times as long as the robot's, which no usual unit explains",
+        1e-3: "m were read as mm",
+        1 / 25.4: "inches were read as mm",
+        1 / 0.0254: "inches were read as m",
+        1 / 304.8: "feet were read as mm",
+        0.1: "cm were read as mm",
+    }
+    for factor, words in list(units.items())[:amount]:
+        assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
 
 
 @pytest.mark.parametrize(
@@ -280,9 +283,15 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
         ),
     ],
 )
+@pytest.mark.parametrize("arm", ["known"], indirect=True)
 def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
-    mistake = likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
-    assert words in mistake or ("left-handed" in mistake and arm.description.base.pose == "unknown")
+    assert words in likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
+
+
+@placed_anew
+def test_a_left_handed_frame_somewhere_is_named(arm, data):
+    mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
+    assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
 
 
 def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):
@@ -312,6 +321,7 @@ def test_a_first_point_that_is_the_origin_of_the_frame_is_no_lost_sight(arm, dat
     assert not {"zero_readings", "likely_mistake"} & set(calib.fit(arm, first).verdict.to_dict()["codes"])
 
 
+@placed_anew
 def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, monkeypatch):
     def fails(*_):
         raise calib.ComputationError("the robot cannot be assembled")

@@ -144,24 +144,6 @@ def test_what_is_there_is_added_and_nothing_else():
     assert "The measurements do not say whether there are: " in report
 
 
-@pytest.mark.parametrize(("times", "said"), [(2.0, False), (30.0, True)])
-def test_a_gain_beyond_a_hundredth_is_a_reason_to_look(times, said):
-    robot = example_arm(None)
-    usual = robot.with_terms(listed_terms("joint_2=gain")).parameters[-1].sigma_si
-    true = robot.with_terms(listed_terms("joint_2=gain")).with_parameters({"joint_2.gain": times * usual})
-    q = np.random.default_rng(19).uniform(-1.5, 1.5, (40, 6))
-    fit = calib.fit(robot, _measured(robot, true, q, np.random.default_rng(20)), terms="auto")
-    assert "gain" in sure(fit)
-    gain = next(trial for trial in fit.terms.tried if trial.term == "gain")
-    results = [reason.text for reason in fit.verdict.reasons if reason.code == "joint_scaled"]
-    assert len(results) == said
-    if said:  # the size is that of one coefficient, which says it to about a factor of two
-        assert gain.joints == ("joint_2",)
-        assert 0.5 * times < gain.size < 1.5 * times
-        assert "joint_2 1.03 times as far" in results[0]
-        assert fit.verdict.grade == "CHECK"
-
-
 def test_which_joint_drives_which_is_found():
     robot = example_arm(None)
     driven = robot.with_terms([CouplingSection(joint="joint_6", term="coupling", driven_by="joint_5", sigma=1e-3)])
@@ -244,8 +226,8 @@ def test_candidates_say_why_they_cannot_be_tried():
 
 
 def test_intervals_of_terms_and_of_predictions_cover(tmp_path):
-    # of 72 and 60 coefficients that go together, 95 % +- 3; and half as much again for positions of the same fits
-    for robot, n in ((example_arm(None), 6), (five_bar(tmp_path), 15)):
+    # of 24 coefficients each that go together, 95 % +- 5; and half as much again for positions of the same fits
+    for robot, n in ((example_arm(None), 2), (five_bar(tmp_path), 6)):
         coefficients, positions = coverage(robot, ("gain", "backlash"), n, 12)
         assert coefficients > 0.88
         assert positions > 0.85

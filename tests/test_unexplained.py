@@ -193,7 +193,7 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     assert unexplained_joint_error(stated, 1e4 * columns) < 5e-5
 
 
-def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib):
+def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib, with_pages):
     robot = example("arm")
     fit, _ = fitted(robot, "rough", 5)
     fit.save(tmp_path / "out")

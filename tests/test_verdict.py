@@ -11,13 +11,11 @@ from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, 
 import calib
 from calib.core.data.measurements import with_points
 from calib.core.fitting.fitted import Convergence
-from calib.core.fitting.starts import Minimum, Starts
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _spread
 from calib.core.judging.blind_spots import unordered
 from calib.core.judging.effects import scale
 from calib.core.judging.next_step import next_step
-from calib.core.judging.residual_patterns import visible
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.rules_reach import _given
 
@@ -138,12 +136,6 @@ def test_priors_are_weighed_by_the_noise_found_where_it_contradicts_what_is_stat
     assert believed.scales.groups == 1.0
 
 
-def test_noise_three_times_what_was_stated_is_a_remark_where_unused_poses_prove_the_fit(arm, truth):
-    data, other = noisy(truth, joints(80), 4 * SIGMA, 1), noisy(truth, joints(30, 5), 4 * SIGMA, 2)
-    assert "get better" in remark(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").text
-    assert "get better" in remark(calib.fit(arm, data, sigma=SIGMA, folds=4), "noise").text
-
-
 def test_noise_that_is_less_than_chance_explains_is_told(arm, truth):
     verdict_remark = remark(calib.fit(arm, noisy(truth, joints(80), 0.5 * SIGMA, 1), sigma=SIGMA), "noise")
     assert "less than chance" in verdict_remark.text
@@ -196,29 +188,9 @@ def test_where_validation_poses_lie_elsewhere_the_broken_claim_says_how_many(arm
     away = np.min(np.linalg.norm((there[:, None] - used) / unit, axis=2), axis=1)
     counted = int(np.sum(away > np.sort(between)[int(0.95 * (len(used) + 1))]))
     assert 0.3 * len(there) < counted < len(there)
-    named = re.search(r"\. (\d+) of them are farther from the poses used for the fit", said(there))
+    named = re.search(r"\. (\d+) of them lie farther from the poses used", said(there))
     assert abs(int(named[1]) - counted) <= 1  # the limit is one of the distances beside each other
     assert "farther" not in said(other)
-
-
-def test_a_known_base_that_stands_far_elsewhere_is_named_with_its_place(prior_arm):
-    """The frame of these measurements is turned about x and shifted; all come from one file."""
-    truth = prior_arm.with_parameters({"j3.x": 0.001, "j4.rz": 0.002})
-    data = noisy(truth, joints(80), SIGMA, 1)
-    degrees, metres = 40, 0.8
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    positions = data.points(prior_arm) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T + [metres, -metres, metres / 2]
-    data = with_points(prior_arm, data, positions)
-    fit = calib.fit(prior_arm, data.subset(np.arange(60)), validation=data.subset(np.arange(60, 80)))
-    verdict = fit.verdict
-    verdict_reason = reason(fit, "base_elsewhere")
-    assert verdict_reason.grade == "FAIL"
-    assert "base: pose: known does not fit these measurements" in verdict_reason.text
-    assert "set base: pose: unknown, or correct it to about xyz" in verdict_reason.text
-    numbers = [float(number) for number in re.findall(r"(-?[\d.]+) (?:mm|deg)[,\]]", verdict_reason.text)]
-    assert numbers[:3] == pytest.approx([1e3 * metres, -1e3 * metres, 5e2 * metres], abs=1)  # the arm's own error
-    assert numbers[3:] == pytest.approx([degrees, 0, 0], abs=0.1)
-    assert "frame_moved" not in verdict.to_dict()["codes"]  # there is one file
 
 
 def test_too_few_poses_are_a_remark_only_where_poses_that_were_not_used_bear_the_claim_out(arm, truth):
@@ -227,16 +199,6 @@ def test_too_few_poses_are_a_remark_only_where_poses_that_were_not_used_bear_the
     assert reason(calib.fit(arm, data), "too_few_poses").grade == "CHECK"
     validated = calib.fit(arm, data, validation=noisy(truth, joints(60, seed=5), SIGMA, 2))
     assert remark(validated, "too_few_poses").grade == "PASS"
-
-
-def test_a_parameter_that_no_error_of_its_size_explains_fails(prior_arm):
-    moved = prior_arm.with_parameters({"j4.z": 0.15})  # 0.1 m off, 50 sigma
-    fit = calib.fit(prior_arm, noisy(moved, joints(80), SIGMA, 1))
-    verdict_reason = reason(fit, "far_from_nominal")
-    assert fit.verdict.grade == verdict_reason.grade == "FAIL"
-    assert "j4.z (" in verdict_reason.text
-    assert "signs, zeros and order of the joint columns" in verdict_reason.text
-    assert "at_bounds" not in fit.verdict.to_dict()["codes"]
 
 
 def test_validation_at_poses_that_the_fit_has_used_is_pointed_out(arm, truth):
@@ -251,12 +213,6 @@ def test_validation_at_poses_that_the_fit_has_used_is_pointed_out(arm, truth):
     assert calib.fit(arm, data, validation=noisy(truth, joined, SIGMA, 2)).verdict.grade == "PASS"
 
 
-def test_computed_data_are_called_so_although_priors_leave_something(prior_arm):
-    moved = prior_arm.with_parameters({"j3.x": 0.002})
-    fit = calib.fit(prior_arm, noisy(moved, joints(80), 0.0, 1), sigma=SIGMA)
-    assert fit.verdict.to_dict()["codes"] == ["no_noise"]
-
-
 def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
     robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
     moved = robot.with_parameters({"base.x": 3.0, "base.rz": 1.0})
@@ -264,16 +220,7 @@ def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
     assert "at_bounds" not in [reason.code for reason in fit.verdict.reasons]
 
 
-def test_a_robot_that_is_as_good_as_its_model_is_told(arm):
-    fit = calib.fit(arm, noisy(arm, joints(80), SIGMA, 1), sigma=SIGMA)
-    assert reason(fit, "nothing_to_correct").text.startswith(
-        "nothing to correct: on the poses used, no more than chance"
-    )
-    assert fit.verdict.grade == "PASS"
-    assert "remark: nothing to correct" in fit.report()
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
     data, other = noisy(arm, joints(60, seed), SIGMA, seed), noisy(arm, joints(30, seed + 50), SIGMA, seed + 50)
     fit = calib.fit(arm, data, validation=other, folds=4)
@@ -311,25 +258,6 @@ def test_more_noise_than_stated_of_a_robot_that_needs_no_correction_is_told(arm)
     assert reason(fit, "nothing_to_correct").grade == "PASS"
 
 
-def test_many_excluded_poses_are_no_outliers(arm, truth):
-    q = joints(80)
-    positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((80, 1, 3))
-    positions[::7] += np.random.default_rng(2).normal(0, 2e-3, positions[::7].shape)
-    fit = calib.fit(arm, measurements(arm, q, positions), exclude_outliers=True)
-    assert "of 80 poses were excluded: so many cannot be outliers" in reason(fit, "many_excluded").text
-    assert "Outliers left out: row" in fit.report(verbose=True)
-    assert "with outliers, after" in fit.report(verbose=True)
-
-
-def test_another_minimum_as_good_is_a_check_and_a_worse_one_is_not(good):
-    def starts(cost):
-        ends = [Minimum(good.robot, None, 200.0, 7e-5, 3), Minimum(good.robot, None, cost, 7.1e-5, 2)]
-        return replace(good, starts=Starts(tuple(ends), 0, 1, np.ones(1)))
-
-    assert "1 other minimum explains the data as well" in reason(starts(203.0), "other_minimum").text
-    assert starts(900.0).verdict.grade == "PASS"
-
-
 def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     curves = "  - {joint: all, term: curve, orders: 9}\n"
     robot, q = calib.load(write_six_axis(tmp_path, YAML + FREE + curves)), joints(80)
@@ -338,22 +266,6 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     fit = calib.fit(robot, data, sigma=SIGMA)
     assert np.max(findings.studentised(fit).largest_leverage) > 0.95
     assert "leverage" not in fit.verdict.to_dict()["codes"]
-    q = joints(60)
-    q[:, 5] = 0.3
-    q[11, 5] = 1.9  # alone tells the place of that joint's axis
-    curve = "  - {joint: j2, term: curve, orders: 5}\n"
-    robot = calib.load(write_six_axis(tmp_path, f"priors: false\n{YAML}{ALONE}{curve}"))
-    text = reason(calib.fit(robot, noisy(robot, q, SIGMA, 1), sigma=SIGMA), "leverage").text
-    assert text.startswith("1 pose decides its own prediction")
-    assert "row 11" in text
-
-
-def test_fail_comes_before_check(arm, truth):
-    fit = calib.fit(arm, noisy(truth, joints(11), 2.0, 1))
-    grades = [reason.grade for reason in fit.verdict.reasons]
-    assert grades == sorted(grades, reverse=True)
-    assert grades[0] == "FAIL"
-    assert grades[-1] == "CHECK"
 
 
 def test_poses_in_one_corner_are_told_and_the_claim_is_for_them(prior_arm):
@@ -372,14 +284,6 @@ def rounded_to(q, degrees):
     return np.radians(np.round(np.degrees(q) / degrees) * degrees)
 
 
-def test_rounded_joint_values_are_told(arm, truth):
-    q = joints(80)
-    positions = noisy(truth, q, SIGMA, 1).points(arm)
-    fit = calib.fit(arm, measurements(arm, rounded_to(q, 0.02), positions))
-    assert "to steps of 0.02 deg" in remark(fit, "rounded").text
-    assert rounding(fit).part == pytest.approx(1.0, abs=0.5)  # noise is next to nothing beside it
-
-
 @pytest.mark.parametrize("step", [0.02, 0.1, 5.0])
 def test_a_robot_that_was_sent_to_round_values_is_not_called_rounded(arm, truth, step):
     fit = calib.fit(arm, noisy(truth, rounded_to(joints(80), step), SIGMA, 1))
@@ -391,7 +295,7 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
     """The sums over visits against Q and M written out."""
     fit = calib.fit(arm, noisy(truth, rounded_to(joints(40), 0.01), SIGMA, 1))
     setting = findings.setting(fit)
-    columns = setting.whitened(setting.by_joint) * np.radians(0.01) / np.sqrt(12)
+    columns = setting.joint_columns * np.radians(0.01) / np.sqrt(12)
     q = np.zeros((120, 120))
     for visit in range(40):
         rows = slice(3 * visit, 3 * visit + 3)
@@ -443,7 +347,7 @@ def test_the_scale_that_shows_is_five_standard_deviations(arm, truth):
     column = -((points - points.mean(axis=0)) / SIGMA).reshape(-1, 1)
     both = np.hstack([fit.rows.jacobian, column])
     std = np.sqrt(np.linalg.inv(both.T @ both)[-1, -1]) * fit.sigma / SIGMA
-    assert visible(findings.linear(fit), scale(findings.setting(fit))) == pytest.approx(5 * std, rel=1e-3)
+    assert findings.linear(fit).visible(scale(findings.setting(fit))) == pytest.approx(5 * std, rel=1e-3)
 
 
 def test_rows_that_look_shuffled_are_named_unless_they_have_a_time(prior_arm):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
+from viz_examples import five_bar_fit, measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 from calib.core.base.errors import DataError, InputError
@@ -68,12 +68,13 @@ def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, t
 
 
 def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
-    data = measurements(range(0, 420, 5))
-    points = data.points(medrue_robot()) + np.random.default_rng(1).normal(scale=0.01, size=(len(data), 1, 3))
-    fit = calib.fit(medrue_robot(), calib.as_measurements(medrue_robot(), data.joints, points), sigma=4e-5)
+    robot = five_bar_fit().nominal
+    data = five_bar_fit().identification.data
+    points = data.points(robot) + np.random.default_rng(1).normal(scale=0.005, size=(len(data), 1, 3))
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, points), sigma=4e-5)
     assert fit.verdict.grade == "FAIL"
     fit.save(str(tmp_path / "out"), pages=False)
-    for scene in (gather(medrue_robot(), fit).scene, gather(medrue_robot(), tmp_path / "out").scene):
+    for scene in (gather(robot, fit).scene, gather(robot, tmp_path / "out").scene):
         assert scene.verdict.grade == "FAIL"
         assert "noise" in scene.verdict.reasons[0][1]
 

@@ -113,9 +113,9 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     shown = words_of(html)
     assert "Position error [mm]; for each axis" in shown
     assert "Orientation error [mrad]; for each axis" in shown
-    assert all(f">{axis}</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
+    assert all(f">{axis} mean</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
     turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
-    row = re.findall(r"validation \(20\) after ([\d.]+) ([\d.]+)", shown)[1]
+    row = re.findall(r"validation, after 20 ([\d.]+) ([\d.]+)", shown)[1]
     assert [float(number) for number in row] == pytest.approx([turned.mean(), turned.max()], rel=5e-3)  # as printed
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
@@ -156,7 +156,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert part["range"]["after"][1] == pytest.approx(1e3 * np.abs(fit.identification.after["ball"]).max())
     html = undrawn(fit)
     shown = words_of(html)
-    assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
+    assert "Distance error (RMS) before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
     assert [chart.name for chart in error_charts(fit, scene)] == [
         f"distance-{name}" for name in ("errors", "planes", "order", "by-joint")
@@ -169,7 +169,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
     np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
     off = fit.identification.tables()["ball"]["distance"]
-    expected = tuple((off[state]["mean"], off[state]["max"]) for state in ("before", "after"))
+    expected = tuple((off[state]["rms"], off[state]["max"]) for state in ("before", "after"))
     for shown in (scene, saved_scene):
         (other,) = shown.others
         assert (other.of, other.part, other.unit, other.sets[0][0]) == ("ball", "distance", "mm", "identification")
@@ -193,7 +193,7 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
     for scene in (scene_of_fit(fit), gather(robot, tmp_path / "out").scene):
         headline, *each = scene_data(scene)["others"]
         assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
-        assert headline["sets"][0]["after"] == pytest.approx([after.mean(), after.max()], rel=1e-9)
+        assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
         assert [item["of"] for item in each] == ["wire", "other", "third"]
 
 
@@ -227,12 +227,12 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert scene.states == ("before", "after")
     rows = {row["group"]: row["after"] for row in scene_data(scene)["summary"]}
     assert rows["identification"] is None
-    assert rows["validation"]["mean"] == pytest.approx(
-        1e3 * np.linalg.norm(fit.validation.after["ball"], axis=1).mean(), rel=1e-9
+    assert rows["validation"]["rms"] == pytest.approx(
+        1e3 * np.sqrt(np.mean(np.sum(fit.validation.after["ball"] ** 2, axis=1))), rel=1e-9
     )
     shown = words_of(undrawn(fit))
-    assert "Mean position error before and after calibration, 20 poses (validation)" in shown
-    assert "Distance error [mm] Poses" in shown
+    assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
+    assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown
     fit.save(tmp_path / "out", pages=False)
     saved = gather(robot, tmp_path / "out").scene.poses

@@ -135,7 +135,7 @@ def test_summary_and_ranges_are_in_their_units(scene):
     rows = {row["group"]: row for row in summary(scene)}
     lengths = 1e3 * np.linalg.norm(scene.poses.error("after")[:5], axis=1)
     assert rows["identification"]["after"] == {
-        "mean": pytest.approx(lengths.mean()),
+        "rms": pytest.approx(np.sqrt(np.mean(lengths**2))),
         "max": pytest.approx(lengths.max()),
     }
     assert rows["validation"]["count"] == len(scene.poses) - 5

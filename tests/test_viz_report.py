@@ -38,7 +38,8 @@ def test_the_verdict_comes_first_and_with_the_accuracy(html, fit):
     first = words_of(html)[:700]
     after = fit.validation.table()["after"]
     assert f"Verdict: {fit.verdict.grade}" in first
-    assert millimetres(after["mean"]) in first
+    assert millimetres(after["rms"]) in first
+    assert f"-> {after['rms']:.4f} " in fit.report()  # the same figure in the terminal
     assert "47 poses (validation)" in first
 
 
@@ -104,12 +105,12 @@ def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
     fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     html = undrawn(fit)
     assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
-    assert "with outliers (84)" in html
+    assert "with outliers, after 84" in words_of(html)
 
 
 def test_cross_validation_is_shown_and_judged_by():
     html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
-    assert "left out in turn (84)" in html
+    assert "left out in turn, after 84" in words_of(html)
     assert "84 poses (left out in turn)" in words_of(html)[:700]
 
 

@@ -108,9 +108,10 @@ def dies_half_way(task: tuple[str, int]) -> bytes:
     return bytes([number] * 1000)
 
 
-def test_programs_of_which_a_worker_is_killed_at_any_moment_end_with_all_results() -> None:
+@pytest.mark.amount(1, 3)
+def test_programs_of_which_a_worker_is_killed_at_any_moment_end_with_all_results(amount: int) -> None:
     chance = random.Random(1)
-    assert [outcome("ours", chance, BUSY) for _ in range(3)] == ["complete"] * 3
+    assert [outcome("ours", chance, BUSY) for _ in range(amount)] == ["complete"] * amount
 
 
 class Unreadable:
@@ -221,11 +222,12 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.S
         assert ended(output)
 
 
-def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path) -> None:
+@pytest.mark.amount(4, 12)
+def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount: int) -> None:
     """As a terminal sends it, to all of them; at most moments a large result is half-way through a pipe."""
     script, chance = tmp_path / "program.py", random.Random(1)
     script.write_text(ALWAYS_SENDING)
-    for _ in range(12):
+    for _ in range(amount):
         reading, writing = os.pipe()
         program = start([sys.executable, script], stdout=writing, start_new_session=True)
         os.close(writing)

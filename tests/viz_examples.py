@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import re
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -37,6 +38,12 @@ def measurements(rows, seed=1, sigma=4e-5, path="memory"):
 def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
     held_out = None if validation is None else measurements(validation, seed=2)
     return calib.fit(medrue_robot(), measurements(identification), validation=held_out)
+
+
+@functools.cache
+def five_bar_fit():
+    folder = Path(__file__).parents[1] / "docs" / "examples"
+    return calib.fit(calib.load(folder / "five_bar.yaml"), folder / "five_bar_simulated.csv", validation=0.25)
 
 
 def undrawn(fit, **options):

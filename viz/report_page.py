@@ -23,7 +23,7 @@ from calib.core.base.version import PROGRAM
 from calib.core.base.words import sentence
 from calib.core.judging.next_step import next_step
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.accuracy import accuracy
+from calib.core.results.sections.accuracy import accuracy_grids
 from calib.core.results.sections.budget import budget_grid, budget_table
 from calib.core.results.sections.details import details
 from calib.core.results.sections.determination import position_uncertainty_table, unsure
@@ -37,7 +37,7 @@ from viz.error_charts import conditions, corrections, coverage, error_charts, pa
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
-from viz.report_tables import extent, headline, judged_by, tolerance_of, worst
+from viz.report_tables import Headline, extent, tolerance_of, worst
 from viz.result_charts import parameters, waterfall, worth
 from viz.scene import Scene, scene_of_fit
 from viz.scene_data import in_space
@@ -80,7 +80,7 @@ def report_page(
         scene: The fit's scene, where it has been made before.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
-    tables, table, budget, claim = accuracy(fit), from_fit(fit), budget_table(fit), judge(fit).claim
+    headline, table, budget, claim = Headline.of(fit), from_fit(fit), budget_table(fit), judge(fit).claim
     frame = "" if shown is None else scene_page(shown, embedded=True).html
     return printed_page(
         "report.html",
@@ -92,9 +92,9 @@ def report_page(
         robot=fit.nominal,
         verdict=judge(fit),
         following=_following(fit, command).partition(": "),
-        headline=headline(tables, judged_by(fit).main_part),
-        space=_space(shown, judged_by(fit).main_part.name),
-        accuracy=tables,
+        headline=headline,
+        space=_space(shown, headline.part.name),
+        accuracy=accuracy_grids(fit),
         noise=noise_found(fit),
         worth=files_grid(fit),
         budget=budget_grid(fit),
@@ -110,7 +110,7 @@ def report_page(
         claim="" if claim is None else claim.words.replace(" %", "\u00a0%"),
         parameters=parameter_grid(fit),
         has_space=shown is not None,
-        first_plots=_FIRST,
+        first_plots=() if shown is None else _FIRST,
         notes=details(fit, brief=True),
         unsure=unsure(fit),
         outliers=outlier_grid(fit),
@@ -170,7 +170,7 @@ def _following(fit: Fit, command: str) -> str:
 
 
 def _space(scene: Scene | None, part: str) -> list[float] | None:
-    """Mean distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
+    """RMS distance [mm] before and after of points that one instrument sees in another unit; None where none does."""
     alike = [] if scene is None else [other for other in scene.others if other.part == part]
     return in_space(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 

@@ -3,35 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import error_scale, quantity
-from calib.core.fitting.error_sets import ErrorSet
+from calib.core.base.units import ERROR_UNIT, error_scale, quantity
+from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.instruments.kind import Part
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.accuracy import NAMES, AccuracyLine, AccuracyTable, error_sets
+from calib.core.results.sections.accuracy import judged_by
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 from viz.remarks import tolerance
 
-_JUDGED_BY = ("validation", "left out in turn", "identification")
 
+@dataclass(frozen=True)
+class Headline:
+    """The error that counts: of which part, in which unit, at how many poses of which set, before and after."""
 
-def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, AccuracyLine, AccuracyLine]:
-    """Return what counts: the table of a part, and its lines before and after of poses that were not used, if any."""
-    table = next(table for table in tables if table.part == part)
-    by_name = {(line.group, line.state): line for line in table.lines}
-    group = next(name for name in _JUDGED_BY if (name, "after") in by_name)
-    return table, by_name[group, "before"], by_name[group, "after"]
+    part: Part
+    unit: str
+    group: str
+    poses: int
+    before: dict[str, Any]
+    after: dict[str, Any]
 
-
-def judged_by(fit: Fit) -> ErrorSet:
-    """Return the errors that count, as in `headline`."""
-    sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
-    return next(sets[name] for name in _JUDGED_BY if name in sets)
+    @staticmethod
+    def of(fit: Fit) -> Headline:
+        """Return that of the main part."""
+        group, errors = judged_by(fit)
+        part = errors.main_part
+        before, after = (error_table(errors.errors(state, part.name), part) for state in STATES)
+        return Headline(part, ERROR_UNIT[part.dimension], group, errors.data.n_poses, before, after)
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
 
 def worst(fit: Fit) -> str:
     """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
-    errors = judged_by(fit)
+    errors = judged_by(fit)[1]
     if not errors.main_part.is_position:
         return _worst_reading(errors)
     table = averaged(of_errors(fit, IDENTIFICATION, errors))

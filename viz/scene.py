@@ -65,7 +65,7 @@ class OtherErrors:
         instruments: Who reads it.
         part: What it reads, such as `contact`.
         unit: Unit of all numbers.
-        sets: Of each set its name, and mean and largest error before and after calibration.
+        sets: Of each set its name, and RMS and largest error before and after calibration.
     """
 
     instruments: tuple[str, ...]
@@ -270,19 +270,19 @@ def other_errors(
         if part["errors"]
     ]
     others = [(name, part) for name, part, is_position in read if not is_position]
-    errors = [OtherErrors((name,), part["name"], part["unit"], _means(part["errors"])) for name, part in others]
+    errors = [OtherErrors((name,), part["name"], part["unit"], _sizes(part["errors"])) for name, part in others]
     if errors and len(others) == len(read):
         several = tuple(name for name, part in others if part["name"] == errors[0].part)
         if len(several) > 1:
-            return (replace(errors[0], instruments=several, sets=_means(together)), *errors)
+            return (replace(errors[0], instruments=several, sets=_sizes(together)), *errors)
     return tuple(errors)
 
 
-def _means(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
-    """Of each set its name, and mean and largest error before and after calibration."""
+def _sizes(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
+    """Of each set its name, and RMS and largest error before and after calibration."""
 
     def ends(off: Mapping[str, Any]) -> tuple[float, float]:
-        return float(off["mean"]), float(off["max"])
+        return float(off["rms"]), float(off["max"])
 
     return tuple((name, ends(off["before"]), ends(off["after"])) for name, off in errors.items())
 

@@ -100,7 +100,7 @@ def _bodies(bodies: Bodies) -> dict[str, Any]:
 
 
 def summary(scene: Scene) -> list[dict[str, Any]]:
-    """Return count, mean and largest error [mm] of each group, before and after calibration where known."""
+    """Return count, root mean square and largest error [mm] of each group, before and after calibration where known."""
     rows = []
     group = np.array(scene.poses.group)
     for name in GROUPS:
@@ -109,7 +109,8 @@ def summary(scene: Scene) -> list[dict[str, Any]]:
         for state in scene.states:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
             lengths = _MM * lengths[np.isfinite(lengths)]
-            row[state] = {"mean": float(lengths.mean()), "max": float(lengths.max())} if len(lengths) else None
+            known = {"rms": float(np.sqrt(np.mean(lengths**2))), "max": float(lengths.max())} if len(lengths) else None
+            row[state] = known
         if row["count"] and scene.states and scene.shows_poses:
             rows.append(row)
     return rows
@@ -241,7 +242,7 @@ def _parts(scene: Scene) -> list[dict[str, Any]]:
 
 
 def in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
-    """Return the mean distance [mm] of points before and after, of readings that see points and have another unit.
+    """Return the RMS distance [mm] of points before and after, of readings that see points and have another unit.
 
     Those of the validation are counted if there are any; None for other readings.
     """
@@ -257,7 +258,8 @@ def in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
             ]
         )
         if errors.part.name == other.part and not errors.turns and np.any(chosen):
-            return [_MM * float(np.nanmean(np.linalg.norm(errors.arrows(state)[chosen], axis=1))) for state in STATES]
+            squares = (np.sum(errors.arrows(state)[chosen] ** 2, axis=1) for state in STATES)
+            return [_MM * float(np.sqrt(np.nanmean(square))) for square in squares]
     return None
 
 

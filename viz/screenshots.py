@@ -116,7 +116,7 @@ def command(folder: Path, out: Path, output: Output) -> None:
     """Take pictures of the pages in the result FOLDER."""
     output.check(folders=(str(out),), names=[f"{name}.png" for name, *_ in PICTURES])
     with output.working("taking pictures"):
-        taken = {name: small(picture) for name, picture in take(folder).items()}
+        taken = {name: small(picture) for name, picture in take(folder, PICTURES).items()}
     write_folder(out, taken, force=output.force)
     output.say("\n".join(str(out / name) for name in taken))
 

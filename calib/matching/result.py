@@ -60,8 +60,9 @@ class Match:
         agreed = self.agreed
         if not agreed.to_the_digits:
             return (
-                f"the controller knows something that joint origins cannot hold: pairs that were left out in turn are"
-                f" {_mm(agreed.left_out)} off (RMS), where the file's digits allow {_mm(agreed.allowed)};"
+                f"the controller computes with something that joint origins cannot hold: each pair is"
+                f" {_mm(agreed.left_out)} (RMS) from what all others predict, and the file's digits allow"
+                f" {_mm(agreed.allowed)};"
                 f" {self._terms_tried()}"
             )
         elsewhere = f"{_mm(agreed.claim)} and {_mrad(agreed.turn_claim)} at 95 % of all poses"

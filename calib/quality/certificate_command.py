@@ -87,11 +87,7 @@ def command(
     loaded = load_result(result)
     stated = _stated(loaded, traceability)
     where = None if poses is None else read_poses(poses, loaded.robot)
-    sign = (
-        None
-        if key is None
-        else signer(key, lambda: str(click.prompt("Password of the key", hide_input=True, err=True)))
-    )
+    sign = None if key is None else signer(key, _password)
     output.check(out, None if key is None else out + ENDING)
     with output.working("checking the budget") as progress:
         certificate = one_blas_thread(Certificate.of)(loaded, stated, where)
@@ -111,7 +107,7 @@ def command(
         f" at poses like the {content['n_poses']} measured"
     )
     if draws:
-        difference = f"{100 * drawn.difference:.1f} % from the propagated {1e6 * found.combined:.4g} um"
+        difference = f"they differ by {100 * drawn.difference:.1f} % from the budget ({1e6 * found.combined:.4g} um)"
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")

@@ -87,10 +87,10 @@ def _own(robot: Robot, data: Measurements) -> Iterator[Check]:
     verdict = judge(fit)
     yield Check.of(_PHASE, f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
     claim = verdict.claim
-    if claim is None or not claim.shown:
+    if claim is None or not claim.unused:
         yield Check(_PHASE, f"claim about {robot.name}", "a claim", "the readings do not tell", Outcome.NOTED)
         return
-    shown = claim.shown[0]
+    shown = claim.unused[0].accuracy
     expected = f"{held.n_poses} poses that were held out: at most {MORE:g} times as far off as claimed"
     found = f"{shown.shown(shown.rms)} RMS, {claim.told.shown(claim.told.rms)} claimed"
     yield Check.of(_PHASE, f"claim about {robot.name}", expected, found, claim.holds)

@@ -22,6 +22,26 @@ def kept_report(chromium, report_file):
     tab.context.close()
 
 
+@pytest.fixture(scope="module")
+def kept_small_report(chromium, tmp_path_factory):
+    """The report of a robot of two motors, which is drawn more quickly."""
+    from viz_examples import five_bar_fit
+
+    import viz
+
+    page = viz.report(five_bar_fit()).save(tmp_path_factory.mktemp("pages") / "report.html")
+    tab = Tab(chromium, size=(1000, 900)).open(page.as_uri())
+    tab.page.evaluate("calibrationReport.all()")
+    yield tab
+    tab.context.close()
+
+
+@pytest.fixture
+def small_report(kept_small_report):
+    yield kept_small_report
+    assert kept_small_report.problems == []
+
+
 @pytest.fixture
 def report(kept_report):
     """The report in windows of any size; the tests share one page."""
@@ -35,14 +55,14 @@ def report(kept_report):
     assert kept_report.problems == []
 
 
-@pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
-def test_it_opens_without_errors_and_fits_the_window(show, report_file, size):
-    tab = show(report_file.as_uri(), size=size)
-    tab.page.evaluate("calibrationReport.all()")
+def test_it_opens_without_errors_and_fits_the_window(report, report_file):
+    for size in ((1000, 900), (390, 844)):
+        tab = report(*size)
+        tab.page.evaluate("calibrationReport.all()")
+        assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
     assert [address for address in tab.requests if not address.startswith(("about:", "blob:", "data:"))] == [
         report_file.as_uri()
     ]
-    assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
     assert tab.page.locator("section").first.get_attribute("class").startswith("verdict")
 
 
@@ -81,9 +101,8 @@ def place_of(tab, chart, layer, mark):
     )
 
 
-def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_same_poses(report):
-    tab = report(1200, 900)
-    tab.page.evaluate("calibrationReport.all()")
+def test_hover_a_box_in_a_plot_a_line_of_a_table_and_a_click_in_space_mean_the_same_poses(small_report):
+    tab = small_report
     x, y, row = place_of(tab, "order", 1, 30)
     tab.page.mouse.move(x, y)
     tab.page.wait_for_timeout(300)
@@ -170,17 +189,17 @@ def test_compared_results_fit_the_window_and_print(show, tmp_path):
 
     fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]
     page = comparison_page(calib.compare(*fits)).save(tmp_path / "compared.html")
+    tab = show(page.as_uri())
     for size in ((1000, 900), (390, 844)):
-        tab = show(page.as_uri(), size=size)
+        tab.page.set_viewport_size({"width": size[0], "height": size[1]})
         tab.page.evaluate("calibrationReport.all()")
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
         assert tab.page.locator("#intervals[data-drawn]").count() == 1
         assert tab.page.locator("#same-rows[data-drawn]").count() == 1
 
 
-def test_plots_take_the_colours_of_a_dark_page(report):
-    tab = report(1000, 900)
-    inks = []
+def test_plots_take_the_colours_of_a_dark_page(small_report):
+    tab, inks = small_report, []
     for scheme in ("dark", "light"):
         tab.page.emulate_media(color_scheme=scheme)
         tab.page.wait_for_timeout(500)

@@ -8,7 +8,7 @@ from viz_examples import medrue_fit
 from viz.screenshots import PICTURES, take_one
 
 
-def test_pictures_of_a_result_folder_are_taken(chromium, tmp_path):
+def test_pictures_of_a_result_folder_are_taken(chromium, tmp_path, with_pages):
     medrue_fit(validation=None).save(str(tmp_path / "result"))
     for name, page, size, action in PICTURES:
         if name in ("viewer-phone", "report"):

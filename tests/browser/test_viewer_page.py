@@ -33,9 +33,9 @@ def test_it_loads_twice_without_errors_and_without_asking_anybody(show, viewer_f
 
 def test_the_numbers_of_the_summary_are_those_of_the_fit(tab, scene):
     validation = next(row for row in summary(scene) if row["group"] == "validation")
-    shown = visible_numbers(tab, "#mean-before, #mean-after")
+    shown = visible_numbers(tab, "#error-before, #error-after")
     np.testing.assert_allclose(
-        shown, [validation["before"]["mean"], validation["after"]["mean"]], rtol=6e-3
+        shown, [validation["before"]["rms"], validation["after"]["rms"]], rtol=6e-3
     )  # three digits
 
 

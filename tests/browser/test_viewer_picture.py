@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from PIL import Image
-from viz_examples import medrue_fit
+from viz_examples import five_bar_fit
 
 from viz.pictures import pages
 
@@ -15,7 +15,7 @@ from viz.pictures import pages
 @pytest.fixture(scope="module")
 def result_pages(tmp_path_factory):
     folder = tmp_path_factory.mktemp("result")
-    for name, content in pages(medrue_fit()).items():
+    for name, content in pages(five_bar_fit()).items():
         (folder / name).write_bytes(content)
     return folder
 

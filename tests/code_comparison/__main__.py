@@ -106,8 +106,9 @@ def _installed(codes: Sequence[Code], environments: Path) -> None:
     for code in codes:
         here = environments / code.key
         if code.requires and not here.exists():
-            subprocess.run([sys.executable, "-m", "venv", str(here)], check=True)
-            pip = [str(here / "bin" / "python"), "-m", "pip", "install", "--quiet", *code.requires]
+            subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(here)], check=True)
+            python = str(here / "bin" / "python")
+            pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", *code.requires]
             if subprocess.run(pip, check=False).returncode:
                 shutil.rmtree(here)
 

@@ -17,7 +17,9 @@ NEEDED = {
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_the_snippets_of_a_page_run_and_print_what_it_says(page):
+def test_the_snippets_of_a_page_run_and_print_what_it_says(page, request):
+    if "report.html" in page.read_text(encoding="utf-8"):
+        request.getfixturevalue("with_pages")
     module = NEEDED.get(str(page.relative_to(ROOT)))
     if module:
         pytest.importorskip(module, reason=f"needs {module}, of an extra")

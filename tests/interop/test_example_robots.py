@@ -42,7 +42,10 @@ ARMS = {  # file below robots/: link that carries the measured point
     "xarm_description/urdf/xarm7.urdf": "link_eef",
     "z1_description/urdf/z1.urdf": "gripperMover",
 }
-VARIANTS = (  # of an arm above: the same links with other limits, shapes or a gripper
+VARIANTS = (  # of an arm above: the same links with other limits, lengths, shapes or a gripper
+    "so_arm_description/urdf/so100.urdf",
+    "ur_description/urdf/ur3_robot.urdf",
+    "ur_description/urdf/ur5_robot.urdf",
     "panda_description/urdf/panda_collision.urdf",
     "ur_description/urdf/ur3_gripper.urdf",
     "ur_description/urdf/ur3_joint_limited_robot.urdf",

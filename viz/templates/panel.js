@@ -40,15 +40,15 @@ class Panel {
     const both = summary.filter((row) => row.before && row.after);
     if (both.length) {
       const judged = both.find((row) => row.group === "validation") || both[0];
-      place.append(element("p", { class: "numbers" }, element("strong", { id: "mean-before" }, millimetres(judged.before.mean)),
-        "\u2192", element("strong", { id: "mean-after" }, millimetres(judged.after.mean)), element("strong", {}, "mm")),
-        element("p", {}, `mean position error before and after calibration, ${judged.count} ${judged.group} poses`));
+      place.append(element("p", { class: "numbers" }, element("strong", { id: "error-before" }, millimetres(judged.before.rms)),
+        "\u2192", element("strong", { id: "error-after" }, millimetres(judged.after.rms)), element("strong", {}, "mm")),
+        element("p", {}, `position error (RMS) before and after calibration, ${judged.count} ${judged.group} poses`));
     }
     if (summary.length) {
       const head = [element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text))),
-        element("tr", {}, ...["Error [mm]", "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)))];
+        element("tr", {}, ...["Error [mm]", "RMS", "max", "RMS", "max"].map((text) => element("th", { scope: "col" }, text)))];
       const body = summary.map((row) => element("tr", {}, element("th", { scope: "row" }, `${row.group} (${row.count})`),
-        ...[row.before, row.after].flatMap((part) => [part ? part.mean : NaN, part ? part.max : NaN]).map((value) => element("td", {}, millimetres(value)))));
+        ...[row.before, row.after].flatMap((part) => [part ? part.rms : NaN, part ? part.max : NaN]).map((value) => element("td", {}, millimetres(value)))));
       place.append(element("table", {}, element("thead", {}, ...head), element("tbody", {}, ...body)));
     }
     place.append(...this.others(!both.length), ...this.certainty());
@@ -67,10 +67,10 @@ class Panel {
         const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];
         parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
           element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
-        element("p", {}, `mean ${part} error of ${of} before and after calibration, ${named[judged.group] || judged.group} poses`
+        element("p", {}, `${part} error of ${of} (RMS) before and after calibration, ${named[judged.group] || judged.group} poses`
           + (space ? `; at the measured points, that is ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
       }
-      const head = element("tr", {}, ...[`${of}: ${part} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
+      const head = element("tr", {}, ...[`${of}: ${part} [${unit}]`, "RMS", "max", "RMS", "max"].map((text) => element("th", { scope: "col" }, text)));
       const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
       parts.push(element("table", {}, element("thead", {}, above, head), element("tbody", {}, ...sets.map(({ group, before, after }) =>
         element("tr", {}, element("th", { scope: "row" }, named[group] || group), ...[...before, ...after].map((value) => element("td", {}, millimetres(value))))))));

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -177,10 +176,3 @@ def _spread(values: FloatArray) -> float:
 def _percentiles(values: FloatArray) -> dict[str, float]:
     percentiles = np.percentile(values, list(PERCENTILES.values()))
     return {key: float(value) for key, value in zip(PERCENTILES, percentiles, strict=True)}
-
-
-def format_error(table: dict[str, object]) -> list[str]:
-    """Return mean, max, rms, std, 95th percentile and the mean of |x|, |y|, |z| of an error table as text."""
-    numbers = [cast(float, table[key]) for key in ("mean", "max", "rms", "std", "p95")]
-    numbers += [cast(float, axis["mean"]) for axis in table.values() if isinstance(axis, dict)]
-    return [f"{number:.4f}" if np.isfinite(number) else "-" for number in numbers]

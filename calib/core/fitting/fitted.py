@@ -29,6 +29,7 @@ from calib.core.numerics.losses import Loss
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.held import Holds
+from calib.core.robots.loops import reached_from_home
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.batches import observed_in
@@ -357,9 +358,10 @@ class Fit(ReadOnlyArrays, Hinting):
     @cached_property
     def assembles(self) -> bool:
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
-        return bool(
-            np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
-        )
+        closed, robot = self.configurations, self.robot
+        if reached_from_home(robot.mechanism, robot.mode, closed.actuated, closed.passive):
+            return True
+        return bool(np.all(robot.close(self.identification.data.joints, columns=closed.term_columns).ok))
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.

@@ -115,12 +115,14 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Unused
 
 def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
-    squares = [np.bincount(pose, errors**2) for errors in (before, after)]
-    n, change = len(squares[0]), squares[1] - squares[0]
-    if n < FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
-        return False
-    t = float(np.mean(change) / (np.std(change, ddof=1) / np.sqrt(n)))
-    return bool(scipy.special.stdtr(n - 1, -t) < UNLIKELY)
+    squares: list[FloatArray] = [np.bincount(pose, errors**2).astype(float) for errors in (before, after)]
+    return bool(np.sum(squares[1]) > HARM**2 * np.sum(squares[0])) and surely_positive(squares[1] - squares[0])
+
+
+def surely_positive(changes: FloatArray) -> bool:
+    """Whether the mean of changes (n,) is above zero beyond chance, by Student's t; of too few, never."""
+    n, spread = len(changes), float(np.std(changes, ddof=1)) if len(changes) >= FEWEST else 0.0
+    return spread > 0 and bool(scipy.special.stdtr(n - 1, -np.mean(changes) / spread * np.sqrt(n)) < UNLIKELY)
 
 
 def _spread(product: FloatArray, mixed: float, freedom: float) -> float:

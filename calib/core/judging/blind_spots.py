@@ -11,11 +11,10 @@ from calib.core.base.units import millimetres
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
-from calib.core.judging.effect_kinds import Trait
+from calib.core.judging.effect_kinds import PARTS_PER_MILLION, Trait
 from calib.core.judging.effects import has_time, scale
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
-from calib.core.judging.residual_patterns import PARTS_PER_MILLION, visible
 from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.told_positions import ToldPositions
 
@@ -42,7 +41,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     column = scale(findings.setting(fit))
     if not np.any(column):
         return
-    least = visible(findings.linear(fit), column)
+    least = findings.linear(fit).visible(column)
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
     if made > NO_MATTER * findings.linear(fit).factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"

@@ -40,9 +40,10 @@ it. Poses that are copies of others foretell each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -66,8 +67,8 @@ from calib.core.fitting.unseen_errors import (
     of_errors,
 )
 from calib.core.judging import findings
-from calib.core.judging.better_or_worse import comparisons
-from calib.core.numerics.chances import FEWEST, UNLIKELY
+from calib.core.judging.better_or_worse import comparisons, surely_positive
+from calib.core.numerics.chances import UNLIKELY
 from calib.core.robots.held import Accuracy, SeenAt
 
 MORE = 1.25
@@ -110,30 +111,48 @@ class ErrorElsewhere:
 
 
 @dataclass(frozen=True)
+class SeenUnused:
+    """How far off the robot is at poses that had no part in the fit.
+
+    Attributes:
+        accuracy: At all of them.
+        without_outliers: Without a few outliers, if the claim is judged by that; else None.
+        holds: Whether the claim holds there.
+    """
+
+    accuracy: Accuracy
+    without_outliers: Accuracy | None
+    holds: bool
+
+
+@dataclass(frozen=True)
 class Claim:
     """What a calibration claims.
 
     Attributes:
         told: How far off the robot is at poses like those measured. `before` is NaN if only places were sought, which
             the robot before has by all poses, those left out among them.
-        shown: The same as seen at poses that had no part in the fit.
-        broken: Those of them that the claim does not hold for.
-        but_for: Of each of `shown`, the same without a few outliers, by which the claim is judged; else None.
+        unused: The same as seen at poses that had no part in the fit.
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
         narrow: Joints that moved through less than half of their range at these poses, and how far.
-        known: Root mean square to which positions are known at these poses, each by the readings of all others [m];
-            NaN where it is not about positions.
+        find_known: Returns `known`, which takes as long as half of the rest of a verdict.
     """
 
     told: Accuracy
-    shown: tuple[Accuracy, ...]
-    broken: tuple[Accuracy, ...]
-    but_for: tuple[Accuracy | None, ...]
+    unused: tuple[SeenUnused, ...]
     gain: Benefit
     region: str
     narrow: tuple[str, ...]
-    known: float
+    find_known: Callable[[], float] = field(compare=False, repr=False)
+
+    @cached_property
+    def known(self) -> float:
+        """Root mean square to which positions are known at these poses, each by the readings of all others [m].
+
+        NaN where it is not about positions.
+        """
+        return self.find_known()
 
     def at(self, known: float) -> ErrorElsewhere:
         """Return how far off the robot is at poses where positions are known to `known` (root mean square) [m]."""
@@ -147,7 +166,7 @@ class Claim:
     @property
     def holds(self) -> bool:
         """Whether poses that were not used are as far off as claimed."""
-        return not self.broken
+        return all(seen.holds for seen in self.unused)
 
     @property
     def words(self) -> str:
@@ -159,9 +178,10 @@ class Claim:
         else:
             off = f"off by {told.shown(told.rms)} RMS, {self.region}"
         shown = "".join(
-            f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}, {kept.shown(kept.rms)} without outliers."
-            for accuracy, kept in zip(self.shown, self.but_for, strict=True)
-            if kept
+            f" At {seen.accuracy.where}: RMS {seen.accuracy.shown(seen.accuracy.rms)}, {kept.shown(kept.rms)} without"
+            " outliers."
+            for seen in self.unused
+            if (kept := seen.without_outliers)
         )
         narrow = f" Joints that moved through less than half of their range: {listed(self.narrow)}."
         return f"{subject} {off}.{shown}{narrow if self.narrow else ''}"
@@ -184,13 +204,13 @@ class Claim:
             "joints_moved_little": list(self.narrow),
             "not_used": [
                 {
-                    "poses": accuracy.poses.name.lower(),
-                    "n_poses": accuracy.n_poses,
-                    "rms": scale * accuracy.rms,
-                    "rms_without_outliers": scale * kept.rms if kept else None,
-                    "holds": accuracy not in self.broken,
+                    "poses": seen.accuracy.poses.name.lower(),
+                    "n_poses": seen.accuracy.n_poses,
+                    "rms": scale * seen.accuracy.rms,
+                    "rms_without_outliers": scale * kept.rms if (kept := seen.without_outliers) else None,
+                    "holds": seen.holds,
                 }
-                for accuracy, kept in zip(self.shown, self.but_for, strict=True)
+                for seen in self.unused
             ],
             "holds": self.holds,
             "gain": self.gain.value,
@@ -215,19 +235,17 @@ class Claim:
             readings = str(entry.get("readings", f"readings ({part})"))
             return Accuracy(poses, n_poses, part, dimension, before, rms, limit95, is_position, readings)
 
-        shown = [(seen(other, SeenAt[other["poses"].upper()]), bool(other["holds"])) for other in entry["not_used"]]
+        def unused(other: Mapping[str, Any]) -> SeenUnused:
+            accuracy, kept = seen(other, SeenAt[other["poses"].upper()]), error(other.get("rms_without_outliers"))
+            return SeenUnused(accuracy, None if np.isnan(kept) else replace(accuracy, rms=kept), bool(other["holds"]))
+
         return cls(
             seen(entry, SeenAt.ONE_BY_ONE),
-            tuple(accuracy for accuracy, _ in shown),
-            tuple(accuracy for accuracy, holds in shown if not holds),
-            tuple(
-                None if np.isnan(kept := error(other.get("rms_without_outliers"))) else replace(accuracy, rms=kept)
-                for other, (accuracy, _) in zip(entry["not_used"], shown, strict=True)
-            ),
+            tuple(map(unused, entry["not_used"])),
             Benefit(entry["gain"]),
             str(entry["region"]),
             tuple(entry["joints_moved_little"]),
-            error(entry["known"]),
+            partial(error, entry["known"]),
         )
 
 
@@ -245,20 +263,15 @@ def claim_of(fit: Fit) -> Claim | None:
         unused.append((validation, SeenAt.VALIDATION, findings.validation_outliers(fit)))
     if fit.folds is not None:
         unused.append((fit.folds.errors, SeenAt.FOLDS, findings.outliers(fit)))
-    shown, broken, but_for = list[Accuracy](), list[Accuracy](), list[Accuracy | None]()
+    seen = list[SeenUnused]()
     for errors, where, outliers in unused:
         accuracy = of_errors(errors, where)
         if (accuracy.part, accuracy.dimension) == (told.part, told.dimension):
-            kept = None
-            if accuracy.rms > _most(fit, told, accuracy) * told.rms:
-                kept = _but_for_few(fit, told, errors, where, outliers)
-                broken += [] if kept else [accuracy]
-            shown.append(accuracy)
-            but_for.append(kept)
-    n = fit.identification.data.n_poses
-    region = f"at poses like the {n} measured"
-    own = tuple(shown), tuple(broken), tuple(but_for)
-    return Claim(told, *own, _gain(fit, foretold), region, _narrow(fit), _known(fit, told))
+            more = accuracy.rms > _most(fit, told, accuracy) * told.rms
+            kept = _but_for_few(fit, told, errors, where, outliers) if more else None
+            seen.append(SeenUnused(accuracy, kept, not more or kept is not None))
+    region = f"at poses like the {fit.identification.data.n_poses} measured"
+    return Claim(told, tuple(seen), _gain(fit, foretold), region, _narrow(fit), partial(_known, fit, told))
 
 
 def _but_for_few(
@@ -317,12 +330,7 @@ def _gain(fit: Fit, foretold: ErrorSet) -> Benefit:
     if compared:
         return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
     change = _squares(foretold, "after") - _squares(foretold, "before")
-    if len(change) < FEWEST:
-        return Benefit.NONE
-    spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
-    t = float(np.mean(change)) / spread if spread > 0 else 0.0
-    chance = scipy.special.stdtr(len(change) - 1, np.array([t, -t]))
-    return Benefit.BETTER if chance[0] < UNLIKELY else Benefit.WORSE if chance[1] < UNLIKELY else Benefit.NONE
+    return Benefit.WORSE if surely_positive(change) else Benefit.BETTER if surely_positive(-change) else Benefit.NONE
 
 
 def _narrow(fit: Fit) -> tuple[str, ...]:

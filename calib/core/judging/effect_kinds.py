@@ -1,9 +1,16 @@
-"""The kinds of effects that a model may leave out: what is true of each, and its sentence."""
+"""The kinds of effects that a model may leave out, what is true of each, its sentence, and patterns of these kinds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Self
+
+from calib.core.base.units import DISPLAY_UNIT, Dimension, millimetres, quantity_text
+from calib.core.base.words import joints_named
+
+PARTS_PER_MILLION = 1e6
 
 
 class Trait(Enum):
@@ -29,8 +36,7 @@ class Kind(StrEnum):
 
     Attributes:
         family: Which kinds it shares the chance of a false finding with.
-        sentence: What a pattern of it says; in braces, what is of the pattern and of its
-            `calib.core.judging.residual_patterns.PatternWords`.
+        sentence: What a pattern of it says; `describe` fills in what stands in braces.
         traits: What is true of it.
     """
 
@@ -38,33 +44,33 @@ class Kind(StrEnum):
     sentence: str
     traits: tuple[Trait, ...]
 
-    AXIS = "axis", Family.SHIFTS, "a constant shift of {words.shift:+.3g} mm along {pattern.name}"
-    TURN = "turn", Family.TURNS, "a turn of the measurement frame ({words.size})"
-    SCALE = "scale", Family.TURNS, "lengths that are all read {words.ppm:+.0f} ppm too long ({words.size})"
+    AXIS = "axis", Family.SHIFTS, "a constant shift of {shift:+.3g} mm along {name}"
+    TURN = "turn", Family.TURNS, "a turn of the measurement frame ({size})"
+    SCALE = "scale", Family.TURNS, "lengths that are all read {ppm:+.0f} ppm too long ({size})"
     DRIFT = (
         "drift",
         Family.SHIFTS,
-        "a shift in the course of the measurement, as if a tracker or base had moved ({words.size})",
+        "a shift in the course of the measurement, as if a tracker or base had moved ({size})",
         Trait.IN_COURSE,
         Trait.MOVED,
     )
     TURNING = (
         "turning",
         Family.TURNS,
-        "a turn in the course of the measurement, as if a tracker or base had turned ({words.size})",
+        "a turn in the course of the measurement, as if a tracker or base had turned ({size})",
         Trait.IN_COURSE,
         Trait.MOVED,
     )
     GROWTH = (
         "growth",
         Family.TURNS,
-        "lengths that change in the course of the measurement, as if robot or instrument warmed up ({words.size})",
+        "lengths that change in the course of the measurement, as if robot or instrument warmed up ({size})",
         Trait.IN_COURSE,
     )
     SLIP = (
         "slip",
         Family.TURNS,
-        "{pattern.detail}, target {pattern.name} sits {words.shift:.3g} mm elsewhere on its link ({words.size})",
+        "{detail}, target {name} sits {shift:.3g} mm elsewhere on its link ({size})",
         Trait.IN_COURSE,
         Trait.MOVED,
         Trait.BY_THE_DOZEN,
@@ -72,33 +78,33 @@ class Kind(StrEnum):
     LINK = (
         "link",
         Family.TURNS,
-        "target {pattern.name} moves with {words.other}, as if it sat on the link behind it, {words.shift:.3g} mm from"
-        " where the model has it ({words.size})",
+        "target {name} moves with {other}, as if it sat on the link behind it, {shift:.3g} mm from"
+        " where the model has it ({size})",
         Trait.MISPLACED,
         Trait.BY_THE_DOZEN,
     )
-    JOINT = "joint", Family.SHIFTS, "it follows {words.joint} ({words.size})", Trait.FOLLOWS_JOINTS
+    JOINT = "joint", Family.SHIFTS, "it follows {joint} ({size})", Trait.FOLLOWS_JOINTS
     COUPLING = (
         "coupling",
         Family.SHIFTS,
-        "{words.joint} is off by {words.slope} for each {words.each} of {words.other} ({words.size})",
+        "{joint} is off by {slope} for each {each} of {other} ({size})",
         Trait.FOLLOWS_JOINTS,
     )
     WAVE = (
         "wave",
         Family.WAVES,
-        "it follows {words.joint} with {pattern.detail}, amplitude {words.height} ({words.size})",
+        "it follows {joint} with {detail}, amplitude {height} ({size})",
         Trait.BY_THE_DOZEN,
     )
     APPROACH = (
         "approach",
         Family.SHIFTS,
-        "{words.joint} differs by {words.play} with the direction of approach ({words.size})",
+        "{joint} differs by {play} with the direction of approach ({size})",
     )
     ZERO = (
         "zero",
         Family.SHIFTS,
-        "{words.joint} changes in the course of the measurement ({words.size})",
+        "{joint} changes in the course of the measurement ({size})",
         Trait.IN_COURSE,
     )
 
@@ -107,3 +113,52 @@ class Kind(StrEnum):
         row = str.__new__(cls, name)
         row._value_, row.family, row.sentence, row.traits = name, family, sentence, traits
         return row
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One effect that was tested.
+
+    Attributes:
+        kind: Which effect.
+        name: The axis, joint or target; `xyz` for what all axes do.
+        p_value: Chance of such a pattern from noise, over all tests.
+        size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
+        amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
+            are off, the error for a unit of the neighbour; NaN for a curve.
+        significant: Whether it counts as a finding.
+        dimension: What `size` measures.
+        detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
+    """
+
+    kind: Kind
+    name: str
+    p_value: float
+    size: float
+    amount: float
+    significant: bool
+    dimension: Dimension = "length"
+    detail: str = ""
+
+
+def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
+    """Return a pattern in words.
+
+    Args:
+        pattern: The pattern.
+        dimensions: Whether each joint is a length or an angle.
+    """
+    amount, joint = pattern.amount, dimensions.get(pattern.name, "length")
+    return pattern.kind.sentence.format(
+        name=pattern.name,
+        detail=pattern.detail,
+        size=f"{quantity_text(pattern.size, pattern.dimension)} RMS",
+        joint=joints_named(pattern.name),
+        other=joints_named(pattern.detail),
+        shift=millimetres(amount),
+        ppm=PARTS_PER_MILLION * amount,
+        height=quantity_text(abs(amount), joint, ".2g", DISPLAY_UNIT),
+        play=quantity_text(2.0 * abs(amount), joint, ".2g", DISPLAY_UNIT),
+        slope=quantity_text(amount, joint, "+.2g"),
+        each="rad" if dimensions.get(pattern.detail) == "angle" else "m",
+    )

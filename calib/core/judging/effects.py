@@ -23,27 +23,25 @@ explains 86 % of a step. Nothing is put down to a joint that never moved.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements, Poses
+from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.judging.effect_kinds import Kind
 from calib.core.numerics.variance_components import SharedError
-from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.periodic import TURN
 from calib.core.rows.jacobian import relative_poses
-from calib.core.rows.rows import Scales
-from calib.core.rows.whitening import Whitening
 
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
@@ -57,78 +55,64 @@ _VISITS_LOOKED_AT = 256
 
 @dataclass(frozen=True, eq=False)
 class EffectSetting:
-    """What effects are made of.
+    """A fit, as what effects are made of."""
 
-    Attributes:
-        robot: The calibrated robot.
-        data: Its measurements.
-        configurations: Its assembled visits.
-        by_joint: Derivative of the readings by the joints, of each instrument, (n, n_rows, n_actuated) [SI].
-        whitening: What whitened the rows.
-        scales: What was assumed of the noise.
-        weights: Of each reading, (n_readings,).
-    """
+    fit: Fit
 
-    robot: Robot
-    data: Measurements
-    configurations: Configurations
-    by_joint: Mapping[str, FloatArray]
-    whitening: Whitening
-    scales: Scales
-    weights: FloatArray
+    @property
+    def data(self) -> Measurements:
+        """Its measurements."""
+        return self.fit.identification.data
 
     def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.groups)[:, None]
+        rows: FloatArray = (
+            self.fit.whitening.flatten(arrays) / self.fit.whitening.row_scale(self.fit.scales.groups)[:, None]
+        )
         if self._weighing is not None:
             rows = self._weighing.whiten(rows)
-        return np.sqrt(self.weights)[self.whitening.layout.reading][:, None] * rows
+        return np.sqrt(self.fit.weights)[self.fit.whitening.layout.reading][:, None] * rows
 
     @cached_property
     def _weighing(self) -> SharedError | None:
-        return self.whitening.weighing(self.scales.ratios)
-
-    def size(self, rows: FloatArray) -> float:
-        """Return the root mean square of whitened rows (n_rows,) over the readings of `dimension` [SI]."""
-        layout, whole = self.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
-        of_first = layout.group == self._first
-        squares = (whole[of_first] * self.metre) ** 2
-        return float(np.sqrt(np.sum(squares) / self._n_of_first))
+        return self.fit.whitening.weighing(self.fit.scales.ratios)
 
     @cached_property
-    def _n_of_first(self) -> int:
-        """Number of readings of `dimension`."""
-        layout = self.whitening.layout
-        return len(np.unique(layout.reading[layout.group == self._first]))
+    def joint_columns(self) -> FloatArray:
+        """What the rows gain for an error of 1 of each joint, (n_rows, n_actuated)."""
+        return self.whitened(self.fit.by_joint)
 
-    def per_visit(self, values: FloatArray) -> FloatArray:
-        """Return values of the visits, (n_visits, ...), for each row."""
-        return values[self.visit]
+    def size(self, rows: FloatArray) -> FloatArray:
+        """Return the root mean square of whitened rows (n_rows, k) over the readings of `dimension`, (k,) [SI]."""
+        layout, whole = self.fit.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
+        of_first = layout.group == self._first
+        squares = np.sum((whole[of_first] * self.metre) ** 2, axis=0)
+        return np.asarray(np.sqrt(squares / len(np.unique(layout.reading[of_first]))))
 
     @cached_property
     def visit(self) -> IntArray:
         """Visit of each row, (n_rows,)."""
-        layout = self.whitening.layout
+        layout = self.fit.whitening.layout
         return layout.visit[layout.reading]
 
     @cached_property
     def course(self) -> FloatArray:
-        """When each visit was made, (n_visits,): by the time, where all have it, else by the order of the rows."""
-        return course(self.data)
+        """When each visit was made, (n_visits,): by the time [s], where all have it, else by the order of the rows."""
+        return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
 
     @property
     def metre(self) -> float:
         """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
-        return float(self.scales.groups[self._first] * self.whitening.groups[self._first].typical)
+        return float(self.fit.scales.groups[self._first] * self.fit.whitening.groups[self._first].typical)
 
     @property
     def dimension(self) -> Dimension:
         """What `metre` measures."""
-        return self.whitening.groups[self._first].part.dimension
+        return self.fit.whitening.groups[self._first].part.dimension
 
     @property
     def _first(self) -> int:
-        return next((g for g, group in enumerate(self.whitening.groups) if group.part.is_position), 0)
+        return next((g for g, group in enumerate(self.fit.whitening.groups) if group.part.is_position), 0)
 
 
 def has_time(data: Poses) -> bool:
@@ -137,111 +121,100 @@ def has_time(data: Poses) -> bool:
     return time is not None and bool(np.all(np.isfinite(time))) and float(np.ptp(time)) > 0
 
 
-def course(data: Measurements) -> FloatArray:
-    """Return when each visit was made, (n,): by the time [s], where all have it, else by the order of the rows."""
-    return np.asarray(data.context["time"] if has_time(data) else data.places, dtype=float)
-
-
 @dataclass(frozen=True, eq=False)
-class Effect:
-    """One effect.
+class Effects:
+    """Effects of one kind on one thing, of which each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
         kind: Which one.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
-        base: What it adds to the whitened rows, (n_rows, b).
-        detail: Cycles of a wave, the first visit of a slip, in words; the other joint of a coupling, or before a link.
+        base: B, what it adds to the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
-        factors: What each column is multiplied with at each visit, one after the other, (n_visits, f); None: nothing.
+        details: Of each effect: cycles of a wave or the first visit of a slip in words; the other joint of a coupling,
+            or before a link.
+        by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
     """
 
     kind: Kind
     name: str
     base: FloatArray
-    detail: str
     visit: IntArray
-    factors: FloatArray | None = None
+    details: Sequence[str] = ("",)
+    by_visit: FloatArray | None = None
 
-    @property
-    def width(self) -> int:
-        """Number of columns, k = b f."""
-        return self.base.shape[1] * (1 if self.factors is None else self.factors.shape[1])
+    def factors(self, visits: IntArray) -> FloatArray:
+        """Return F of every effect at visits (n,), (n, n_effects, f)."""
+        return np.ones((len(visits), 1, 1)) if self.by_visit is None else self.by_visit[visits]
 
-    def rows(self, part: slice) -> FloatArray:
-        """Return some rows of its columns, (n, k)."""
-        base = self.base[part]
-        if self.factors is None:
-            return base
-        return (base[:, :, None] * self.factors[self.visit[part]][:, None, :]).reshape(len(base), -1)
+    def factors_of(self, number: int) -> FloatArray:
+        """Return F of one effect at all visits, (n_visits, f)."""
+        return np.ones((int(np.max(self.visit)) + 1, 1)) if self.by_visit is None else self.by_visit[:, number]
 
-    @property
-    def columns(self) -> FloatArray:
-        """All of its columns, (n_rows, k)."""
-        return self.rows(slice(None))
+    def columns(self, number: int) -> FloatArray:
+        """Return all columns of one effect, (n_rows, b f)."""
+        factors = self.factors_of(number)[self.visit]
+        return (self.base[:, :, None] * factors[:, None, :]).reshape(len(self.base), -1)
 
-    def times(self, coefficients: FloatArray) -> FloatArray:
-        """Return its columns times coefficients (k,), (n_rows,)."""
-        if self.factors is None:
-            return np.asarray(self.base @ coefficients)
-        weights = self.factors @ coefficients.reshape(self.base.shape[1], -1).T
+    def times(self, number: int, coefficients: FloatArray) -> FloatArray:
+        """Return the columns of one effect times coefficients (b f,), (n_rows,)."""
+        weights = self.factors_of(number) @ coefficients.reshape(self.base.shape[1], -1).T
         return np.asarray(np.einsum("ij,ij->i", self.base, weights[self.visit]))
 
 
-@dataclass(frozen=True, eq=False)
-class JointWaves:
-    """The waves of one joint: sine and cosine of each of `ORDERS` times a phase, times one column.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Waves(Effects):
+    """The waves of one joint: cosine and sine of each of `orders` times a phase.
 
     Attributes:
-        name: The joint.
-        column: What an error of 1 of the joint adds to the whitened rows, (n_rows,).
-        visit: Visit of each row, (n_rows,).
         phase: Phase of the first order at each visit, (n_visits,) [rad].
-        words: What follows the number of cycles.
+        orders: Cycles of each effect.
+    """
+
+    phase: FloatArray
+    orders: range
+
+    def factors(self, visits: IntArray) -> FloatArray:
+        """Return cosine and sine of every order at visits (n,), (n, n_orders, 2)."""
+        waves = powers(np.exp(1j * self.phase[visits]), self.orders.stop - 1)
+        return waves.view(float).reshape(len(visits), -1, 2)[:, self.orders.start - 1 :]
+
+    def factors_of(self, number: int) -> FloatArray:
+        """Return cosine and sine of one order at all visits, (n_visits, 2)."""
+        angle = self.orders[number] * self.phase
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
+    """Return z, z^2, ... of complex numbers z (n,), (n, count)."""
+    result = np.empty((len(turned), count), dtype=complex)
+    result[:, 0], known = turned, 1
+    while known < count:
+        more = min(known, count - known)
+        np.multiply(result[:, :more], result[:, known - 1 : known], out=result[:, known : known + more])
+        known += more
+    return result
+
+
+def wave_orders(phase: FloatArray) -> range:
+    """Return the numbers of cycles that count of a joint with these phases of one cycle, (n_visits,) [rad].
 
     Only orders of which the joint went through half a cycle count: the height of less is not known. Of joint values on
     a grid (every 5 degrees), an order is at all poses the same as a lower one beyond half the cycles of the grid in a
     turn (36): only the lower one counts.
     """
-
-    kind: ClassVar[Kind] = Kind.WAVE
-    name: str
-    column: FloatArray
-    visit: IntArray
-    phase: FloatArray
-    words: str
-
-    @property
-    def orders(self) -> range:
-        """Orders that count."""
-        reach = float(np.ptp(self.phase))
-        if reach == 0:
-            return range(0)
-        stop = min(self._grid // 2 + 1, ORDERS.stop)
-        return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
-
-    @cached_property
-    def _grid(self) -> int:
-        """Lowest order, of one cycle or more, whose wave is the same at all visits; a large one if there is none."""
-        first = int(np.ceil(TURN / float(np.ptp(self.phase)) - _SAME))
-        few = self.phase[:: len(self.phase) // _VISITS_LOOKED_AT + 1]
-        orders = np.arange(first, 2 * ORDERS.stop)
-        likely = orders[np.abs(np.mean(np.exp(1j * orders[:, None] * few), axis=1)) > _ON_GRID]
-        return next(
-            (int(order) for order in likely if abs(np.mean(np.exp(1j * order * self.phase))) > _ON_GRID),
-            2 * ORDERS.stop,
-        )
-
-    def detail(self, order: int) -> str:
-        """Return the cycles of one order in words."""
-        return f"{order} {self.words}"
-
-    def effect(self, order: int) -> Effect:
-        """Return the wave of one order."""
-        waves = np.stack([np.cos(order * self.phase), np.sin(order * self.phase)], axis=1)
-        return Effect(self.kind, self.name, self.column[:, None], self.detail(order), self.visit, waves)
+    reach = float(np.ptp(phase))
+    if reach == 0:
+        return range(0)
+    few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
+    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _ON_GRID
+    same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
+    likely = (np.flatnonzero(same) + 1).tolist()
+    grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
+    stop = min(grid // 2 + 1, ORDERS.stop)
+    return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
 
 
-def effects(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
+def effects(setting: EffectSetting) -> Iterator[Effects]:
     """Yield every effect."""
     yield from _of_frames(setting)
     yield from _of_targets(setting)
@@ -255,58 +228,60 @@ def scale(setting: EffectSetting) -> FloatArray:
 
 def gains(setting: EffectSetting) -> FloatArray:
     """Return what the rows gain if a joint turns too far by a part of 1 of its way, (n_rows, n_actuated)."""
-    by_joint = setting.whitened(setting.by_joint)
-    return by_joint * setting.per_visit(setting.data.joints - np.mean(setting.data.joints, axis=0))
+    return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
-def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
+def _of_frames(setting: EffectSetting) -> Iterator[Effects]:
     shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
     lengths, visit = scale(setting), setting.visit
     for axis, name in enumerate("xyz"):
-        yield Effect(Kind.AXIS, name, shifts[:, axis : axis + 1], "", visit)
-    yield Effect(Kind.TURN, "xyz", turns, "", visit)
-    yield Effect(Kind.SCALE, "xyz", lengths, "", visit)
+        yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
     in_course = _curves(setting.course)
-    for kind, columns in ((Kind.DRIFT, shifts), (Kind.TURNING, turns), (Kind.GROWTH, lengths)):
-        yield Effect(kind, "xyz", columns, "", visit, in_course)
+    yield Effects(Kind.DRIFT, "xyz", shifts, visit, by_visit=in_course)
+    yield Effects(Kind.TURN, "xyz", turns, visit)
+    yield Effects(Kind.TURNING, "xyz", turns, visit, by_visit=in_course)
+    yield Effects(Kind.SCALE, "xyz", lengths, visit)
+    yield Effects(Kind.GROWTH, "xyz", lengths, visit, by_visit=in_course)
 
 
-def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
+def _of_targets(setting: EffectSetting) -> Iterator[Effects]:
     """Targets that slip, at places that part the visits evenly, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
     rank = np.empty(len(order), dtype=np.intp)
     rank[order] = np.arange(len(order))
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
-    robot = setting.robot
+    late = (rank[:, None] >= firsts).astype(float)[:, :, None]
+    slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target in dict.fromkeys(name for _, name, _ in _seen_targets(setting)):
-        for joint in _other_joints(robot, target):
-            moved = setting.whitened(_moved_target(setting, target, joint))
-            yield Effect(Kind.LINK, target, moved, robot.mechanism.origin_names[joint - 1], setting.visit)
-        moved = setting.whitened(_moved_target(setting, target))
-        for first in firsts:
-            late = (rank >= first).astype(float)[:, None]
-            yield Effect(Kind.SLIP, target, moved, f"from {setting.data.labels[order[first]]} on", setting.visit, late)
+        own, *others = (setting.whitened(moved) for moved in _moved_target(setting, target))
+        for joint, moved in zip(_other_joints(setting.fit.robot, target), others, strict=True):
+            before = setting.fit.robot.mechanism.origin_names[joint - 1]
+            yield Effects(Kind.LINK, target, moved, setting.visit, (before,))
+        yield Effects(Kind.SLIP, target, own, setting.visit, slips, late)
 
 
-def _of_joints(setting: EffectSetting) -> Iterator[Effect | JointWaves]:
-    robot, data = setting.robot, setting.data
-    by_joint, visit = setting.whitened(setting.by_joint), setting.visit
-    in_course = _curves(setting.course)
-    still, directions = unmoved_joints(robot, data.joints), data.approach_directions
-    for j, name in enumerate(robot.joint_names):
-        column, q = by_joint[:, j : j + 1], data.joints[:, j]
+def _of_joints(setting: EffectSetting) -> Iterator[Effects]:
+    robot, data, visit = setting.fit.robot, setting.data, setting.visit
+    names, in_course, directions = robot.joint_names, _curves(setting.course), data.approach_directions
+    still = unmoved_joints(robot, data.joints)
+    for j, name in enumerate(names):
         if name in still:
             continue
-        yield Effect(Kind.JOINT, name, column, "", visit, _curves(q))
-        yield Effect(Kind.APPROACH, name, column, "", visit, directions[:, j : j + 1])
-        yield Effect(Kind.ZERO, name, column, "", visit, in_course)
-        for neighbour in (j - 1, j + 1):
-            if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:
-                driving = (np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])[:, None]
-                yield Effect(Kind.COUPLING, name, column, robot.joint_names[neighbour], visit, driving)
+        column, q = setting.joint_columns[:, j : j + 1], data.joints[:, j]
+        yield Effects(Kind.JOINT, name, column, visit, by_visit=_curves(q))
+        yield Effects(Kind.APPROACH, name, column, visit, by_visit=directions[:, j, None, None])
+        yield Effects(Kind.ZERO, name, column, visit, by_visit=in_course)
+        drivers = [k for k in (j - 1, j + 1) if 0 <= k < len(names) and names[k] not in still]
+        if drivers:
+            driving = (np.mean(data.joints, axis=0) - data.joints)[:, drivers, None]
+            yield Effects(Kind.COUPLING, name, column, visit, [names[k] for k in drivers], driving)
         turns = robot.mechanism.dimensions[name] == "angle"
-        words = "cycles a turn" if turns else "cycles over the range measured"
-        yield JointWaves(name, column[:, 0], visit, q if turns else q * (TURN / float(np.ptp(q))), words)
+        unit = "cycles a turn" if turns else "cycles over the range measured"
+        phase = q if turns else q * (TURN / float(np.ptp(q)))
+        orders = wave_orders(phase)
+        if orders:
+            details = [f"{order} {unit}" for order in orders]
+            yield Waves(Kind.WAVE, name, column, visit, details, phase=phase, orders=orders)
 
 
 def _position_rows(instrument: Instrument) -> list[int]:
@@ -318,7 +293,7 @@ def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
     """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         result[name] = np.zeros((len(readings), instrument.n_rows, 3))
         rows = _position_rows(instrument)
         if len(rows) == 3:
@@ -330,7 +305,7 @@ def _turns(setting: EffectSetting) -> dict[str, FloatArray]:
     """What turns of the measurement frame about x, y and z do to readings, (n, n_rows, 3) [m per rad] each."""
     result, points = _shifts(setting), _points(setting)
     for name, arms in points.items():
-        rows = _position_rows(setting.robot.instrument(name))
+        rows = _position_rows(setting.fit.robot.instrument(name))
         for axis, direction in enumerate(np.eye(3)):
             result[name][:, rows, axis] = np.cross(arms, direction)
     return result
@@ -341,7 +316,7 @@ def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
     points = _points(setting)
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         result[name] = np.zeros((len(readings), instrument.n_rows, 1))
         if name in points:
             result[name][:, _position_rows(instrument), 0] = points[name]
@@ -354,8 +329,8 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
     for name, readings in setting.data.readings.items():
-        points = setting.robot.instrument(name).points(readings.values)
-        if points is not None and len(points) and len(_position_rows(setting.robot.instrument(name))) == 3:
+        points = setting.fit.robot.instrument(name).points(readings.values)
+        if points is not None and len(points) and len(_position_rows(setting.fit.robot.instrument(name))) == 3:
             result[name] = points
     if not result:
         return {}
@@ -366,7 +341,7 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
 def _seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
     """Yield each instrument that measures where a target is, with its target and the rows of its position."""
     for name in setting.data.readings:
-        instrument = setting.robot.instrument(name)
+        instrument = setting.fit.robot.instrument(name)
         rows = _position_rows(instrument)
         if len(rows) == 3 and isinstance(instrument, FrameInstrument):
             yield name, instrument.target, rows
@@ -380,28 +355,31 @@ def _other_joints(robot: Robot, target: str) -> list[int]:
     return [int(k) + 1 for k in np.flatnonzero(moving & (mechanism.support[frame] == 0))]
 
 
-def _moved_target(setting: EffectSetting, target: str, joint: int | None = None) -> dict[str, FloatArray]:
-    """What moving a target along the axes of its link does to all readings, (n, n_rows, 3) each.
+def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
+    """What moving a target along the axes of a link does to all readings, (n, n_rows, 3) each.
 
-    Args:
-        setting: The setting.
-        target: The target.
-        joint: The joint before the link that it moves with instead; None: its own.
+    The link is its own, then that behind each of the joints that do not move it.
     """
-    robot, all_readings = setting.robot, setting.data.readings
-    result: dict[str, FloatArray] = {
-        name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
-    }
-    for name, seen, rows in _seen_targets(setting):
-        if seen == target:
-            readings, pairs = all_readings[name], robot.pairs(robot.instrument(name))
-            pairs = pairs if joint is None else tuple(replace(pair, b=joint) for pair in pairs)
-            poses = relative_poses(robot.mechanism, setting.configurations, pairs)
-            result[name][:, rows] = -poses[readings.pairs, readings.visits, :3, :3]
-    return result
+    robot, all_readings = setting.fit.robot, setting.data.readings
+    seen = [
+        (name, rows, robot.pairs(robot.instrument(name))) for name, own, rows in _seen_targets(setting) if own == target
+    ]
+    links = [None, *_other_joints(robot, target)]
+    wanted = [
+        pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
+    ]
+    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(wanted)))
+    for _ in links:
+        result: dict[str, FloatArray] = {
+            name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
+        }
+        for name, rows, pairs in seen:
+            readings, turned = all_readings[name], np.stack([next(poses) for _ in pairs])[..., :3, :3]
+            result[name][:, rows] = -turned[readings.pairs, readings.visits]
+        yield result
 
 
 def _curves(values: FloatArray) -> FloatArray:
-    """Legendre polynomials of degree 1 to 3 over the range of some values (n,), (n, 3)."""
+    """Legendre polynomials of degree 1 to 3 over the range of some values (n,), as factors of one effect, (n, 1, 3)."""
     reach = float(np.ptp(values)) or 1.0
-    return legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, 1:]
+    return legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, None, 1:]

@@ -41,16 +41,16 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Part
 from calib.core.judging.repeatability import repeatability
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduced, unit_columns
 from calib.core.numerics.tall import Tall, in_parts
 from calib.core.robots.robot import Robot
 from calib.core.rows.batches import Batch, batches_of, observed_in
 from calib.core.rows.rows import Layout, Rows
 from calib.core.rows.unknowns import Unknowns
-from calib.core.rows.whitening import Whitening
 
 PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
@@ -121,38 +121,27 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
     return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
 
-def error_budget(
-    before: Robot,
-    after: Robot,
-    errors: ErrorSet,
-    unknowns: Unknowns,
-    covariance: FloatArray,
-    rows: Rows | None,
-    sigma: float | None,
-) -> ErrorBudget:
-    """Return the error budget of a set of readings.
+def error_budget(fit: Fit) -> ErrorBudget:
+    """Return the error budget of the readings that a fit has not used, or of all there are.
 
-    Args:
-        before, after: The robot with its base and targets placed alone, and calibrated.
-        errors: The readings.
-        unknowns: The free parameters.
-        covariance: Of these, (n_free, n_free).
-        rows: Whitened rows at the solution, if these readings were used.
-        sigma: Noise of positions that replaces what is stated [m].
+    Raises:
+        UnreachablePoseError: The robot cannot be assembled on the way from before to after.
     """
-    of_parameter = np.array(causes_of(after))[unknowns.index]
+    errors, unknowns, unused = fit.validation or fit.identification, fit.unknowns, fit.validation_rows
+    rows = fit.rows if unused is None else unused
+    of_parameter = np.array(causes_of(fit.robot))[unknowns.index]
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
-    layout = Whitening(after, errors.data, sigma).layout if rows is None else rows.layout
+    layout = rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
-    path = _along(before, after, errors, unknowns, members, layout, counted)
+    path = _along(fit, errors, members, layout, counted)
     n, width, removed = len(path.before), int(np.sum(counted)), path.removed
-    if rows is not None:
+    if fit.validation is None:
         leverage = _leverage(rows, unknowns, members, counted)
         left = float(np.sum(path.before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
     rest = path.before - np.sum(removed, axis=1)
-    spread = np.einsum("kf,fg,kg->k", path.gradient, covariance, path.gradient) / n**2
+    spread = np.einsum("kf,fg,kg->k", path.gradient, fit.statistics.covariance, path.gradient) / n**2
     shares = [
         CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
         for cause, part, extra in zip(causes, removed.T, spread, strict=True)
@@ -167,7 +156,7 @@ def error_budget(
     else:
         shares.append(CauseShare(REST, left, left_std))
     return ErrorBudget(
-        rows is not None,
+        fit.validation is None,
         errors.main_part,
         n,
         len(np.unique(path.pose)),
@@ -179,23 +168,17 @@ def error_budget(
     )
 
 
-def _along(
-    before: Robot,
-    after: Robot,
-    errors: ErrorSet,
-    unknowns: Unknowns,
-    members: BoolArray,
-    layout: Layout,
-    counted: BoolArray,
-) -> _Path:
+def _along(fit: Fit, errors: ErrorSet, members: BoolArray, layout: Layout, counted: BoolArray) -> _Path:
     """Integrate over the way from before to after.
 
     Args:
-        before, after, errors, unknowns: As in `error_budget`.
+        fit: The fit.
+        errors: The readings.
         members: Which parameters belong to which cause, (n_causes, n_free).
         layout: Which row is what.
         counted: Which rows count, (n_rows,).
     """
+    before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values
     steps = (members * way[unknowns.index]).T
     places, n_causes = _cause_of_places(unknowns, members), len(members)
@@ -265,14 +248,10 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
 
 def _root_of_span(columns: FloatArray) -> FloatArray:
     """Return K (k, rank) of orthonormal directions A K of what columns A (n, k) span; rounding counts as zero."""
-    factor = reduced(columns)
-    length = np.linalg.norm(factor, axis=0)
-    nonzero = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
-    _, s, right = linalg.svd(factor[:, nonzero] / length[nonzero], full_matrices=False)
+    unit, lengths = unit_columns(reduced(columns))  # a turn of a target does not move its point: a column of rounding
+    _, s, right = linalg.svd(unit, full_matrices=False)
     kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
-    root = np.zeros((columns.shape[1], int(np.sum(kept))))
-    root[nonzero] = (right[kept] / s[kept, None]).T / length[nonzero, None]
-    return root
+    return np.asarray((right[kept] / s[kept, None]).T / lengths[:, None])
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
@@ -313,8 +292,8 @@ def _advice(left: float, noise: float, beyond: CauseShare, source: str) -> str:
     """One sentence on whether to go on modelling."""
     if not source:
         return (
-            "Whether more modelling would help cannot be known: the noise is not stated, and too few poses were read"
-            " more than once to tell it from what the model leaves out"
+            "Whether more modelling would help is unknown without the noise: state it (--sigma-mm), or read some poses"
+            " several times"
         )
     known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
     if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:

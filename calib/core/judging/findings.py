@@ -17,10 +17,10 @@ from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, left_out_with, outliers_of
 from calib.core.judging import residual_patterns
-from calib.core.judging.effect_kinds import Kind, Trait
-from calib.core.judging.effects import Effect, EffectSetting, effects
+from calib.core.judging.effect_kinds import Kind, Pattern, Trait
+from calib.core.judging.effects import EffectSetting, effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget
-from calib.core.judging.residual_patterns import LinearFit, Pattern
+from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.losses import Studentised
 
@@ -89,8 +89,7 @@ def excluded_errors(fit: Fit) -> ErrorSet | None:
 @remembered
 def setting(fit: Fit) -> EffectSetting:
     """Return what effects that the model may leave out are made of."""
-    data = fit.identification.data
-    return EffectSetting(fit.robot, data, fit.configurations, fit.by_joint, fit.whitening, fit.scales, fit.weights)
+    return EffectSetting(fit)
 
 
 @remembered
@@ -123,9 +122,10 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
     if not any(pattern.significant and pattern.kind in in_course for pattern in patterns(fit)):
         return ()
     columns = [
-        effect.columns
+        effect.columns(number)
         for effect in effects(setting(fit))
-        if isinstance(effect, Effect) and Trait.FOLLOWS_JOINTS in effect.kind.traits
+        if Trait.FOLLOWS_JOINTS in effect.kind.traits
+        for number in range(len(effect.details))
     ]
     beside = linear(fit).beside(np.hstack(columns)) if columns else linear(fit)
     return tuple(p for p in residual_patterns.patterns(beside, setting(fit), in_course) if p.significant)
@@ -138,16 +138,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 
     None where the robot cannot be assembled on the way from before to after.
     """
-    used = fit.validation is None
     try:
-        return error_budget(
-            fit.placed,
-            fit.robot,
-            fit.validation or fit.identification,
-            fit.unknowns,
-            fit.statistics.covariance,
-            fit.rows if used else None,
-            fit.sigma_given,
-        )
+        return error_budget(fit)
     except UnreachablePoseError:
         return None

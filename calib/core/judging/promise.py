@@ -25,8 +25,8 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.numerics.clusters import of_equal_length
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
+from calib.core.numerics.losses import studentised
 from calib.core.numerics.prior import Prior
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
@@ -37,7 +37,6 @@ from calib.core.rows.whitening import Whitening
 POWER = 0.9
 """Chance with which a change is to be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
-_DETERMINED = 1e-6  # part of a direction of a reading that the others leave open
 _PARALLEL = 1.0 - 1e-6  # cosine of columns that are one
 _JOINT_STEP = 1e-3  # unit in which joint zeros are looked at [rad, or characteristic lengths]
 
@@ -301,20 +300,13 @@ class System:
 
     def worst(self) -> tuple[int, float]:
         """Return the reading that lies furthest off, and the chance of that among so many."""
-        layout, left = self.rows.layout, self._left(self.rows.residuals)
-        best, smallest, read = -1, 1.0, layout.group >= 0
-        for rows in of_equal_length(np.where(read, layout.reading, -1)):
-            own = self.rows.span[rows]
-            values, vectors = linalg.eigh(np.eye(rows.shape[1]) - np.matmul(own, own.transpose(0, 2, 1)))
-            squares, n = np.matmul(left[rows][:, None], vectors)[:, 0] ** 2, np.sum(values > _DETERMINED, axis=1)
-            square = np.sum(np.where(values > _DETERMINED, squares / np.maximum(values, _DETERMINED), 0.0), axis=1)
-            chance = np.where(
-                n > 0, scipy.special.fdtrc(np.maximum(n, 1), self.promise.freedom, square / np.maximum(n, 1)), 1.0
-            )
-            k = int(np.argmin(chance))
-            if chance[k] < smallest:
-                best, smallest = int(layout.reading[rows[k, 0]]), float(chance[k])
-        return best, min(1.0, smallest * len(np.unique(layout.reading[read])))
+        layout, left = self.rows.layout, self._left(self.rows.residuals)[: len(self.rows.residuals)]
+        widths, used = np.maximum(layout.width, 1), np.ones(layout.n_readings)
+        # the scale is known with as many degrees of freedom as the promise; there, half of them are counted
+        judged = studentised(left, self.rows.span, layout.reading, widths, used, 2.0 * self.promise.freedom, 1.0)
+        reading = int(np.argmin(judged.chance))
+        n_read = len(np.unique(layout.reading[layout.group >= 0]))
+        return reading, min(1.0, float(judged.chance[reading]) * n_read)
 
     @cached_property
     def unlike(self) -> bool:

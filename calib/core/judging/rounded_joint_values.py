@@ -91,15 +91,18 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
 
 def usual_step(numbers: FloatArray) -> float:
     """Return the largest usual step that all numbers (n,) stand in; 0 for none."""
-    on_it = (step for step in _STEPS if np.all(np.abs(numbers / step - np.round(numbers / step)) < _CLOSE))
-    return next(on_it, 0.0)
+    left = np.array(_STEPS)
+    for some in (numbers[:8], numbers):  # the first few decide most
+        ratio = some[:, None] / left
+        left = left[np.all(np.abs(ratio - np.round(ratio)) < _CLOSE, axis=0)]
+    return float(np.max(left, initial=0.0))
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
-    by_joint = setting.whitened(setting.by_joint) * scatter
-    visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
+    by_joint = setting.joint_columns * scatter
+    visit = setting.visit
     mean = square = statistic = 0.0
     through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
     twice = 0.0

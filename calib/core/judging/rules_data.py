@@ -269,8 +269,8 @@ def leverage(fit: Fit) -> Iterator[Reason]:
     high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
         yield Code.LEVERAGE.says(
-            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
-            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
+            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so an error there would"
+            f" not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
         )
 
 

@@ -17,9 +17,8 @@ from calib.core.fitting.moved_frame import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, elsewhere, unlike_measured
-from calib.core.judging.effect_kinds import Trait
+from calib.core.judging.effect_kinds import Trait, describe
 from calib.core.judging.reasons import Answer, Code, Reason
-from calib.core.judging.residual_patterns import describe
 from calib.core.judging.rules_noise import LEFT_OUT, impossible, in_words, measured_space
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement
@@ -154,7 +153,7 @@ def claim_broken(fit: Fit, claim: Claim, *, needless: bool) -> Iterator[Reason]:
     misplaced = moved is not None and moved.errors is None  # errors are those of the frame
     worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
     anew = "" if moved is None or misplaced else ", their frame placed anew,"
-    for accuracy in claim.broken:
+    for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
         times, claimed = accuracy.rms / claim.told.rms, claim.told
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
@@ -178,7 +177,7 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     setups = [data.setups for data in (fit.identification.data, fit.validation.data)]
     if setups[0] is not None and setups[1] is not None and not np.any(np.isin(setups[1], setups[0])):
         return ". They are of a setup that was not used"
-    return f". {np.sum(unlike)} of them are farther from the poses used for the fit than those are from each other"
+    return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
 
 
 def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:

@@ -249,9 +249,8 @@ def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     if better or no_worse:
         outcome = "get better by more than chance explains" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers: the"
-            " uncertainty of positions counts it as errors of the joints. State the noise of robot and sensor together"
-            " (--sigma-mm)"
+            f" poses that were not used {outcome}. The rest is what the model leaves out, or outliers. The stated"
+            " uncertainty of positions includes it. State the noise of robot and sensor together (--sigma-mm)"
         )
         if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
             text += (

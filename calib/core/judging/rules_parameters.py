@@ -18,7 +18,7 @@ from calib.core.judging.effects import gains, scale
 from calib.core.judging.reasons import Code, Reason
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import reduced_with
+from calib.core.numerics.identifiability import reduced_with, unit_columns
 from calib.core.numerics.observability import information
 from calib.core.numerics.tall import in_parts
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
@@ -158,10 +158,9 @@ def _cost_with(
         n_measured: How many of the rows were measured; the others are priors.
         is_scale: Whether the column scales all lengths, and noise with them.
     """
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0] = 1.0
-    solution = linalg.lstsq(columns / size, -right, rcond=None)
-    squares = (columns / size @ solution + right) ** 2
+    unit, size = unit_columns(columns)
+    solution = linalg.lstsq(unit, -right, rcond=None)
+    squares = (unit @ solution + right) ** 2
     first = float(solution[0] / size[0]) if len(size) else 0.0
     noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0
     return float(np.sum(squares[:n_measured]) / noise + np.sum(squares[n_measured:])), first

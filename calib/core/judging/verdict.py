@@ -39,9 +39,9 @@ from calib.core.judging import (
 )
 from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.claim import Benefit, ErrorElsewhere, claim_of
+from calib.core.judging.effect_kinds import Pattern
 from calib.core.judging.error_budget import ErrorBudget
 from calib.core.judging.reasons import Code, Reason, Verdict
-from calib.core.judging.residual_patterns import Pattern
 from calib.core.robots.terms.term import Context
 from calib.core.rows.known_robot import KnownRobot
 

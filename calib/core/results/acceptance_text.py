@@ -21,8 +21,8 @@ _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration claims",
     "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than expected, which no calibration can correct",
-    "unlike poses": "UNLIKE POSES: errors are larger than at the poses of the calibration, but these are other poses;"
-    " what the calibration left unexplained there may be as large here, so the robot need not have changed",
+    "unlike poses": "UNLIKE POSES: errors are larger than at the poses of the calibration. These poses lie elsewhere,"
+    " where the model may be wrong although the robot has not changed",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains this",
 }
 
@@ -40,8 +40,8 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     if acceptance.again:
         parts.append(
             f"To settle it, measure {counted(len(acceptance.again), 'pose')} of the calibration again:"
-            f" {listed(acceptance.again, ', ', len(acceptance.again))}. There the model is off as it was, so that what"
-            " differs is the robot"
+            f" {listed(acceptance.again, ', ', len(acceptance.again))}. A difference at these poses is a change of"
+            " the robot"
         )
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
@@ -135,8 +135,8 @@ def _errors(acceptance: Acceptance) -> list[str]:
     ]
     if acceptance.p_value > 1.0 - FALSE_ALARM / 2:
         lines.append(
-            "That is less than chance explains: the calibration used these readings, or they have less noise than its"
-            " own"
+            "That is less than chance explains: the calibration has used these readings, or they have less noise than"
+            " those that it has used"
         )
     data = acceptance.errors.data
     if np.isfinite(acceptance.promised):
@@ -146,14 +146,14 @@ def _errors(acceptance: Acceptance) -> list[str]:
         promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
-            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS, {table['mean']:.4f} mm"
-            f" mean, {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
+            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
+            f" {table['max']:.4f} mm at worst; expected: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm), at most {millimetres(acceptance.limit):.4f} mm"
         )
         if rms <= promised < np.sqrt(2.0) * left_open and acceptance.ratio > 1.0 and acceptance.verdict != "agrees":
             lines.append(
-                "Judge by the ratio: the few directions that the calibration leaves uncertain dominate the millimetres,"
-                " and hide errors in all others"
+                "Judge by the ratio: most of the millimetres are along the few directions that the calibration leaves"
+                " uncertain, where errors in the other directions do not show"
             )
     return lines
 

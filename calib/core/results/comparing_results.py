@@ -25,7 +25,6 @@ Reference: holm1979, satterthwaite1946.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -44,8 +43,8 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.comparison_report import Difference, Pair, ResultComparison
 from calib.core.results.loaded_result import LoadedResult
+from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
-from calib.core.results.results import save
 from calib.core.robots.robot import Robot
 
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
@@ -183,9 +182,9 @@ def difference_covariance(first: FloatArray, second: FloatArray, precision: Floa
 def _read(result: Fit | Path | str, name: str) -> _Result:
     if not isinstance(result, Fit):
         return _Result(str(result), load_result(result, failed_too=True))
-    with tempfile.TemporaryDirectory() as folder:
-        save(result, folder)
-        return _Result(name, load_result(folder, failed_too=True))
+    loaded = LoadedResult(name, result.nominal, result.robot, to_dict(result), {})
+    vars(loaded)["fit"] = result  # it need not be evaluated again
+    return _Result(name, loaded)
 
 
 def geometry(robot: Robot) -> list[tuple[object, ...]]:

@@ -9,7 +9,7 @@ from calib.core.base.words import counted, plain_text
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.reasons import Verdict
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.accuracy import accuracy_text, change_text
+from calib.core.results.sections.accuracy import accuracy_grids, change_text
 from calib.core.results.sections.budget import budget_grid
 from calib.core.results.sections.details import details
 from calib.core.results.sections.files_held import files_grid
@@ -35,8 +35,8 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
     parts: list[str | Table]
     if verbose:
-        grids = (files_grid(fit), budget_grid(fit), parameter_grid(fit))
-        tables = [*accuracy_text(fit), *(grid.as_text() for grid in grids if grid is not None)]
+        grids = (*accuracy_grids(fit), files_grid(fit), budget_grid(fit), parameter_grid(fit))
+        tables = [grid.as_text() for grid in grids if grid is not None]
         parts = [title, *verdict_lines(verdict), *tables, *details(fit)]
     else:
         errors, files = change_text(fit, verdict.claim), files_grid(fit)

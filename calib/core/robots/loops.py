@@ -37,12 +37,13 @@ from calib.core.robots.closure import (
     scaled,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, newton
+from calib.core.robots.continuation import closing_tolerance, follow, hangs_together, in_radians, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
+_SAME_SOLUTION = 1e-6  # difference of passive joints [rad, or characteristic lengths]
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 
 
@@ -108,6 +109,17 @@ def close(
             slope[~ok] = np.nan
     hold(passive, *(() if slope is None else (slope,)))
     return Closed(passive, ok, slope)
+
+
+def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
+    """Whether closed poses (n, n_actuated), (n, n_passive) surely follow from home; False where that is not known."""
+    if not mechanism.loops:
+        return True
+    arrived, ok = hangs_together(mechanism, mode, actuated, passive)
+    if not np.all(ok) or not np.all(within_limits(mechanism, passive)):
+        return False
+    apart = in_radians(mechanism, wrapped(mechanism, mode, arrived) - passive)
+    return bool(np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION)
 
 
 def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import cast
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 from rich.table import Table
 
 from calib.core.base.units import ERROR_UNIT, error_scale
 from calib.core.base.words import text_table
-from calib.core.fitting.error_sets import STATES, ErrorSet, error_table, format_error
+from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Part
 from calib.core.judging.claim import Claim
+from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 NAMES = {"cross_validation": "left out in turn"}
 """Sets of poses that people know by another name."""
-
-
-@dataclass(frozen=True)
-class AccuracyLine:
-    """One line of an accuracy table; numbers as `error_table` gives them."""
-
-    group: str
-    state: str
-    poses: int
-    errors: dict[str, object]
-
-
-@dataclass(frozen=True)
-class AccuracyTable:
-    """Errors of one part of the readings, in its unit of errors.
-
-    Attributes:
-        part: The part.
-        unit: Unit of all numbers.
-        lines: Each set before and after calibration.
-    """
-
-    part: Part
-    unit: str
-    lines: tuple[AccuracyLine, ...]
+_JUDGED_BY = ("validation", "left out in turn", "identification")
 
 
 def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
@@ -54,42 +31,49 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
     return sets
 
 
-def accuracy(fit: Fit) -> list[AccuracyTable]:
+def judged_by(fit: Fit) -> tuple[str, ErrorSet]:
+    """Return the errors that count, and what their poses are called: those that were not used, if there are any."""
+    sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
+    name = next(name for name in _JUDGED_BY if name in sets)
+    return name, sets[name]
+
+
+def accuracy_grids(fit: Fit) -> list[Grid]:
     """Return a table for each part that was read: each set before and after calibration."""
-    sets: list[tuple[str, ErrorSet, tuple[str, ...]]]
+    sets: list[tuple[str, ErrorSet, Sequence[str]]]
     sets = [(NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
     parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
-    tables = []
-    for part in parts:
-        lines = []
-        for group, error_set, states in sets:
-            for state in states:
-                errors = error_set.errors(state, part.name)
-                if len(errors):
-                    lines.append(AccuracyLine(group, state, error_set.data.n_poses, error_table(errors, part)))
-        tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
-    return tables
+    return [_grid(part, sets) for part in parts]
 
 
-def accuracy_text(fit: Fit) -> list[Table]:
-    """Return one table for each part that was read."""
-    tables = []
-    for part_accuracy in accuracy(fit):
-        axes = [f"|{axis}|" for axis in part_accuracy.part.axes]
-        title = f"{part_accuracy.part.name.capitalize()} error, {part_accuracy.unit} ({', '.join(axes)}: mean)"
-        table = text_table(("", "poses", "mean", "max", "rms", "std", "95 %", *axes), title=title)
-        for line in part_accuracy.lines:
-            table.add_row(f"{line.group}, {line.state}", str(line.poses), *format_error(line.errors))
-        tables.append(table)
-    return tables
+def _grid(part: Part, sets: Sequence[tuple[str, ErrorSet, Sequence[str]]]) -> Grid:
+    axes = part.axes if len(part.axes) > 1 else ()
+    name, unit = part.name.capitalize(), ERROR_UNIT[part.dimension]
+    columns = [GridColumn("", "poses", words=True), GridColumn("poses", "number")]
+    columns += [GridColumn(head) for head in ("mean", "max", "RMS", "std", "95 %")]
+    for axis in axes:
+        columns += [GridColumn(f"|{axis}|", f"{axis} mean"), GridColumn(f"{axis} max", only_page=True)]
+    rows, counting = list[tuple[str | GridNumber, ...]](), list[int]()
+    for group, error_set, states in sets:
+        for state in states:
+            errors = error_set.errors(state, part.name)
+            if len(errors):
+                table: dict[str, Any] = error_table(errors, part)
+                numbers = [table[key] for key in ("mean", "max", "rms", "std", "p95")]
+                numbers += [table.get(axis, {}).get(key, np.nan) for axis in axes for key in ("mean", "max")]
+                counting += [len(rows)] if state == "after" else []
+                rows.append((f"{group}, {state}", str(error_set.data.n_poses), *map(GridNumber, numbers)))
+    of_axes = f" ({', '.join(f'|{axis}|' for axis in axes)}: mean)" if axes else ""
+    caption = f"{name} error [{unit}]" + ("; for each axis: mean and largest absolute value" if axes else "")
+    return Grid(f"{name} error, {unit}{of_axes}", caption, tuple(columns), tuple(rows), tuple(counting))
 
 
 def change_text(fit: Fit, claim: Claim | None) -> Table:
-    """Return errors before and after: a line for each part of each set of poses, and what the fit claims."""
+    """Return the error (RMS) before and after: a line for each part of each set of poses, and what the fit claims."""
     heading = "error before -> after"
-    table = text_table((heading, "poses", "mean", "RMS", "95 %", "largest"), (heading,), plain=True)
+    table = text_table((heading, "poses", "RMS", "95 %", "largest"), (heading,), plain=True)
     parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
     for part in parts:
         for label, error_set in error_sets(fit):
@@ -97,7 +81,7 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
             if not all(len(sizes) for sizes in errors):
                 continue
             tables = [error_table(sizes, part) for sizes in errors]
-            pairs = [[cast(float, summary[key]) for summary in tables] for key in ("mean", "rms", "p95", "max")]
+            pairs = [[cast(float, summary[key]) for summary in tables] for key in ("rms", "p95", "max")]
             cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
@@ -105,5 +89,5 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
         told, scale = claim.told, error_scale(claim.told.dimension)
         before = f"{scale * told.before:.4f} -> " if np.isfinite(told.before) else ""
         name = f"{told.part} [{ERROR_UNIT[told.dimension]}], expected"
-        table.add_row(name, "", "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
+        table.add_row(name, "", f"{before}{scale * told.rms:.4f}", f"{scale * told.limit95:.4f}", "")
     return table

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
 from calib.core.base.words import counted, listed
 from calib.core.fitting.fitted import Fit
 
@@ -11,7 +11,7 @@ def starts_table(fit: Fit) -> dict[str, object] | None:
     """Return the minima that were found from other starts; None where there were no other starts."""
     if fit.starts is None:
         return None
-    scale, _ = _unit(fit)
+    scale = error_scale(fit.identification.main_part.dimension)
     minima = [{"rms": scale * m.rms, "cost": m.cost, "count": m.count} for m in fit.starts.minima]
     return {"count": fit.starts.total, "failed": fit.starts.failed, "seed": fit.starts.seed, "minima": minima}
 
@@ -20,13 +20,12 @@ def folds_table(fit: Fit) -> dict[str, object] | None:
     """Return the errors of folds that were left out; None where there were none."""
     if fit.folds is None:
         return None
-    rms = [_unit(fit)[0] * value for value in fit.folds.rms]
     names = list(fit.nominal.description.setups)
     return {
         "folds": fit.folds.count,
         "seed": fit.folds.seed,
         "setups": [names[k] for k in fit.folds.setups],
-        "rms": rms,
+        "rms": [error_scale(fit.identification.main_part.dimension) * value for value in fit.folds.rms],
         "converged": fit.folds.converged,
     }
 
@@ -35,8 +34,8 @@ def start_lines(fit: Fit) -> list[str]:
     """Return which minima other starts found, in a line; none where there were no other starts."""
     if fit.starts is None:
         return []
-    scale, unit = _unit(fit)
-    minima = [f"RMS {scale * m.rms:.4f} {unit} from {m.count}" for m in fit.starts.minima]
+    dimension = fit.identification.main_part.dimension
+    minima = [f"RMS {quantity_text(m.rms, dimension, '.4f')} from {m.count}" for m in fit.starts.minima]
     failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
     return [f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}"]
 
@@ -45,17 +44,11 @@ def fold_lines(fit: Fit) -> list[str]:
     """Return the errors of folds, or setups, that were left out, in a line; none where there were none."""
     if fit.folds is None:
         return []
-    scale, unit = _unit(fit)
-    rms = [f"{scale * value:.4f}" for value in fit.folds.rms]
+    dimension = fit.identification.main_part.dimension
+    unit, rms = ERROR_UNIT[dimension], [f"{error_scale(dimension) * value:.4f}" for value in fit.folds.rms]
     if fit.folds.setups:
         names = list(fit.nominal.description.setups)
         each = [f"{names[k]} {value}" for k, value in zip(fit.folds.setups, rms, strict=True)]
         return [f"Setups left out in turn, each placed anew: RMS of {', '.join(each)} {unit}"]
     folds = f"{fit.folds.count} folds (seed {fit.folds.seed})"
     return [f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}"]
-
-
-def _unit(fit: Fit) -> tuple[float, str]:
-    """What an SI error of the main part is multiplied by, and its unit then."""
-    dimension = fit.identification.main_part.dimension
-    return error_scale(dimension), ERROR_UNIT[dimension]

@@ -82,7 +82,7 @@ def budget_grid(fit: Fit) -> Grid | None:
         f"Causes of the error before calibration, over {budget['n_readings']} readings {on_page}. Mean squares add up",
         columns,
         (*rows, whole),
-        last_counts=True,
+        (len(rows),),
     )
 
 

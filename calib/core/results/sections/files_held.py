@@ -9,7 +9,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.robots.file_formats import formats_that_hold
-from calib.core.robots.held import Accuracy, FileRobot, Holds
+from calib.core.robots.held import FileRobot, Holds
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import lost_by
 
@@ -21,49 +21,33 @@ def files_of(fit: Fit) -> dict[Holds, FileRobot]:
     return {holds: file_robot for holds, file_robot in known.items() if file_robot is not None}
 
 
-Line = tuple[str, float, float, str]
-"""What a file holds, its RMS, its 95 % limit in the unit of errors (NaN where not known), and who is such a file."""
-
-
-def _worth(fit: Fit) -> tuple[Accuracy, list[Line]] | None:
-    """What each kind of file is worth, the nominal robot first and the whole model last, and the latter's accuracy.
+def files_grid(fit: Fit) -> Grid | None:
+    """Return what each kind of file is worth, the nominal robot first and the whole model last.
 
     None if files of joint origins hold it all and are written.
     """
-    if fit.reduced is None or not (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit)):
-        return None
     files = files_of(fit)
-    if Holds.EVERYTHING not in files:
+    told = fit.reduced is not None and (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit))
+    if not told or Holds.EVERYTHING not in files:
         return None
     whole = files[Holds.EVERYTHING].accuracy
-    scale, nominal = error_scale(whole.dimension), files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy
-    lines: list[Line] = [("nominal robot", scale * nominal.before, np.nan, "")]
-    for holds in reversed(Holds):
-        if holds in files:
-            accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
-            withheld = "withheld: " if formats and files[holds].withheld else ""
-            words = withheld + ", ".join(formats)
-            if holds is Holds.EVERYTHING:
-                words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
-            lines.append((holds.value, scale * accuracy.rms, scale * accuracy.limit95, words))
-    return whole, lines
-
-
-def files_grid(fit: Fit) -> Grid | None:
-    """Return what each kind of file is worth, where some hold less than the whole model; None elsewhere."""
-    worth = _worth(fit)
-    if worth is None:
-        return None
-    whole, lines = worth
-    unit = ERROR_UNIT[whole.dimension]
+    scale, unit = error_scale(whole.dimension), ERROR_UNIT[whole.dimension]
+    before = files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy.before
+    rows = [("nominal robot", GridNumber(scale * before), GridNumber(np.nan), "")]
+    for holds in (holds for holds in reversed(Holds) if holds in files):
+        accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
+        words = ("withheld: " if formats and files[holds].withheld else "") + ", ".join(formats)
+        if holds is Holds.EVERYTHING:
+            words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
+        rows.append((holds.value, GridNumber(scale * accuracy.rms), GridNumber(scale * accuracy.limit95), words))
     columns = (GridColumn("file holds", "a file holds", words=True), GridColumn("RMS"), GridColumn("95 % limit"))
     return Grid(
         f"What files are worth, {unit} ({whole.part} error, {whole.where})",
-        f"What files are worth: {whole.part} error [{unit}], {whole.where}; at one more such pose it stays below the"
-        " 95 % limit with a chance of 95 %",
+        f"What files are worth: {whole.part} error [{unit}], {whole.where}; the error at one more such pose is below"
+        " the 95 % limit with a chance of 95 %",
         (*columns, GridColumn("formats", words=True)),
-        tuple((holds, GridNumber(rms), GridNumber(limit), formats) for holds, rms, limit, formats in lines),
-        last_counts=True,
+        tuple(rows),
+        (len(rows) - 1,),
     )
 
 

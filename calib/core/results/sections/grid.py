@@ -58,14 +58,14 @@ class Grid:
         caption: What stands above it on a page.
         columns: Its columns; the first names the rows.
         rows: Their cells.
-        last_counts: Whether the last row is what counts.
+        counting: Which rows count most.
     """
 
     title: str
     caption: str
     columns: tuple[GridColumn, ...]
     rows: tuple[tuple[str | GridNumber, ...], ...]
-    last_counts: bool = False
+    counting: tuple[int, ...] = ()
 
     def as_text(self, *, plain: bool = False) -> Table:
         """Return the table for a terminal, without lines if `plain`."""

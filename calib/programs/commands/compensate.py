@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -29,7 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
 from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
-from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is, row_figures
+from calib.programs.commands.report import COUNTED, Job, figures_of, left_as_it_is
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.gcode import SUFFIXES
@@ -37,13 +39,6 @@ from calib.programs.languages.gcode_dialects import DIALECTS
 from calib.programs.reaching.compensation import Compensation, compensate
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.program_task import KEEP
-
-_OPTIONS = {
-    "controllers' programs": ("harmless", "frames", "skip_unreachable", "base_link", "flange_link", "third_joint"),
-    "G-code": ("harmless", "zero", "start", "tolerance_mm", "dialect"),
-    "tables": ("skip_unreachable", "keep", "grid"),
-}
-"""Which options belong to which kind of program; the others belong to all."""
 
 
 @click.command("compensate")
@@ -105,25 +100,7 @@ _OPTIONS = {
 )
 @click.option("-o", "--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
-def command(
-    robot: str,
-    program: str,
-    result: str | None,
-    keep: str | None,
-    grid: str | None,
-    tolerance_mm: float | None,
-    zero: str | None,
-    start: str | None,
-    dialect: str | None,
-    harmless: tuple[str, ...],
-    frames: tuple[str, ...],
-    base_link: str | None,
-    flange_link: str | None,
-    third_joint: str | None,
-    skip_unreachable: bool,
-    out: str,
-    output: Output,
-) -> None:
+def command(robot: str, program: str, result: str | None, out: str, output: Output, **options: Any) -> None:
     """Correct PROGRAM, written for the nominal ROBOT, for the calibrated one.
 
     PROGRAM is a table (CSV), G-code, or a controller's program: URScript (.script), RAPID (.mod), KRL (.src), FANUC
@@ -147,41 +124,39 @@ def command(
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
-    known = load_result(result, nominal).known
-    suffix, job = Path(program).suffix.lower(), Job(known, program, result, out, output)
+    job = Job(nominal, load_result(result, nominal).known, program, result, out, output)
+    suffix = Path(program).suffix.lower()
     kind = "controllers' programs" if suffix in languages.SUFFIXES else "G-code" if suffix in SUFFIXES else "tables"
-    given = [name for name, value in click.get_current_context().params.items() if value not in (None, (), False)]
-    foreign = {name for names in _OPTIONS.values() for name in names} - {*_OPTIONS[kind]}
-    wrong = [f"--{name.replace('_', '-')}" for name in given if name in foreign]
+    compensate_kind, names = _KINDS[kind]
+    given = [name for name, value in options.items() if value not in (None, (), False)]
+    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in names]
     if wrong:
         raise InputError(f"{listed(wrong)}: not for {kind} such as {program}; leave out")
-    if kind == "controllers' programs":
-        links = base_link, flange_link, third_joint
-        compensate_controller(job, frames, harmless, links, skip_unreachable=skip_unreachable)
-        return
-    if kind == "G-code":
-        compensate_gcode(job, (zero, start), (dialect, harmless), tolerance_mm)
-        return
-    rows = _read(program, nominal, output)
-    output.check(out)
+    compensate_kind(job, **{name: options[name] for name in names})
+
+
+def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unreachable: bool) -> None:
+    """Write a table with which the calibrated robot goes where it says, or a table of corrections."""
+    output, nominal = job.output, job.nominal
+    rows = _read(job.program, nominal, output)
+    output.check(job.out)
     if grid is not None:
         compensate_grid(job, rows, grid)
         return
     with output.working(f"compensating {len(rows)} rows"):
-        compensation = compensate(known, rows, keep=keep)
+        compensation = compensate(job.known, rows, keep=keep)
     if not skip_unreachable or not np.any(compensation.ok):
         _require_all(compensation, compensation.frame if isinstance(rows, Goals) else "")
     for miss in compensation.misses():
         output.note(f"{miss}; left empty")
     output.remarks(compensation.jumps())
-    done = (
-        f"left as it is: {left_as_it_is(result)}" if compensation.nothing_to_correct else f"compensated with {result}"
-    )
-    comments = job.comments(
-        f"{program} for {nominal.name}, {done}; kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}"
-    )
-    output.write(out, format_table(_columns(nominal, rows, compensation), comments))
-    n_reached, held_out = int(np.sum(compensation.ok)), _held_out(result)
+    done = f"compensated with {job.result}"
+    if compensation.nothing_to_correct:
+        done = f"left as it is: {left_as_it_is(job.result)}"
+    kept = f"kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}"
+    comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
+    output.write(job.out, format_table(_columns(nominal, rows, compensation), comments))
+    n_reached, held_out = int(np.sum(compensation.ok)), _held_out(job.result)
     content = {
         "robot": nominal.path,
         "kept": compensation.keep,
@@ -196,6 +171,17 @@ def command(
     if held_out is not None:
         more.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (RMS), their noise included")
     job.report(compensation, figures_of(compensation), content, what, more, subjects)
+
+
+_KINDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
+    "controllers' programs": (
+        compensate_controller,
+        ("harmless", "frames", "skip_unreachable", "base_link", "flange_link", "third_joint"),
+    ),
+    "G-code": (compensate_gcode, ("harmless", "zero", "start", "tolerance_mm", "dialect")),
+    "tables": (_compensate_table, ("skip_unreachable", "keep", "grid")),
+}
+"""What compensates each kind of program, and its options; the others belong to all."""
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
@@ -234,8 +220,7 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
             columns.append((name, cells_of(values)))
     columns += condition_columns(robot, len(program), program.setups, program.context).items()
     columns += approach_columns(robot, program.approach).items()
-    for figure, unit, scale in row_figures(compensation.keep):
-        columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))
+    columns += [(f"{name} [{unit}]", cells_of(values)) for (name, unit), values in compensation.figures().items()]
     columns.append(("status", [why or "ok" for why in compensation.reasons]))
     return columns
 
@@ -260,16 +245,13 @@ def _rpy(rotations: FloatArray) -> FloatArray:
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     """One entry for each row; null where there is no number."""
-    joints = joint_columns(robot, compensation.q)
+    joints, figures = joint_columns(robot, compensation.q), compensation.figures()
     return [
         {
             "pose": name,
             "status": compensation.reasons[k] or "ok",
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
-            **{
-                f"{figure}_{unit}": float(getattr(compensation, figure)[k]) * scale
-                for figure, unit, scale in row_figures(compensation.keep)
-            },
+            **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in figures.items()},
         }
         for k, name in enumerate(compensation.names)
     ]

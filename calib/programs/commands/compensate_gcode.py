@@ -21,33 +21,30 @@ _TOLERANCE_MM = 0.01
 
 def compensate_gcode(
     job: Job,
-    places: tuple[str | None, str | None],
-    rules: tuple[str | None, Collection[str]],
+    *,
+    zero: str | None,
+    start: str | None,
+    dialect: str | None,
+    harmless: Collection[str],
     tolerance_mm: float | None,
 ) -> None:
     """Write a G-code program with which the calibrated robot goes where it says.
-
-    Args:
-        job: The program.
-        places: --zero and --start.
-        rules: --dialect and --harmless.
-        tolerance_mm: --tolerance-mm; 0.01 if not given.
 
     Raises:
         InputError: An option that cannot be.
         DataError: Several targets, or a program that is not one of straight moves; with its line.
     """
-    zero, start = (_point(text, option) for text, option in zip(places, ("--zero", "--start"), strict=True))
+    origin = np.array(_point(zero, "--zero") or (0.0, 0.0, 0.0))
+    begin = _point(start, "--start")
     tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
     robot = job.known.robot
     if len(robot.target_names) > 1:
         raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
-    program = read_gcode(job.program, start, *rules)
+    program = read_gcode(job.program, begin, dialect, harmless)
     job.output.check(job.out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
-    origin = np.zeros(3) if zero is None else np.array(zero)
     unknown = (np.nan, np.nan, np.nan)
     moves = StraightMoves(
         np.array([move.start or unknown for move in program.moves]) + origin,

@@ -13,7 +13,7 @@ from calib.core.base.files import write_files
 from calib.core.base.units import millimetres
 from calib.core.base.words import counted, listed
 from calib.core.commands.common import Output
-from calib.programs.commands.report import FIGURES, Figures, Job, figures_of, row_figures, summary
+from calib.programs.commands.report import Figures, Job, figures_of, summary
 from calib.programs.languages.controller_program import CompensatedProgram, compensate_program
 from calib.programs.languages.languages import read_program
 
@@ -22,20 +22,15 @@ _SHOWN = 20
 
 def compensate_controller(
     job: Job,
+    *,
     frames: Sequence[str],
     harmless: Sequence[str],
-    links: tuple[str | None, str | None, str | None],
-    *,
+    base_link: str | None,
+    flange_link: str | None,
+    third_joint: str | None,
     skip_unreachable: bool,
 ) -> None:
-    """Write a controller's program with which the calibrated robot goes where it says.
-
-    Args:
-        job: The program; a `.dat` file goes beside it.
-        frames: --frames.
-        harmless: --harmless.
-        links: --base-link, --flange-link and --third-joint.
-        skip_unreachable: Whether targets that cannot be compensated stay as they are.
+    """Write a controller's program, and the files beside it, with which the calibrated robot goes where it says.
 
     Raises:
         DataError: A program that cannot be read; with its line.
@@ -50,10 +45,11 @@ def compensate_controller(
     program = read_program(job.program, frames, harmless)
     places = [out, *(out.with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))
-    base, flange, third_joint = links
     count = counted(len(program.targets), "target")
     with output.working(f"compensating {count}"):
-        compensated = compensate_program(job.known, program, base=base, flange=flange, third_joint=third_joint)
+        compensated = compensate_program(
+            job.known, program, base=base_link, flange=flange_link, third_joint=third_joint
+        )
     compensation = compensated.compensation
     pairs = zip(program.targets, compensated.reasons, strict=True)
     missed = [f"{target.label} {why}" for target, why in pairs if why]
@@ -83,6 +79,7 @@ def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
 
 def _content(compensated: CompensatedProgram) -> dict[str, object]:
     program, compensation = compensated.program, compensated.compensation
+    figures = {f"{name}_{unit}": values for (name, unit), values in compensation.figures().items()}
     row_of = {int(k): n for n, k in enumerate(compensated.rows)}
     return {
         "language": program.language,
@@ -98,11 +95,7 @@ def _content(compensated: CompensatedProgram) -> dict[str, object]:
                 "line": target.line,
                 "name": target.name,
                 "status": compensated.reasons[k] or "ok",
-                **{
-                    f"{name}_{unit}": scale * float(getattr(compensation, name)[row_of[k]])
-                    for name, unit, scale in row_figures("position", FIGURES[:2])
-                    if k in row_of
-                },
+                **{name: float(figures[name][row_of[k]]) for name in ("before_mm", "expected_mm") if k in row_of},
             }
             for k, target in enumerate(program.targets)
         ],

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.commands.common import Output, said_of_failure
+from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import KnownRobot
 from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
 
 COUNTED = "expected errors include measurement noise, the priors, and what the model leaves out"
 """What an expected error counts."""
-FIGURES = ("before", "expected", "low95", "high95")
-"""Errors of each row of a compensation."""
 Figures = Mapping[str, Mapping[str, float]]
 """Summaries by their name with the unit."""
 
@@ -68,23 +66,12 @@ def expected_now(
     return f"{now}; without the correction by {math.hypot(before['rms'], expected['rms']):.4f} {unit} (RMS)"
 
 
-def row_figures(keep: str, names: Sequence[str] = FIGURES) -> list[tuple[str, str, float]]:
-    """Return figures of the rows of a compensation, their unit in files, and what one in SI is in that.
-
-    Args:
-        keep: What was kept: errors of orientations count where these are.
-        names: Of `FIGURES`.
-    """
-    parts: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
-    shown = parts[: 1 if keep == "position" else 2]
-    return [(f"{name}{part}", ERROR_UNIT[kind], error_scale(kind)) for part, kind in shown for name in names]
-
-
 def figures_of(compensation: Compensation) -> dict[str, dict[str, float]]:
     """Return root mean square and largest error of all rows, before and after."""
     return {
-        f"{name}_{unit}": summary(scale * np.asarray(getattr(compensation, name)[compensation.ok]))
-        for name, unit, scale in row_figures(compensation.keep, FIGURES[:2])
+        f"{name}_{unit}": summary(values[compensation.ok])
+        for (name, unit), values in compensation.figures().items()
+        if name.startswith(("before", "expected"))
     }
 
 
@@ -93,6 +80,7 @@ class Job:
     """A program to compensate.
 
     Attributes:
+        nominal: The robot as it is described.
         known: The calibrated robot.
         program: File of the program.
         result: Folder of the calibration.
@@ -100,6 +88,7 @@ class Job:
         output: Where to print.
     """
 
+    nominal: Robot
     known: KnownRobot
     program: str
     result: str

@@ -8,26 +8,21 @@ known instruction (a call, a macro) may change frames and tools.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
-
-import pinocchio as pin
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.fanuc_positions import WORDS, Position, positions_of, sections_of
-from calib.programs.languages.harmless import FANUC, names
-from calib.programs.languages.reader import Reader
-from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, Source
+from calib.programs.languages.fanuc_positions import WORDS, Position, number_at, positions_of, sections_of
+from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
+from calib.programs.languages.reader import Reached, Reader
+from calib.programs.languages.robot_program import LeftOutError, Source
 from calib.programs.languages.tokens import Code, Span
-from calib.programs.languages.visits import Place
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
-_KNOWN = names(
-    """FINE ACC CR WJNT RT_LD AP_LD PTH BREAK MROT SKIP LBL TA TB DB DA SEC MSEC MM CM MIN DEG INCH EV PSPD P SPS SPOT
-    CALL TIME BEFORE AFTER MAX_SPEED WELD_SPEED ON OFF R DO RO GO AO F PULSE ARC START END WEAVE SINE CNT"""
-)
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
@@ -38,13 +33,13 @@ class FanucReader(Reader):
 
     language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = Source.read(path, "a FANUC program as text (LS)")
         instructions, positions = sections_of(source)
         code = Code(source, WORDS, lines="blank", ends=";", part=instructions)
-        super().__init__([source], [code], dict.fromkeys(_STATE, ""), FANUC | set(harmless), "")
+        super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
         self.positions = positions_of(source, positions)
-        self.frames, self.given, self.words = frames, set(harmless), {}
+        self.given = set(harmless)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return nothing: programs have no parameters in the text."""
@@ -57,12 +52,9 @@ class FanucReader(Reader):
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
             if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
-                self.flow.maybe(f"label {self._label(at)}")
+                self.flow.maybe(f"label {number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
-
-    def _label(self, at: int) -> str:
-        return self.code.tokens[at + 2].text.partition(":")[0].strip()
 
     def _place(self, span: Span) -> str:
         """What a place of a motion is called: `P[1]`, `P[*]` where the number is computed, or `PR`."""
@@ -70,7 +62,7 @@ class FanucReader(Reader):
             return "PR"
         number = self.code.tokens[span[0] + 2]
         plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
-        return f"P[{self._label(span[0]) if plain else '*'}]"
+        return f"P[{number_at(self.code, span[0]) if plain else '*'}]"
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the registers and positions in some words."""
@@ -106,18 +98,18 @@ class FanucReader(Reader):
         if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
             self._motion(at, stop)
         elif word == "IF" and code.tokens[stop - 1].text == "THEN":
-            self.choose(at)
+            self.act(at, [self.condition, self.branch])
         elif word == "FOR":
-            self.count(at)
+            self.act(at, [self.condition, self.count, self.repeat, self.pass_over])
         elif word == "ELSE":
-            self.otherwise(at)
+            self.otherwise(at, stop)
         elif word in ("ENDIF", "ENDFOR"):
-            self.close(at)
+            self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
-            self.flow.label(f"label {self._label(at)}")
+            self.flow.label(f"label {number_at(self.code, at)}")
         elif word == "JMP":
             plain = code.is_mark(at + 2, "[") and code.partner[at + 2] == at + 4
-            self.flow.jump(f"label {self._label(at + 1)}" if plain else "any label")
+            self.flow.jump(f"label {number_at(self.code, at + 1)}" if plain else "any label")
         elif word in ("END", "ABORT"):
             self.flow.jump("return")
         elif equals < stop and code.tokens[at].kind == "name":
@@ -192,28 +184,25 @@ class FanucReader(Reader):
     def _require_known(self, options: Span) -> None:
         """Raise `LeftOutError` for a word behind the places of a motion that is not known."""
         for at in self.code.names(*options):
-            known = self.code.tokens[at].text.rstrip("0123456789") in (*_KNOWN, *_CHANGED)
+            known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
             if not known and self.code.tokens[at - 1].text != "CALL":
                 raise LeftOutError(f"has an option that is not known here ({self.code.shown(at, at + 1)})")
 
-    def _target(self, position: Position, state: State, changed: int | None) -> tuple[ProgramTarget, tuple[Place, ...]]:
+    def _target(self, position: Position, state: State, changed: int | None) -> Reached:
         """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:
             why = "is computed at run time (INC)"
         if why:
             raise LeftOutError(why)
-        position.require_alone()
-        if position.joints is not None:
-            return ProgramTarget(position.line, self.sources[0].path, position.name, position.joints, None), ()
-        cells = position.pose()
-        frame = self._frame("UFRAME", position.frame, state)
-        tool = self._frame("UTOOL", position.tool, state)
-        configuration = position.configuration()
-        path = self.sources[0].path
-        return ProgramTarget(position.line, path, position.name, cells, "xyz", frame, tool, configuration), ()
+        target = position.target()
+        if target.rotation is None:
+            return target, ()
+        frame = self._frame("UFRAME", position.said["UF"], state)
+        tool = self._frame("UTOOL", position.said["UT"], state)
+        return replace(target, frame=frame.pose, tool=tool.pose), ()
 
-    def _frame(self, kind: str, number: str, state: State) -> pin.SE3:
+    def _frame(self, kind: str, number: str, state: State) -> Frame:
         what = "user frame" if kind == "UFRAME" else "tool"
         chosen = state[f"{kind}_NUM"]
         if isinstance(chosen, Unknown):
@@ -221,7 +210,7 @@ class FanucReader(Reader):
         if chosen not in ("", number):
             raise LeftOutError(f"is of {what} {number}, and {chosen} is selected here")
         if number == "0":
-            return pin.SE3.Identity()
+            return Frame()
         name = f"{kind}[{number}]"
         frame = self.frames.get(name)
         if frame is None:
@@ -230,6 +219,4 @@ class FanucReader(Reader):
         for changed in (state.get(name), state[kind]):
             if isinstance(changed, Unknown):
                 raise LeftOutError(f"{name} {changed.why}")
-        if isinstance(frame, str):
-            raise LeftOutError(frame)
-        return frame
+        return selected(name, frame)

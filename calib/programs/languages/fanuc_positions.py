@@ -15,6 +15,7 @@ from calib.programs.languages.robot_program import (
     Configuration,
     LeftOutError,
     Number,
+    ProgramTarget,
     Source,
     cells_at,
 )
@@ -55,17 +56,14 @@ class Position:
         at: Its first word.
         groups: Its motion groups.
         fields: Of its first group the place of the number of each field, from behind the equals sign, and its unit.
-        frame, tool: Numbers of its user frame and tool, as written; empty where it has none.
-        written: Its configuration with quotes; empty where it has none.
+        said: What it says behind colons: UF, UT, CONFIG.
     """
 
     code: Code
     at: int
     groups: tuple[str, ...]
     fields: Mapping[str, tuple[int, Span, str]]
-    frame: str
-    tool: str
-    written: str
+    said: Mapping[str, str]
 
     @property
     def place(self) -> Place:
@@ -73,43 +71,43 @@ class Position:
         return 0, self.at
 
     @property
-    def line(self) -> int:
-        """The line on which it begins."""
-        return self.code.line(self.at)
-
-    @property
     def name(self) -> str:
         """What the program calls it."""
-        return f"P[{self.code.tokens[self.at + 2].text.partition(':')[0].strip()}]"
+        return f"P[{number_at(self.code, self.at)}]"
 
-    def _error(self, what: str) -> DataError:
-        return DataError(f"{self.code.where(self.at)}: {what}")
+    def target(self) -> ProgramTarget:
+        """Return it as a target, in its frame and of its tool.
 
-    def require_alone(self) -> None:
-        """Raise `LeftOutError` if other axes than the robot's move."""
-        if self.groups != ("GP1",):
-            raise LeftOutError("moves other motion groups, which the description does not have")
-        text = self.code.source.text
-        if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
-            raise LeftOutError("moves external axes, which the description does not have")
-
-    @property
-    def joints(self) -> tuple[Number, ...] | None:
-        """Its joint values; None of a pose."""
-        return self._cells(_JOINTS) if set(_JOINTS) <= set(self.fields) else None
-
-    def pose(self) -> tuple[Number, ...]:
-        """Return the numbers of its pose.
+        N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0.
 
         Raises:
-            DataError: They are not complete; see `_error`.
+            LeftOutError: Other axes than the robot's move, or its configuration counts turns.
+            DataError: It is not complete; see `_error`.
         """
+        if self.groups != ("GP1",):
+            raise LeftOutError("moves other motion groups, which the description does not have")
+        text, line, path = self.code.source.text, self.code.line(self.at), self.code.source.path
+        if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
+            raise LeftOutError("moves external axes, which the description does not have")
+        if set(_JOINTS) <= set(self.fields):
+            return ProgramTarget(line, path, self.name, self._cells(_JOINTS), None)
         missing = next((key for key in _POSE if key not in self.fields), None)
         if missing is not None:
             raise self._error(f"{self.name} has no number for {missing}; correct it")
-        if not self.frame or not self.tool:
+        if not {"UF", "UT"} <= set(self.said):
             raise self._error(f"{self.name} does not say UF and UT; save the program again")
-        return self._cells(_POSE)
+        cells, match = self._cells(_POSE), _CONFIG.fullmatch(self.said.get("CONFIG", ""))
+        if match is None:
+            raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
+        if any(int(turn) for turn in match.groups()[3:]):
+            raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
+        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
+        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
+        configuration = Configuration(f"CONFIG : {match[0]}", ranges, **flags)
+        return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
+
+    def _error(self, what: str) -> DataError:
+        return DataError(f"{self.code.where(self.at)}: {what}")
 
     def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
         """Numbers with the blanks before them, which make room for a sign."""
@@ -126,23 +124,10 @@ class Position:
             for cell, (start, number, _) in zip(cells, fields, strict=True)
         )
 
-    def configuration(self) -> Configuration:
-        """Return what it says of the joints.
 
-        N U T: as in the reference pose; F, D, B: the wrist flipped, the elbow down, behind axis 1. Turns: all 0.
-
-        Raises:
-            DataError: It has no configuration; see `_error`.
-            LeftOutError: It counts turns.
-        """
-        match = _CONFIG.fullmatch(self.written)
-        if match is None:
-            raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
-        if any(int(turn) for turn in match.groups()[3:]):
-            raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
-        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
-        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
-        return Configuration(f"CONFIG : {self.written}", ranges, **flags)
+def number_at(code: Code, at: int) -> str:
+    """Return the number in brackets behind a word, without the comment behind it."""
+    return code.tokens[at + 2].text.partition(":")[0].strip()
 
 
 def positions_of(source: Source, part: slice) -> dict[str, Position]:
@@ -156,7 +141,7 @@ def positions_of(source: Source, part: slice) -> dict[str, Position]:
         opening = code.partner[at + 1] + 1
         if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
             continue
-        number = code.tokens[at + 2].text.partition(":")[0].strip()
+        number = number_at(code, at)
         if number in positions:
             raise DataError(f"{code.where(at)}: P[{number}] is in /POS twice; save the program again")
         positions[number] = _position(code, at, opening + 1, code.partner[opening])
@@ -173,10 +158,9 @@ def _position(code: Code, at: int, first: int, stop: int) -> Position:
             said.setdefault(name, code.tokens[k + 2].text)
         elif code.is_mark(k + 1, "="):
             behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
-            number = code.number(k + 2, behind)
-            unit = code.tokens[behind].text
+            number, unit = code.number(k + 2, behind), code.tokens[behind].text
             if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
                 if name in fields:
                     raise DataError(f"{code.where(k)}: {name} is given twice; save the program again")
                 fields[name] = (code.tokens[k + 1].end, number, unit)
-    return Position(code, at, tuple(groups), fields, *(said.get(key, "") for key in ("UF", "UT", "CONFIG")))
+    return Position(code, at, tuple(groups), fields, said)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.core.base.errors import InputError
+from calib.programs.languages.harmless import LISTS
 
 
 def named(text: str) -> frozenset[str]:
@@ -22,6 +23,11 @@ def named(text: str) -> frozenset[str]:
         first, _, last = word[1:].partition("-")
         words.update([f"{word[0]}{n}" for n in range(int(first), int(last) + 1)] if last else [word])
     return frozenset(words)
+
+
+def _listed(name: str) -> frozenset[str]:
+    """The words of a list beside the code."""
+    return named(" ".join(LISTS[name]))
 
 
 @dataclass(frozen=True)
@@ -76,10 +82,7 @@ REFUSED = {
     **dict.fromkeys(("G10", "G11"), "sets offsets or tools; only a retraction, without other words, is read"),
 }
 """What is refused wherever it stands: G, ..."""
-CHANGING = named(
-    "M92 M206 M218 M290 M428 M556 M579 M584 M665-667 M669 M852 SET_GCODE_OFFSET SET_KINEMATIC_POSITION SET_SKEW"
-    " SKEW_PROFILE SET_DUAL_CARRIAGE RESTORE_DUAL_CARRIAGE_STATE SET_STEPPER_CARRIAGES SET_Z_THERMAL_ADJUST"
-)
+CHANGING = _listed("G-code CHANGING")
 """... what the machine makes of X, Y and Z, ..."""
 CALLING = named("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN SDCARD_LOOP_END")
 """... and lines that are run elsewhere, again, ..."""
@@ -88,24 +91,9 @@ CONDITIONAL = named("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 TEXT = "M117"
 """The word that a text follows which is no code in any firmware."""
 
-_EVERYWHERE = named(
-    "G4 G17 G40 G49 G64 G94 M0-5 M7-11 M17-18 M20-22 M25 M27 M30-31 M42 M73 M75-78 M80-81 M84-87 M104-119 M122-123"
-    " M126-129 M140-141 M143-145 M149-150 M154-155 M163-166 M190-193 M200-205 M207-209 M211 M220-221 M240 M250 M255-256"
-    " M260-261 M280 M282 M300-306 M309 M355 M380-381 M400 M403-407 M412-414 M430 M486 M503 M550 M566-568 M572-573"
-    " M592-593 M603 M710 M862.1 M862.2 M862.3 M862.4 M862.5 M862.6 M876 M900 M905-908 M911-914 M999"
-)
+_EVERYWHERE = _listed("G-code")
 _PROBING = named("G29 M420")
-_KLIPPER = named(
-    "CLEAR_PAUSE EXCLUDE_OBJECT EXCLUDE_OBJECT_DEFINE EXCLUDE_OBJECT_END EXCLUDE_OBJECT_START GET_POSITION"
-    " GET_RETRACTION HELP PAUSE QUERY_ENDSTOPS QUERY_FILAMENT_SENSOR RESPOND SAVE_VARIABLE SET_DISPLAY_GROUP"
-    " SET_DISPLAY_TEXT SET_EXTRUDER_ROTATION_DISTANCE SET_FAN_SPEED SET_FILAMENT_SENSOR SET_GCODE_VARIABLE"
-    " SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_INPUT_SHAPER SET_LED SET_LED_TEMPLATE SET_PIN SET_PRESSURE_ADVANCE"
-    " SET_PRINT_STATS_INFO SET_RETRACTION SET_SERVO SET_TEMPERATURE_FAN_TARGET SET_TMC_CURRENT SET_VELOCITY_LIMIT"
-    " STATUS SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT TURN_OFF_HEATERS"
-)
-_KLIPPER_MOVING = named(
-    "BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_PROFILE PROBE PROBE_ACCURACY QUAD_GANTRY_LEVEL Z_TILT_ADJUST"
-)
+_KLIPPER, _KLIPPER_MOVING = _listed("Klipper"), _listed("Klipper MOVING")
 _SAVING, _RESTORING = "SAVE_GCODE_STATE", "RESTORE_GCODE_STATE"
 _UNKNOWN = Dialect("", _EVERYWHERE | {"G61"}, _PROBING | {"G80"}, exponents=True)
 DIALECTS = {

@@ -133,36 +133,34 @@ def read_line(line: str, where: str, dialect: Dialect) -> Line | None:
     return parts
 
 
-def require_words(parts: Line, dialect: Dialect) -> None:
+def require_words(line: Line, dialect: Dialect) -> None:
     """Raise `DataError` for a letter twice, and for text that no command takes or that may hold another command."""
-    letters = [letter for letter, _ in parts.words if letter not in "GM"]
+    letters = [letter for letter, _ in line.words if letter not in "GM"]
     if len(set(letters)) < len(letters):
-        raise DataError(f"{parts.where}: has a letter twice; write one command per line")
-    takes_text = parts.codes[:1] == [parts.homing] or (parts.words and parts.words[0][0] == "M")
-    hidden = dialect.several and _COMMAND.search(re.sub(r'"[^"]*"', "", parts.rest))
-    if parts.rest and (hidden or not takes_text):
-        raise DataError(f"{parts.where}: '{parts.rest:.40}' is not read; write words of a letter and a number")
+        raise line.refusal("has a letter twice; write one command per line")
+    takes_text = line.codes[:1] == [line.homing] or (line.words and line.words[0][0] == "M")
+    hidden = dialect.several and _COMMAND.search(re.sub(r'"[^"]*"', "", line.rest))
+    if line.rest and (hidden or not takes_text):
+        raise line.refusal(f"'{line.rest:.40}' is not read; write words of a letter and a number")
 
 
-def require_order(parts: Line, owner: str, dialect: Dialect) -> None:
+def require_order(line: Line, owner: str, dialect: Dialect) -> None:
     """Raise `DataError` for commands of a line that are in each other's way, or that the firmware does not run."""
-    codes, takers, moving = parts.codes, parts.takers, parts.moving
+    codes, takers, moving = line.codes, line.takers, line.moving
     if len(moving) > 1:
-        raise DataError(f"{parts.where}: has two motions; write one command per line")
+        raise line.refusal("has two motions; write one command per line")
     for pair in (("G20", "G21"), ("G90", "G91")):
         if {*pair} <= {*codes}:
-            raise DataError(f"{parts.where}: has {pair[0]} and {pair[1]}; write one command per line")
+            raise line.refusal(f"has {pair[0]} and {pair[1]}; write one command per line")
     if len(codes) > 1 and not dialect.several:
-        raise DataError(
-            f"{parts.where}: {dialect.name} runs only the first command of a line; write one command per line"
-        )
+        raise line.refusal(f"{dialect.name} runs only the first command of a line; write one command per line")
     if takers and not codes and not dialect.modal:
-        raise DataError(f"{parts.where}: {dialect.name} may not run lines without a command; write G0 or G1")
+        raise line.refusal(f"{dialect.name} may not run lines without a command; write G0 or G1")
     if dialect.at_once:
-        mixed = owner not in ("", parts.homing) and bool(moving or "" in takers)
+        mixed = owner not in ("", line.homing) and bool(moving or "" in takers)
     else:  # words belong to the command before them, and E is written behind all others
         mixed = not takers <= {owner or "".join(moving)} or bool(owner and moving and takers)
         behind = codes[max((codes.index(code) + 1 for code in takers if code), default=0) :] if takers else []
-        mixed = mixed or any(code[0] == "G" for code in behind) or ("E" in parts.given and not owner and bool(behind))
+        mixed = mixed or any(code[0] == "G" for code in behind) or ("E" in line.given and not owner and bool(behind))
     if mixed or TEXT in codes:
-        raise DataError(f"{parts.where}: has words of several commands; write one command per line")
+        raise line.refusal("has words of several commands; write one command per line")

@@ -9,18 +9,18 @@ assignment, no branch or loop and no known statement may set its arguments, and 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-import pinocchio as pin
 
 from calib.programs.languages.control_flow import State
+from calib.programs.languages.frames import Frame, Frames, selected
 from calib.programs.languages.krl_frames import SELECTED, KrlFrames
-from calib.programs.languages.reader import Data, Frame, selected
-from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget, Source
-from calib.programs.languages.statements import spelled
+from calib.programs.languages.reader import Data, Reached
+from calib.programs.languages.robot_program import Configuration, LeftOutError, Source
 from calib.programs.languages.tokens import Span
-from calib.programs.languages.visits import Place
 
 SUFFIXES = (".src",)
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -29,48 +29,48 @@ _MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
 _NO_STATEMENTS = "EXT EXTP EXTFCT EXTFCTP IMPORT SIGNAL STRUC ENUM CHANNEL DEFDAT ENDDAT BRAKE"
 
 
-def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
+def krl_frames(path: Path | str) -> Frames:
     """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
     reader = KrlReader(path, {}, ())
     reader.read_data(0)
     names = [name for name in reader.declared if name.startswith(("TOOL_DATA[", "BASE_DATA["))]
     frames = {name: reader.frame_named(name, reader.flow.start) for name in names}
-    return {name: frame.pose if isinstance(frame, Frame) else frame.why for name, frame in frames.items()}
+    return {name: replace(frame, places=()) if isinstance(frame, Frame) else frame for name, frame in frames.items()}
 
 
 class KrlReader(KrlFrames):
     """Reads a program and the `.dat` file beside it, if there is one; or a data list alone."""
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    ROUTINES = "DEF DEFFCT"
+    WORDS: ClassVar = {
+        "begin": ROUTINES,
+        "finish": "END ENDFCT",
+        "close": "ENDIF ENDFOR ENDWHILE ENDLOOP ENDSWITCH",
+        "pass_line": _NO_STATEMENTS,
+        "modified": " ".join(_MODIFIERS),
+        "skip": "THEN DO",
+        "otherwise": "ELSE DEFAULT",
+        "otherwise condition pass_over": "CASE",
+        "condition branch": "IF SWITCH",
+        "repeat": "LOOP REPEAT",
+        "repeat condition pass_over": "WHILE",
+        "condition count repeat pass_over": "FOR",
+        "until": "UNTIL",
+        "spline": "SPLINE PTP_SPLINE",
+        "end_spline": "ENDSPLINE",
+        "begin_at_any_time": "INTERRUPT TRIGGER",
+        "wait": "WAIT",
+        "jump": "GOTO",
+        "leave_loop": "EXIT",
+        "leave": "RETURN",
+        "resume": "RESUME",
+    }
+
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         program = Path(path)
         data = [program.with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat") if program.suffix.lower() != ".dat"]
         files = [program, *[file for file in data if file.is_file()][:1]]
         super().__init__([Source.read(file, "a KRL program") for file in files], frames, harmless)
-        self.words = spelled(
-            {
-                self.begin: "DEF DEFFCT",
-                self.finish: "END ENDFCT",
-                self.close: "ENDIF ENDFOR ENDWHILE ENDLOOP ENDSWITCH",
-                self.line_end: _NO_STATEMENTS,
-                self._modified: " ".join(_MODIFIERS),
-                self.skip: "THEN DO",
-                self.otherwise: "ELSE DEFAULT",
-                self.choose_next: "CASE",
-                self.choose: "IF SWITCH",
-                self.repeat: "LOOP REPEAT",
-                self.repeat_while: "WHILE",
-                self.count: "FOR",
-                self.until: "UNTIL",
-                self.spline: "SPLINE PTP_SPLINE",
-                self.end_spline: "ENDSPLINE",
-                self._at_any_time: "INTERRUPT TRIGGER",
-                self._wait: "WAIT",
-                self.jump: "GOTO",
-                self.leave_loop: "EXIT",
-                self.leave: "RETURN",
-                self._resume: "RESUME",
-            }
-        )
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter, and whether it is a reference."""
@@ -91,12 +91,17 @@ class KrlReader(KrlFrames):
                 self._declaration(file, at, stop)
             at = stop + 1
 
-    def _wait(self, at: int) -> int:
+    def pass_line(self, at: int, _: int) -> int:
+        """Go on behind the line."""
+        return self.line_end(at)
+
+    def wait(self, at: int, _: int) -> int:
+        """Take in what the program waits for."""
         stop = self.line_end(at)
         self.decide(at + 1, stop)
         return stop
 
-    def _modified(self, at: int) -> int:
+    def modified(self, at: int, _: int) -> int:
         """Take in what begins with DECL, GLOBAL, ..."""
         first = at
         while self.code.tokens[first].text in _MODIFIERS:
@@ -107,18 +112,18 @@ class KrlReader(KrlFrames):
         self._declaration(0, at, stop)
         return stop
 
-    def _at_any_time(self, at: int) -> int:
-        """`INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
+    def begin_at_any_time(self, at: int, _: int) -> int:
+        """Take in `INTERRUPT DECL ... DO` and `TRIGGER ... DO`: a statement that is run while the robot moves."""
         stop, do = self.line_end(at), self.word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
             self.run_at_any_time(at, lambda: self.statement(do + 1, self.word(do, "PRIO")))
         return stop
 
-    def _resume(self, at: int) -> int:
-        """RESUME leaves the routine that an interrupt was in."""
+    def resume(self, at: int, behind: int) -> int:
+        """Take in that RESUME leaves the routine that an interrupt was in."""
         self.run_at_any_time(at, lambda: self.call_elsewhere("RESUME", self.code.line(at)))
-        return at + 1
+        return behind
 
     def _declaration(self, file: int, at: int, stop: int) -> None:
         """Take in a line that declares data, or gives them their first values."""
@@ -191,7 +196,7 @@ class KrlReader(KrlFrames):
             raise LeftOutError(self.uses.why_not(name) or otherwise)
         return data
 
-    def _target(self, data: Data, state: State) -> tuple[ProgramTarget, tuple[Place, ...]]:
+    def _target(self, data: Data, state: State) -> Reached:
         self.require_constant(data)
         components = self.components(data)
         if components is None:
@@ -200,9 +205,8 @@ class KrlReader(KrlFrames):
         numbers = {key: float(source.text[slice(*place)]) for key, place in components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
-        line = self.codes[data.file].line(data.span[0])
         if set(_AXES) <= set(numbers):
-            return ProgramTarget(line, source.path, data.name, self.cells(data, _AXES), None), ()
+            return self.target(data, self.cells(data, _AXES))
         cells = self.pose_cells(data)
         if cells is None:
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
@@ -212,9 +216,7 @@ class KrlReader(KrlFrames):
             raise LeftOutError(
                 "the tool is not on the robot" if mode == "#TCP" else "whether the tool is on the robot is not known"
             )
-        configuration = _configuration(numbers)
-        target = ProgramTarget(line, source.path, data.name, cells, "zyx", base.pose, tool.pose, configuration)
-        return target, base.places + tool.places
+        return self.target(data, cells, "zyx", base, tool, _configuration(numbers))
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

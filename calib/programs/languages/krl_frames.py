@@ -7,14 +7,13 @@ controller's `$config.dat`, or in a table of frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-
-import pinocchio as pin
+from collections.abc import Callable, Collection, Hashable, Sequence
 
 from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.frames import Frame, Frames
 from calib.programs.languages.harmless import BAS_FORMS, BAS_HARMLESS, KRL
 from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import NO_VALUE, Data, Frame, Reader
+from calib.programs.languages.reader import NO_VALUE, Data, Reader
 from calib.programs.languages.robot_program import DEGREE, MILLIMETRE, Number, Source, cells_at
 from calib.programs.languages.tokens import Code, Span, word_pattern
 
@@ -38,18 +37,18 @@ class KrlFrames(Reader):
 
     language, danger = "KRL", "set a tool, base or frame"
 
-    def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, sources: list[Source], frames: Frames, harmless: Collection[str]) -> None:
         codes = [Code(source, _WORDS) for source in sources]
         start: dict[str, Hashable] = {
             key: Unknown(f"nothing before it selects a {key[1:].lower()} (BAS, ${key[1:]}, an inline form)", whole=True)
             for key in SELECTED[:2]
         }
         start |= {"$IPO_MODE": "#BASE", "FDAT_ACT": Unknown("no FDAT_ACT before it", whole=True), "DATA": ""}
-        code, self.frames = codes[0], frames
+        code = codes[0]
         self._selecting = {
             code.tokens[at].text for at in code.names(1, len(code.tokens)) if code.is_mark(at - 1, "=")
         } | {*start, *_LISTS}
-        super().__init__(sources, codes, start, KRL | set(harmless), "DEF DEFFCT")
+        super().__init__(codes, start, frames, KRL | set(harmless))
 
     def line_end(self, at: int) -> int:
         """Return where the line of a word ends."""
@@ -109,7 +108,7 @@ class KrlFrames(Reader):
         shown, base = name if "[" in name else name.lower(), name.partition("[")[0]
         value, data = state.get(name), self.declared.get(name)
         if name in _NULL:
-            return Frame(pin.SE3.Identity())
+            return Frame()
         if isinstance(value, (Frame, Unknown)):
             return value
         if base in _LISTS and isinstance(state["DATA"], Unknown):
@@ -121,7 +120,7 @@ class KrlFrames(Reader):
         if data is not None and base in _LISTS:
             return Unknown(f"{name} is not six plain numbers", whole=True)
         if given is not None:
-            return Frame(given) if isinstance(given, pin.SE3) else Unknown(given, whole=True)
+            return given
         return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
 
     def _form(self, name: str, state: State) -> tuple[Hashable, Hashable, Hashable]:
@@ -190,14 +189,14 @@ class KrlFrames(Reader):
 
     # what holds for one motion or spline
 
-    def spline(self, at: int) -> int:
+    def spline(self, at: int, _: int) -> int:
         """Begin a spline, with what holds for it alone behind WITH."""
         stop = self.line_end(at)
         self.save("of the program")
         self.set_with(self.word(at, "WITH"), stop)
         return stop
 
-    def end_spline(self, at: int) -> int:
+    def end_spline(self, at: int, _: int) -> int:
         """End a spline."""
         self.restore("of the program")
         return self.line_end(at)

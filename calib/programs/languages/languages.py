@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-
-import pinocchio as pin
 
 from calib.core.base.errors import InputError
 from calib.programs.languages import fanuc, krl, rapid, urscript
-from calib.programs.languages.orientations import read_frames
+from calib.programs.languages.control_flow import Unknown
+from calib.programs.languages.frames import Frame, Frames, read_frames
 from calib.programs.languages.reader import Reader
 from calib.programs.languages.robot_program import RobotProgram
 
-Frames = Mapping[str, "pin.SE3 | str"]
 _READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], Reader]] = {
     **dict.fromkeys(urscript.SUFFIXES, urscript.UrscriptReader),
     **dict.fromkeys(rapid.SUFFIXES, rapid.RapidReader),
     **dict.fromkeys(krl.SUFFIXES, krl.KrlReader),
     **dict.fromkeys(fanuc.SUFFIXES, fanuc.FanucReader),
 }
-_DECLARING: dict[str, Callable[[Path | str], dict[str, pin.SE3 | str]]] = {
+_DECLARING: dict[str, Callable[[Path | str], Frames]] = {
     **dict.fromkeys(rapid.SUFFIXES, rapid.rapid_frames),
     ".dat": krl.krl_frames,
     ".csv": read_frames,
@@ -34,14 +32,14 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = (), harmless: 
     Args:
         path: The file; its suffix says the language.
         frames: Files with tools and frames that it does not declare: tables (`calib.programs.languages.
-            orientations.read_frames`), RAPID modules, KUKA's `$config.dat`.
+            frames.read_frames`), RAPID modules, KUKA's `$config.dat`.
         harmless: Routines that it calls and does not declare, and that change no target, tool, frame or mode.
 
     Raises:
         DataError: The message names file and line.
         InputError: A file of another kind.
     """
-    known: dict[str, pin.SE3 | str] = {}
+    known: dict[str, Frame | Unknown] = {}
     for file in frames:
         suffix = Path(file).suffix.lower()
         if suffix not in _DECLARING:

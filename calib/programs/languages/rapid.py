@@ -14,24 +14,18 @@ here; those may also set all data that are not `LOCAL`.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-import pinocchio as pin
 
 from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.frames import Frame, Frames
 from calib.programs.languages.harmless import RAPID_SETS
 from calib.programs.languages.rapid_data import SIZES, TWO_TARGETS, RapidData
-from calib.programs.languages.reader import NO_VALUE, Data
-from calib.programs.languages.robot_program import (
-    DEGREE,
-    Configuration,
-    LeftOutError,
-    ProgramTarget,
-    cells_at,
-)
-from calib.programs.languages.statements import spelled
+from calib.programs.languages.reader import NO_VALUE, Data, Reached
+from calib.programs.languages.robot_program import DEGREE, Configuration, LeftOutError, cells_at
 from calib.programs.languages.tokens import Span
 
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
@@ -54,88 +48,97 @@ _NONE = 8e9  # external axes that are not there say 9E9
 _QUARTER = np.pi / 2
 
 
-def rapid_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
-    """Return the tools and work objects that a module declares; the reason for those that cannot be used."""
-    reader = RapidReader(path, {}, ())
+def rapid_frames(path: Path | str) -> Frames:
+    """Return the tools and work objects that a module declares, and why some cannot be used."""
+    reader, frames = RapidReader(path, {}, ()), dict[str, Frame | Unknown]()
     reader.read()
-    return {
-        name: f"'{name.lower()}' is set by its module" if reader.uses.is_set(name.partition("{")[0]) else frame
-        for name, data in reader.declared.items()
-        if data.kind in ("TOOLDATA", "WOBJDATA") and data.span != NO_VALUE
-        for frame in [reader.frame(data)]
-    }
+    for name, data in reader.declared.items():
+        if data.kind not in ("TOOLDATA", "WOBJDATA") or data.span == NO_VALUE:
+            continue
+        try:
+            frames[name] = reader.frame(data)
+        except LeftOutError as why:
+            frames[name] = Unknown(str(why), whole=True)
+        if reader.uses.is_set(name.partition("{")[0]):
+            frames[name] = Unknown(f"'{name.lower()}' is set by its module", whole=True)
+    return frames
 
 
 class RapidReader(RapidData):
     """Reads a module."""
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        super().__init__(path, frames, harmless)
-        self.words = spelled(
-            {
-                self.begin: "PROC FUNC",
-                self._begin_trap: "TRAP",
-                self.finish: "ENDPROC ENDFUNC ENDTRAP",
-                self._handler: "ERROR UNDO BACKWARD",
-                self._declaration: "CONST PERS VAR",
-                self.skip: "LOCAL TASK THEN DO ENDMODULE",
-                self._module: "MODULE",
-                self._record: "RECORD",
-                self.end: "ALIAS",
-                self._if: "IF",
-                self.choose: "TEST",
-                self.choose_next: "ELSEIF CASE",
-                self.otherwise: "ELSE DEFAULT",
-                self.count: "FOR",
-                self.repeat_while: "WHILE",
-                self.close: "ENDIF ENDFOR ENDWHILE ENDTEST",
-                self.jump: "GOTO",
-                self.leave: "RETURN RAISE",
-                self.halt: "EXIT EXITCYCLE RETRY TRYNEXT",
-            }
-        )
+    ROUTINES = "PROC FUNC"
+    WORDS: ClassVar = {
+        "begin": ROUTINES,
+        "begin_trap": "TRAP",
+        "finish": "ENDPROC ENDFUNC ENDTRAP",
+        "handle": "ERROR UNDO BACKWARD",
+        "declaration": "CONST PERS VAR",
+        "skip": "LOCAL TASK THEN DO ENDMODULE",
+        "module": "MODULE",
+        "record": "RECORD",
+        "pass_statement": "ALIAS",
+        "if_": "IF",
+        "condition branch": "TEST",
+        "otherwise condition pass_over": "ELSEIF CASE",
+        "otherwise": "ELSE DEFAULT",
+        "condition count repeat pass_over": "FOR",
+        "repeat condition pass_over": "WHILE",
+        "close": "ENDIF ENDFOR ENDWHILE ENDTEST",
+        "jump": "GOTO",
+        "leave": "RETURN RAISE",
+        "condition halt": "EXIT EXITCYCLE RETRY TRYNEXT",
+    }
 
     def read(self, at: int = 0) -> None:
         """Read all statements behind what a controller writes first: %%% ... %%%."""
         marks = [at for at in range(len(self.code.tokens)) if self.code.is_mark(at, "%")][:6]
         super().read(marks[-1] + 1 if self.code.is_mark(0, "%") else at)
 
-    def skip(self, at: int) -> int:
+    def skip(self, at: int, behind: int) -> int:
         """Go on behind a word or a statement; it may end branches that are one statement long."""
         if self.code.tokens[at].text == ";":
             self._close_compact()
-        return at + 1
+        return behind
 
     def _close_compact(self) -> None:
         while self.flow.blocks and self.flow.blocks[-1].kind == "":
             self.flow.close()
 
-    def close(self, at: int) -> int:
+    def close(self, at: int, behind: int) -> int:
         """End branches or a loop, and the branches of one statement that these were."""
-        super().close(at)
+        super().close(at, behind)
         self._close_compact()
-        return at + 1
+        return behind
 
-    def _module(self, at: int) -> int:
+    def module(self, at: int, _: int) -> int:
+        """Go on behind the name of the module and its attributes."""
         return self.code.partner[at + 2] + 1 if self.code.is_mark(at + 2, "(") else at + 2
 
-    def _record(self, at: int) -> int:
+    def record(self, at: int, _: int) -> int:
+        """Go on behind the declaration of a type."""
         end = len(self.code.tokens) - 1
         return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
 
-    def _begin_trap(self, at: int) -> int:
+    def pass_statement(self, at: int, _: int) -> int:
+        """Go on behind the statement."""
+        return self.end(at)
+
+    def begin_trap(self, at: int, _: int) -> int:
+        """Begin a routine that runs whenever an interrupt comes."""
         self.flow.begin(self.code.tokens[at + 1].text, self.code.where(at), at_any_time=True)
         return at + 2
 
-    def _handler(self, at: int) -> int:
-        """An error handler runs whenever an error happens."""
+    def handle(self, at: int, _: int) -> int:
+        """Begin an error handler, which runs whenever an error happens."""
         self.flow.jump("return")
         name = f"{self.flow.routine} {self.code.tokens[at].text}"
         self.flow.finish()
         self.flow.begin(name, self.code.where(at), at_any_time=True)
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
 
-    def _declaration(self, at: int) -> int:
+    def declaration(self, at: int, _: int) -> int:
+        """Take in data that are declared."""
         code, stop = self.code, self.end(at + 1)
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
@@ -151,7 +154,7 @@ class RapidReader(RapidData):
         self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
         return stop
 
-    def _if(self, at: int) -> int:
+    def if_(self, at: int, _: int) -> int:
         """Begin branches; the condition ends where a word follows that can follow no value."""
         code, stop, value = self.code, at + 1, False
         while code.tokens[stop].kind != "end" and not code.is_mark(stop, ":="):
@@ -242,7 +245,7 @@ class RapidReader(RapidData):
                 span,
                 state,
                 lambda span=span: self._data(word, span),  # type: ignore[misc]
-                lambda data, state: (self._target(word, data, spans, options, state), ()),
+                lambda data, state: self._target(word, data, spans, options, state),
             )
 
     def _data(self, word: str, span: Span) -> Data:
@@ -262,18 +265,18 @@ class RapidReader(RapidData):
 
     def _target(
         self, word: str, data: Data, spans: Sequence[Span], options: Mapping[str, Span], state: State
-    ) -> ProgramTarget:
+    ) -> Reached:
         self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
-        parts, line, path = self.complete(data), self.code.line(data.span[0]), self.sources[0].path
+        parts = self.complete(data)
         if any(value < _NONE for value in self.values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
         if data.kind == "JOINTTARGET":
             cells = cells_at(self.sources[0], 0, self.numbers(parts[0], 6, "robax"), [DEGREE] * 6)
-            return ProgramTarget(line, path, data.name, cells, None)
+            return self.target(data, cells)
         cells, _ = self.pose(parts[:2])
         if isinstance(state["PDISP"], Unknown):
             raise LeftOutError(f"a program displacement {state['PDISP'].why}")
@@ -282,7 +285,7 @@ class RapidReader(RapidData):
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
         configuration = self._configuration(parts[2]) if checked else None
-        return ProgramTarget(line, path, data.name, cells, "quaternion", frame, tool, configuration)
+        return self.target(data, cells, "quaternion", frame, tool, configuration)
 
     def _configuration(self, span: Span) -> Configuration:
         """cf1, cf4, cf6: quarter turns of axes 1, 4 and 6; cfx: its bit 4 the side of axis 1, bit 2 that of the arm."""

@@ -9,7 +9,8 @@ from pathlib import Path
 import pinocchio as pin
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.control_flow import State
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.frames import Frame, Frames, selected
 from calib.programs.languages.harmless import RAPID
 from calib.programs.languages.orientations import pose_of
 from calib.programs.languages.reader import NO_VALUE, Data, Reader
@@ -20,7 +21,7 @@ _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,
 SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # parts of the types that count here
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
-_FIXED = {"TOOL0": pin.SE3.Identity(), "WOBJ0": pin.SE3.Identity()}
+_FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 
 
 class RapidData(Reader):
@@ -34,14 +35,13 @@ class RapidData(Reader):
 
     language, assigning, danger = "RAPID", ":=", "change a mode of motion"
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = Source.read(path, "a RAPID module")
         code = Code(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
-        super().__init__([source], [code], start, RAPID | set(harmless), "PROC FUNC")
+        super().__init__([code], start, {**_FIXED, **frames}, RAPID | set(harmless))
         traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
         self.routines |= {code.tokens[at + 1].text: False for at in traps}
-        self.frames = {**_FIXED, **frames}
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the names of a parameter, and whether it is a reference."""
@@ -98,29 +98,27 @@ class RapidData(Reader):
         cells = cells_at(self.sources[0], 0, spans, (*[MILLIMETRE] * 3, *[0.0] * 4))
         return cells, pose_of([cell.value for cell in cells], "quaternion", where)
 
-    def frame(self, data: Data) -> pin.SE3 | str:
-        """Return a tool or work object as a frame, or why it cannot be one."""
+    def frame(self, data: Data) -> Frame:
+        """Return a tool or work object as a frame, or raise `LeftOutError`."""
         parts = self.complete(data)
         texts = [self.code.tokens[start].text for start, _ in parts]
+        if data.kind == "TOOLDATA" and texts[0] != "TRUE":
+            raise LeftOutError(f"tool '{data.name}' is not on the robot")
+        if data.kind == "WOBJDATA" and texts[0] != "FALSE":
+            raise LeftOutError(f"the robot holds work object '{data.name}'")
+        if data.kind == "WOBJDATA" and texts[1] != "TRUE":
+            raise LeftOutError(f"work object '{data.name}' is moved by another unit")
         try:
-            if data.kind == "TOOLDATA":
-                if texts[0] != "TRUE":
-                    return f"tool '{data.name}' is not on the robot"
-                return self.pose(self.parts(parts[1]))[1]
-            if texts[0] != "FALSE":
-                return f"the robot holds work object '{data.name}'"
-            if texts[1] != "TRUE":
-                return f"work object '{data.name}' is moved by another unit"
-            user, work = (self.pose(self.parts(part))[1] for part in parts[3:])
-            return user * work
+            poses = [self.pose(self.parts(part))[1] for part in (parts[1:2] if data.kind == "TOOLDATA" else parts[3:])]
         except LeftOutError as why:
-            return f"'{data.name}' is not constant: {why}"
+            raise LeftOutError(f"'{data.name}' is not constant: {why}") from None
+        return Frame(poses[0] if data.kind == "TOOLDATA" else poses[0] * poses[1])
 
     def _is_frame(self, name: str, kind: str) -> bool:
         """Whether a name is that of a tool or work object."""
         return self.declared[name].kind == kind if name in self.declared else name in self.frames
 
-    def tool(self, word: str, spans: Sequence[Span]) -> pin.SE3:
+    def tool(self, word: str, spans: Sequence[Span]) -> Frame:
         """Return the tool of a move, or raise `LeftOutError`."""
         known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
         if not known:
@@ -129,27 +127,23 @@ class RapidData(Reader):
             raise LeftOutError(f"tool '{name}' is declared nowhere here; give its module with --frames")
         return self._usable(known[-1])
 
-    def work_object(self, options: Mapping[str, Span]) -> pin.SE3:
+    def work_object(self, options: Mapping[str, Span]) -> Frame:
         """Return the work object of a move, or raise `LeftOutError`."""
         if "WOBJ" not in options:
-            return pin.SE3.Identity()
+            return Frame()
         name = self.code.text(*options["WOBJ"])
         if not self._is_frame(name, "WOBJDATA"):
             shown = self.code.shown(*options["WOBJ"])
             raise LeftOutError(f"work object '{shown}' is declared nowhere here; give its module with --frames")
         return self._usable(name)
 
-    def _usable(self, name: str) -> pin.SE3:
+    def _usable(self, name: str) -> Frame:
         """A tool or work object that nothing sets."""
-        data = self.declared.get(name)
+        data, shown, base = self.declared.get(name), f"'{name.lower()}'", name.partition("{")[0]
+        if self.uses.is_set(base):
+            raise LeftOutError(f"{shown} {self.uses.why_not(base)}")
+        if self.foreign and name not in _FIXED and (data is None or data.shared):
+            raise LeftOutError(f"{shown} may be set by {self.foreign}")
         if data is None or data.span == NO_VALUE:
-            frame = self.frames.get(name, f"'{name.lower()}' is not constant: it has no value")
-        else:
-            frame = self.frame(data)
-        if self.uses.is_set(name.partition("{")[0]):
-            frame = f"'{name.lower()}' {self.uses.why_not(name.partition('{')[0])}"
-        elif self.foreign and name not in _FIXED and (data is None or data.shared):
-            frame = f"'{name.lower()}' may be set by {self.foreign}"
-        if isinstance(frame, str):
-            raise LeftOutError(frame)
-        return frame
+            return selected(shown, self.frames.get(name, Unknown("is not constant: it has no value")))
+        return self.frame(data)

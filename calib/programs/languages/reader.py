@@ -11,14 +11,14 @@ setting.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
-import pinocchio as pin
-
-from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.robot_program import LeftOutError, ProgramTarget, RobotProgram, Source
+from calib.programs.languages.control_flow import State
+from calib.programs.languages.frames import Frame, Frames
+from calib.programs.languages.orientations import Rotation
+from calib.programs.languages.robot_program import Configuration, LeftOutError, Number, ProgramTarget, RobotProgram
 from calib.programs.languages.statements import Statements
 from calib.programs.languages.tokens import Code, Span
 from calib.programs.languages.visits import Place, Visit, program_of
@@ -51,14 +51,6 @@ class Data:
         return self.file, self.span[0]
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A tool or frame that is selected, and where the data of the program stand that it is."""
-
-    pose: pin.SE3
-    places: tuple[Place, ...] = ()
-
-
 class Placed(Protocol):
     """What has a place in the text."""
 
@@ -68,17 +60,18 @@ class Placed(Protocol):
 
 
 _Goal = TypeVar("_Goal", bound=Placed)
+Reached = tuple[ProgramTarget, tuple[Place, ...]]
+"""A target, and where data stand that are its frame or tool."""
 
 
 class Reader(Statements):
     """Reads a program.
 
     Args:
-        sources: Its files, the one with the statements first.
-        codes: The words of each.
+        codes: The words of its files, the one with the statements first.
         start: What holds at first, by setting.
+        frames: Tools and frames that it does not declare, by name.
         harmless: Routines that are declared elsewhere and change nothing.
-        routines: Words that begin routines with their parameters in brackets.
 
     Attributes:
         declared: Data by name.
@@ -91,11 +84,9 @@ class Reader(Statements):
     lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; all if none
     danger = "change a tool, frame or mode of motion"  # that is
 
-    def __init__(
-        self, sources: Sequence[Source], codes: Sequence[Code], start: State, harmless: Collection[str], routines: str
-    ) -> None:
-        super().__init__(sources, codes, start, routines)
-        self.harmless = harmless
+    def __init__(self, codes: Sequence[Code], start: State, frames: Frames, harmless: Collection[str]) -> None:
+        super().__init__(codes, start)
+        self.frames, self.harmless = frames, harmless
         self.visits = list[Visit]()
         self.declared = dict[str, Data]()
         self.foreign = ""
@@ -187,12 +178,27 @@ class Reader(Statements):
         if why or (data.shared and self.foreign):
             raise LeftOutError(why or f"may be set by {self.foreign}")
 
+    def target(
+        self,
+        data: Data,
+        cells: tuple[Number, ...],
+        rotation: Rotation | None = None,
+        frame: Frame = Frame(),  # noqa: B008
+        tool: Frame = Frame(),  # noqa: B008
+        configuration: Configuration | None = None,
+        near: tuple[float, ...] = (),
+    ) -> Reached:
+        """Return a target; see `ProgramTarget`."""
+        line, path = self.codes[data.file].line(data.span[0]), self.sources[data.file].path
+        target = ProgramTarget(line, path, data.name, cells, rotation, frame.pose, tool.pose, configuration, near)
+        return target, frame.places + tool.places
+
     def go(
         self,
         span: Span,
         state: State | None,
         find: Callable[[], _Goal],
-        target: Callable[[_Goal, State], tuple[ProgramTarget, tuple[Place, ...]]],
+        target: Callable[[_Goal, State], Reached],
     ) -> None:
         """Take in one target of a move.
 
@@ -200,7 +206,7 @@ class Reader(Statements):
             span: Its words.
             state: What holds there; None: the program never comes there.
             find: Returns its numbers; raises `LeftOutError` where they are not in the program.
-            target: Returns the target and where data stand that are its frame or tool, or raises `LeftOutError`.
+            target: Returns the target, or raises `LeftOutError`.
         """
         where = self.sources[0].path, self.code.line(span[0])
         shown, place = self.code.shown(*span), None
@@ -213,15 +219,3 @@ class Reader(Statements):
             self.visits.append(Visit(where, reached.name or shown, place, reached, frames=frames))
         except LeftOutError as why:
             self.visits.append(Visit(where, shown, place, why=str(why)))
-
-
-def selected(what: str, value: Hashable) -> Frame:
-    """Return a tool or frame that is selected.
-
-    Raises:
-        LeftOutError: It is not known.
-    """
-    if not isinstance(value, Frame):
-        unknown = value if isinstance(value, Unknown) else Unknown("is not known")
-        raise LeftOutError(unknown.why if unknown.whole else f"{what} {unknown.why}")
-    return value

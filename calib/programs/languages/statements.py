@@ -6,43 +6,46 @@ A language says which of its words begin and end them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import ClassVar
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import Flow, State
 from calib.programs.languages.data_uses import DataUses
-from calib.programs.languages.robot_program import Source
 from calib.programs.languages.tokens import Code, Span
 
-
-def spelled(words: Mapping[Callable[[int], int], str]) -> dict[str, Callable[[int], int]]:
-    """Return by word what reads it, from the words by what reads them."""
-    return {word: read for read, text in words.items() for word in text.split()}
+Action = Callable[[int, int], int]
+"""What is done at a word that begins a statement: from its place, and where reading goes on, to where that then is."""
 
 
 class Statements(ABC):
     """Reads the statements of a program.
 
     Args:
-        sources: Its files, the one with the statements first.
-        codes: The words of each.
+        codes: The words of its files, the one with the statements first.
         start: What holds at first, by setting.
-        routines: Words that begin routines with their parameters in brackets.
 
     Attributes:
-        words: What reads the statement that begins with a word.
+        WORDS: What is done at words that begin statements, by the names of the methods.
+        ROUTINES: Words that begin routines with their parameters in brackets.
         routines: Routines of the program, and whether they can set their arguments.
     """
 
-    breaking = True  # whether statements end before `words`, too
-    words: Mapping[str, Callable[[int], int]]
+    breaking = True  # whether statements end before words of `WORDS`, too
+    WORDS: ClassVar[Mapping[str, str]] = {}
+    ROUTINES: ClassVar[str] = ""
 
-    def __init__(self, sources: Sequence[Source], codes: Sequence[Code], start: State, routines: str) -> None:
-        self.sources, self.codes, self.code = sources, codes, codes[0]
+    def __init__(self, codes: Sequence[Code], start: State) -> None:
+        self.sources, self.codes, self.code = [code.source for code in codes], codes, codes[0]
         self.flow, self.uses = Flow(start), DataUses()
+        self.words: dict[str, list[Action]] = {
+            word: [getattr(self, action) for action in actions.split()]
+            for actions, words in self.WORDS.items()
+            for word in words.split()
+        }
         self.routines = dict[str, bool]()
         for at in self.code.names(0, len(self.code.tokens) - 1):
-            if self.code.tokens[at].text in routines.split():
+            if self.code.tokens[at].text in self.ROUTINES.split():
                 self._find_routine(at)
 
     @abstractmethod
@@ -79,9 +82,9 @@ class Statements(ABC):
         while at < end:
             token = code.tokens[at]
             if token.kind == "end":
-                at = self.skip(at)
+                at = self.skip(at, at + 1)
             elif token.kind == "name" and token.text in self.words:
-                at = self.words[token.text](at)
+                at = self.act(at, self.words[token.text])
             elif token.kind == "name" and code.tokens[at + 1].text == ":":
                 self.flow.label(f"label {token.text}")
                 at += 2
@@ -95,6 +98,13 @@ class Statements(ABC):
         if self.flow.routine:
             raise DataError(f"{path}: routine '{self.flow.routine.lower()}' has no end; correct it")
         self.flow.finish()
+
+    def act(self, at: int, actions: Iterable[Action]) -> int:
+        """Take in a word; return where reading goes on."""
+        behind = at + 1
+        for action in actions:
+            behind = action(at, behind)
+        return behind
 
     def end(self, at: int) -> int:
         """Return where the statement that begins at a word ends."""
@@ -130,22 +140,22 @@ class Statements(ABC):
                 self.uses.compute(parameter, [f"{name}()"])
         self.routines[name] = settable
 
-    def begin(self, at: int, *, at_any_time: bool = False) -> int:
+    def begin(self, at: int, _: int, *, at_any_time: bool = False) -> int:
         """Begin a routine."""
         bracket = self._routine(at)
         self.flow.begin(self.code.tokens[bracket - 1].text, self.code.where(at), at_any_time=at_any_time)
         return self.code.partner[bracket] + 1
 
-    def begin_thread(self, at: int) -> int:
+    def begin_thread(self, at: int, behind: int) -> int:
         """Begin a routine that runs beside the others."""
-        return self.begin(at, at_any_time=True)
+        return self.begin(at, behind, at_any_time=True)
 
-    def finish(self, at: int) -> int:
+    def finish(self, at: int, behind: int) -> int:
         """End a routine; see `wrong` where there is none."""
         if not self.flow.routine or self.flow.blocks:
             raise self.wrong(at, "ends nothing")
         self.flow.finish()
-        return at + 1
+        return behind
 
     def run_at_any_time(self, at: int, take: Callable[[], None]) -> None:
         """Take in what happens while the robot moves."""
@@ -155,91 +165,76 @@ class Statements(ABC):
 
     # words of branches and loops
 
-    def skip(self, at: int) -> int:
+    def skip(self, at: int, behind: int) -> int:
         """Go on behind the word."""
-        return at + 1
+        return behind
 
-    def choose(self, at: int) -> int:
-        """Begin branches, behind a condition."""
-        stop = self.head(at)
-        self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
-        self.flow.pass_over()
-        return stop
-
-    def head(self, at: int) -> int:
-        """Take in the condition behind a word; return where it ends."""
+    def condition(self, at: int, _: int) -> int:
+        """Take in the condition behind a word."""
         stop = self.end(at)
         self.decide(at + 1, stop)
         return stop
 
-    def otherwise(self, at: int) -> int:
+    def branch(self, at: int, behind: int) -> int:
+        """Begin branches, the first of which may be passed over."""
+        self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
+        return self.pass_over(at, behind)
+
+    def otherwise(self, at: int, behind: int) -> int:
         """Begin the next branch; see `wrong` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].loop:
             raise self.wrong(at, "belongs to nothing")
         self.flow.next_choice()
-        return at + 1
+        return behind
 
-    def choose_next(self, at: int) -> int:
-        """Begin the next branch, behind a condition."""
-        self.otherwise(at)
-        stop = self.head(at)
+    def pass_over(self, _: int, behind: int) -> int:
+        """Note that what follows in the branch or loop may be left out."""
         self.flow.pass_over()
-        return stop
+        return behind
 
-    def repeat(self, at: int) -> int:
+    def count(self, at: int, behind: int) -> int:
+        """Take in that a loop counts by the data behind its word."""
+        self.change(self.code.tokens[at + 1].text)
+        return behind
+
+    def repeat(self, at: int, behind: int) -> int:
         """Begin a loop."""
         self.flow.open_loop(self.code.tokens[at].text, self.code.line(at))
-        return at + 1
+        return behind
 
-    def repeat_while(self, at: int) -> int:
-        """Begin a loop, behind a condition."""
-        self.repeat(at)
-        stop = self.head(at)
-        self.flow.pass_over()
-        return stop
-
-    def count(self, at: int) -> int:
-        """Begin a loop that counts."""
-        stop = self.head(at)
-        self.change(self.code.tokens[at + 1].text)
-        self.repeat(at)
-        self.flow.pass_over()
-        return stop
-
-    def until(self, at: int) -> int:
+    def until(self, at: int, behind: int) -> int:
         """End a loop, behind a condition; see `wrong` where there is none."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
             raise self.wrong(at, "belongs to nothing")
-        stop = self.head(at)
-        self.flow.pass_over()
+        behind = self.pass_over(at, self.condition(at, behind))
         self.flow.close()
-        return stop
+        return behind
 
-    def close(self, at: int) -> int:
+    def close(self, at: int, behind: int) -> int:
         """End branches or a loop; `END` is followed by the word that began them; see `wrong`."""
         if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
             raise self.wrong(at, "ends nothing")
         self.flow.close()
-        return at + 1
+        return behind
 
     # words that lead elsewhere
 
-    def jump(self, at: int) -> int:
+    def jump(self, at: int, _: int) -> int:
         """Go to a label."""
         self.flow.jump(f"label {self.code.tokens[at + 1].text}")
         return self.end(at)
 
-    def leave_loop(self, at: int) -> int:
+    def leave_loop(self, _: int, behind: int) -> int:
         """Leave the innermost loop."""
         self.flow.leave_loop()
-        return at + 1
+        return behind
 
-    def begin_again(self, at: int) -> int:
+    def begin_again(self, _: int, behind: int) -> int:
         """Go to the next round of the innermost loop."""
         self.flow.leave_loop(again=True)
-        return at + 1
+        return behind
 
-    def leave(self, at: int) -> int:
+    def leave(self, at: int, _: int) -> int:
         """Leave the routine, with a value."""
         stop = self.end(at)
         self.expression(at + 1, stop)
@@ -247,8 +242,7 @@ class Statements(ABC):
         self.flow.jump("return")
         return stop
 
-    def halt(self, at: int) -> int:
+    def halt(self, _: int, behind: int) -> int:
         """Leave the program."""
-        stop = self.head(at)
         self.flow.jump("halt")
-        return stop
+        return behind

@@ -8,34 +8,23 @@ the move, or `TCP` of the given frames. Functions get the values of their argume
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-import pinocchio as pin
+from typing import ClassVar
 
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import URSCRIPT, names
+from calib.programs.languages.frames import Frame, Frames, selected
+from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
 from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import Data, Frame, Reader, selected
-from calib.programs.languages.robot_program import (
-    DEGREE,
-    LeftOutError,
-    Number,
-    ProgramTarget,
-    Source,
-    cells_at,
-)
-from calib.programs.languages.statements import spelled
+from calib.programs.languages.reader import Data, Reached, Reader
+from calib.programs.languages.robot_program import DEGREE, LeftOutError, Number, Source, cells_at
 from calib.programs.languages.tokens import Code, Span, word_pattern
 from calib.programs.languages.visits import Place, Visit
 
 SUFFIXES = (".script", ".urscript")
 _WORDS = word_pattern(r"#[^\n]*|\$[^\n]*", r"[^\W\d]\w*", r"[=!<>]=|\*\*|[-+*/%^()\[\]{}=<>,.:;]")
 _MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
-_COMPUTED = names(
-    "speedj speedl force_mode path_offset_enable conveyor_pulse_decode track_conveyor_linear track_conveyor_circular"
-)
 _GOALS = ("", "pose", "q", "pose_to", "pose_via")
 _NO_TOOL = "no set_tcp before it selects a tool; add one, or TCP to the frames (--frames)"
 _AT_RUN_TIME = "is computed at run time"
@@ -43,11 +32,10 @@ _AT_RUN_TIME = "is computed at run time"
 
 @dataclass(frozen=True)
 class _Goal:
-    """A target, the frame that it is in, where data stand that make the frame, and joints that it is near to."""
+    """A target, the frame that it is in, and joints that it is near to."""
 
     data: Data
-    frame: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    places: tuple[Place, ...] = ()
+    frame: Frame = field(default_factory=Frame)
     near: tuple[float, ...] = ()
 
     @property
@@ -60,39 +48,38 @@ class UrscriptReader(Reader):
     """Reads a program; the given frame `TCP` is the tool that it does not set."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
+    ROUTINES = "def thread sec"
+    WORDS: ClassVar = {
+        "begin": "def",
+        "begin_thread": "thread sec",
+        "condition branch": "if switch",
+        "otherwise condition pass_over": "elif case",
+        "otherwise": "else default",
+        "repeat condition pass_over": "while",
+        "close": "end",
+        "leave_loop": "break",
+        "begin_again": "continue",
+        "leave": "return",
+        "condition halt": "halt",
+        "skip": "global local",
+    }
 
-    def __init__(self, path: Path | str, frames: Mapping[str, pin.SE3 | str], harmless: Collection[str]) -> None:
-        source, given = Source.read(path, "a URScript program"), frames.get("TCP")
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
+        source = Source.read(path, "a URScript program")
         code = Code(source, _WORDS, fold_case=False, lines="outside", ends=";:")
-        tool = Unknown(given or _NO_TOOL, whole=True) if not isinstance(given, pin.SE3) else Frame(given)
-        super().__init__([source], [code], {"tool": tool}, URSCRIPT | set(harmless), "def thread sec")
-        self.words = spelled(
-            {
-                self.begin: "def",
-                self.begin_thread: "thread sec",
-                self.choose: "if switch",
-                self.choose_next: "elif case",
-                self.otherwise: "else default",
-                self.repeat_while: "while",
-                self.close: "end",
-                self.leave_loop: "break",
-                self.begin_again: "continue",
-                self.leave: "return",
-                self.halt: "halt",
-                self.skip: "global local",
-            }
-        )
+        start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True))}
+        super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter; it gets a value."""
         return [self.code.tokens[span[0]].text], False
 
-    def close(self, at: int) -> int:
+    def close(self, at: int, behind: int) -> int:
         """End branches, a loop or a routine: all end with the same word."""
         if not self.flow.blocks:
-            return self.finish(at)
+            return self.finish(at, behind)
         self.flow.close()
-        return at + 1
+        return behind
 
     def statement(self, at: int, stop: int) -> None:
         """Take in an assignment, or an expression."""
@@ -121,7 +108,7 @@ class UrscriptReader(Reader):
         elif name == "set_tcp":
             tool = None if maybe else next(iter(self.code.split(*span)), None)
             self.flow.change(["tool"], lambda state: {**state, "tool": self._tool(tool)})
-        elif name in _COMPUTED:
+        elif name in URSCRIPT_COMPUTED:
             where = self.sources[0].path, self.code.line(at)
             self.visits.append(
                 Visit(where, name, None, why="moves the robot by an amount that it computes at run time")
@@ -175,16 +162,13 @@ class UrscriptReader(Reader):
         for _, value in given[: _MOVES[word]]:
             self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]
 
-    def _target(self, goal: _Goal, state: State) -> tuple[ProgramTarget, tuple[Place, ...]]:
+    def _target(self, goal: _Goal, state: State) -> Reached:
         data = goal.data
         self.require_constant(data)
-        line = self.code.line(data.span[0])
-        target = ProgramTarget(line, self.sources[0].path, data.name, self._numbers(data.span) or (), None)
+        cells = self._numbers(data.span) or ()
         if not self._is_pose(data.span):
-            return target, ()
-        tool = selected("its tool", state["tool"])
-        target = replace(target, rotation="vector", frame=goal.frame, tool=tool.pose, near=goal.near)
-        return target, goal.places + tool.places
+            return self.target(data, cells)
+        return self.target(data, cells, "vector", goal.frame, selected("its tool", state["tool"]), near=goal.near)
 
     def _goal(self, span: Span) -> _Goal:
         """The target that an argument is, names, or has in another frame.
@@ -206,7 +190,8 @@ class UrscriptReader(Reader):
             if feature is None:
                 raise LeftOutError(f"{_AT_RUN_TIME}: its frame is not constant")
             goal = self._pose_goal(given[1])
-            return replace(goal, frame=feature.pose * goal.frame, places=feature.places + goal.places)
+            inner = goal.frame
+            return replace(goal, frame=Frame(feature.pose * inner.pose, feature.places + inner.places))
         if not given or len(given) > 4 or any(self._named(argument)[0] == "tcp" for argument in given):
             raise LeftOutError(_AT_RUN_TIME)
         near = self._constant(self._named(given[1])[1]) if len(given) > 1 else None

@@ -28,6 +28,7 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -47,12 +48,12 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.frames import Frame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
-from calib.programs.reaching.expected_errors import ExpectedError
+from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
 from calib.programs.reaching.goals import Goals, goals_of_poses
-from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, settled
+from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, with_tilts
 from calib.programs.reaching.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
 from calib.programs.reaching.reaching import Configured, Reach, descend
-from calib.programs.reaching.redundancy import nearer
+from calib.programs.reaching.redundancy import near_joints
 from calib.programs.reaching.search import TOLERANCE
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
@@ -109,6 +110,12 @@ class Compensation(ReadOnlyArrays):
     def ok(self) -> BoolArray:
         """Which rows have a command, (n,)."""
         return np.asarray(np.isfinite(self.q).all(axis=1))
+
+    def figures(self) -> dict[tuple[str, str], FloatArray]:
+        """Return errors and their limits by name and unit of files, (n,) each; of what is kept."""
+        names = ("before", "expected", "low95", "high95")
+        endings = ("",) if self.keep == "position" else ("", "_angle")
+        return shown_errors(names, [[getattr(self, f"{name}{ending}") for name in names] for ending in endings])
 
     def misses(self) -> list[str]:
         """Return a phrase for every row that has no command."""
@@ -245,8 +252,8 @@ def _solved(
 ) -> tuple[FloatArray, list[str]]:
     """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
     near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
-    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
-    solutions = settled(robot, reach, rows, solutions, context)
+    solutions = _past_limits(reach, rows, start, near_joints(reach, rows, descend(reach, rows, near), near.actuated))
+    solutions = with_tilts(robot, reach, rows, solutions, context)
     commands = reach.with_uncommanded(rows, commands_for(robot, solutions.actuated, context))
     reach_of_rows = replace(reach, goals=task.goals.subset(rows))
     return commands, _reasons(robot, reach_of_rows, solutions, commands, task.joints[rows])
@@ -258,7 +265,7 @@ def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Con
     missed = np.flatnonzero(~reached_goals(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
     won = reached_goals(reach, free)
-    together = solutions.copy()
+    together = deepcopy(solutions)
     together.take(missed[won], free.subset(np.flatnonzero(won)))
     return together
 

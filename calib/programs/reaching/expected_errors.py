@@ -6,6 +6,7 @@ predicted position; its mean is what the calibrated robot is off at the command,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,16 +47,9 @@ class ExpectedError(ReadOnlyArrays):
 
     def figures(self) -> dict[tuple[str, str], FloatArray]:
         """Return errors and their limits by name and unit of files, (n,) each; of what is asked for."""
-        parts: tuple[tuple[str, Dimension, FloatArray, FloatArray], ...] = (
-            ("", "length", self.distance, self.distance95),
-            ("_angle", "angle", self.angle, self.angle95),
-        )
-        return {
-            (f"{figure}{ending}", ERROR_UNIT[dimension]): error_scale(dimension) * values
-            for ending, dimension, rms, limits in parts
-            if np.any(np.isfinite(rms))
-            for figure, values in zip(("expected", "low95", "high95"), (rms, *limits), strict=True)
-        }
+        names = ("expected", "low95", "high95")
+        parts = (self.distance, *self.distance95), (self.angle, *self.angle95)
+        return shown_errors(names, [values for values in parts if np.any(np.isfinite(values[0]))])
 
     @staticmethod
     def of(frame: Frame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context) -> ExpectedError:
@@ -72,6 +66,21 @@ class ExpectedError(ReadOnlyArrays):
         if frame.known.uncertainty is not None and len(rows):
             errors[:, rows] = _errors(frame, goals.subset(rows), commands, context)
         return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], frame.words, frame.nothing_to_correct)
+
+
+def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) -> dict[tuple[str, str], FloatArray]:
+    """Return errors by name and unit of files.
+
+    Args:
+        names: Of the errors.
+        parts: These of positions, each (n,) [m]; and those of orientations, if these count, each (n,) [rad].
+    """
+    kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
+    return {
+        (f"{name}{ending}", ERROR_UNIT[dimension]): error_scale(dimension) * values
+        for (ending, dimension), part in zip(kinds, parts, strict=False)
+        for name, values in zip(names, part, strict=True)
+    }
 
 
 def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:

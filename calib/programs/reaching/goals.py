@@ -11,7 +11,7 @@ position whose cell is empty is not asked for: a robot that moves in a plane can
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -104,18 +104,12 @@ class Goals:
 
     def subset(self, index: IntArray) -> Goals:
         """Return the goals with these indices (n,), in this order."""
-        return Goals(
-            self.positions[index],
-            None if self.rotations is None else self.rotations[index],
-            None if self.directions is None else self.directions[index],
-            tuple(self.names[k] for k in index),
-            tuple(self.labels[k] for k in index),
-            self.target,
-            {key: values[index] for key, values in self.context.items()},
-            None if self.approach is None else self.approach[index],
-            None if self.setups is None else self.setups[index],
-            {name: self.stands_of(name)[index] for name in self.stands},
-        )
+        arrays = ("positions", "rotations", "directions", "approach", "setups")
+        given = {key: getattr(self, key)[index] for key in arrays if getattr(self, key) is not None}
+        given |= {key: tuple(getattr(self, key)[k] for k in index) for key in ("names", "labels")}
+        for key in ("context", "stands"):
+            given[key] = {name: values[index] for name, values in getattr(self, key).items()}
+        return replace(self, **given)
 
     def conditions(self, n_actuated: int) -> Context:
         """Return the conditions at the goals, for a robot with this number of motors."""

@@ -28,7 +28,7 @@ from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.expected_errors import ExpectedError
 from calib.programs.reaching.goals import Goals, goals_of_poses
 from calib.programs.reaching.reaching import Configured, Reach, descend
-from calib.programs.reaching.redundancy import nearer, unwound
+from calib.programs.reaching.redundancy import near_joints, without_full_turns
 from calib.programs.reaching.search import TOLERANCE, Search, closed_start, inside
 
 BETWEEN_SIDES = "needs a joint between the two sides of its play, where no command brings it"
@@ -171,9 +171,9 @@ def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context)
     search = Search(reach, closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
-    turned = unwound(reach, search.best.subset(solved), joints[solved])
-    search.keep(solved, nearer(reach, solved, turned, joints[solved]))
-    return settled(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
+    turned = without_full_turns(reach, search.best.subset(solved), joints[solved])
+    search.best.take(solved, near_joints(reach, solved, turned, joints[solved]))
+    return with_tilts(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
 
 
 def problem(robot: Robot, goals: Goals) -> Reach:
@@ -202,7 +202,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
     return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
 
 
-def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
+def with_tilts(robot: Robot, reach: Reach, index: IntArray, solution: Configured, context: Context) -> Configured:
     """Descend again until links are tilted, and joints that are not commanded are, as they are at the commands found.
 
     They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
@@ -214,11 +214,11 @@ def settled(robot: Robot, reach: Reach, index: IntArray, solution: Configured, c
         solution: What was found for them.
         context: The conditions of each.
     """
-    for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
+    for _ in range(_ROUNDS if np.any(reach.fixed_joints) and robot.terms else 0):
         commands = reach.with_uncommanded(index, commands_for(robot, solution.actuated, context))
         commands = np.where(np.isfinite(commands), commands, solution.actuated[:, : commands.shape[1]])
         driven = actual_joints(robot, commands, term_columns(robot, commands, context))
-        if np.max(np.abs(driven - solution.actuated)[:, reach.held], initial=0.0) < _SETTLED:
+        if np.max(np.abs(driven - solution.actuated)[:, reach.fixed_joints], initial=0.0) < _SETTLED:
             break
         closed = loops.close(reach.mechanism, reach.mode, driven, solution.passive)
         passive = np.where(closed.ok[:, None], closed.passive, solution.passive)

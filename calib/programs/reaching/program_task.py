@@ -137,7 +137,7 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
         rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
-        continued = descend(reach, rows, reach.stood(rows, Configured.unknown(start.actuated, start.passive)))
+        continued = descend(reach, rows, reach.as_given(rows, Configured.unknown(start.actuated, start.passive)))
         shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
         better = shorter & reached_goals(reach, continued)
         q[rows[better]] = continued.actuated[better]

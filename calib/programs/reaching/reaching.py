@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -49,8 +50,21 @@ NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, 
 _HEAVY = 1e3  # weight of the row that does so
 
 
+class Rows:
+    """Base of dataclasses of arrays that have a row for each configuration."""
+
+    def subset(self, index: IntArray) -> Self:
+        """Return the rows with these indices (n,)."""
+        return type(self)(*(values[index] for values in vars(self).values()))
+
+    def take(self, index: IntArray, other: Self) -> None:
+        """Overwrite the rows with these indices (n,) by `other`, which has n of them."""
+        for name, values in vars(self).items():
+            values[index] = getattr(other, name)
+
+
 @dataclass(frozen=True, eq=False)
-class Configured:
+class Configured(Rows):
     """Configurations on the way to goals.
 
     Attributes:
@@ -68,21 +82,9 @@ class Configured:
         """Return configurations, (n, n_driven) and (n, n_passive), of which no distance is known yet."""
         return cls(actuated, passive, np.full(len(actuated), np.inf))
 
-    def copy(self) -> Configured:
-        """Return the same in arrays of its own."""
-        return Configured(self.actuated.copy(), self.passive.copy(), self.distance.copy())
-
-    def take(self, index: IntArray, other: Configured) -> None:
-        """Overwrite the configurations with these indices (n,) by `other`, which has n of them."""
-        self.actuated[index], self.passive[index], self.distance[index] = other.actuated, other.passive, other.distance
-
-    def subset(self, index: IntArray) -> Configured:
-        """Return the configurations with these indices (n,)."""
-        return Configured(self.actuated[index], self.passive[index], self.distance[index])
-
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Linear(Rows):
     """How configurations miss their goals, and how that changes, joints scaled to radians.
 
     Attributes:
@@ -94,14 +96,6 @@ class Linear:
     error: FloatArray
     slope: FloatArray
     passive_slope: FloatArray
-
-    def subset(self, index: IntArray) -> Linear:
-        """Return what belongs to the configurations with these indices (n,)."""
-        return Linear(self.error[index], self.slope[index], self.passive_slope[index])
-
-    def take(self, index: IntArray, other: Linear) -> None:
-        """Overwrite what belongs to the configurations with these indices (n,) by `other`, which has n of them."""
-        self.error[index], self.slope[index], self.passive_slope[index] = other.error, other.slope, other.passive_slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +123,7 @@ class Reach:
         return self.mechanism.driven_scale
 
     @cached_property
-    def held(self) -> BoolArray:
+    def fixed_joints(self) -> BoolArray:
         """Which driven joints stay: those that tilt links, and those that are not commanded, (n_driven,)."""
         return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
 
@@ -140,7 +134,7 @@ class Reach:
             commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
         return commands
 
-    def stood(self, index: IntArray, at: Configured) -> Configured:
+    def as_given(self, index: IntArray, at: Configured) -> Configured:
         """Return configurations in which joints that are not commanded are as these goals, (n,), say; loops closed."""
         if not self.goals.stands:
             return at
@@ -303,7 +297,7 @@ def _damped_step(
         "nij,ni->nj", weighted, weight * aim * np.sqrt(size)
     )
     held = ((at.actuated <= reach.lower) & (gradient > 0)) | ((at.actuated >= reach.upper) & (gradient < 0))
-    held |= reach.held
+    held |= reach.fixed_joints
     rows = np.where(held[:, None, :], 0.0, np.concatenate([slope, weighted], axis=1))
     normal = rows.transpose(0, 2, 1) @ rows + (damping[:, None] * size)[:, :, None] * np.eye(n_joints)
     return -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

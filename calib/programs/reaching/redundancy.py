@@ -25,13 +25,14 @@ counts; it is never farther from s* than the start.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, descend
+from calib.programs.reaching.reaching import LARGEST_STEP, NEAR_LIMIT, NEARLY, Configured, Linear, Reach, Rows, descend
 
 _STEPS = 60
 _TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]
@@ -40,7 +41,7 @@ _WEIGHT = 100.0  # sigma; with 20, two in a hundred searches end early, with 1 a
 _ROUNDING = 1e-12  # of a step: what is smaller leaves no limit
 
 
-def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
+def without_full_turns(reach: Reach, at: Configured, near: FloatArray) -> Configured:
     """Take whole turns out of joints where that brings them nearer to `near`, (n, n_actuated), and leaves no limit."""
     mechanism, actuated = reach.mechanism, at.actuated.copy()
     for j, name in enumerate(mechanism.actuated):
@@ -53,10 +54,10 @@ def unwound(reach: Reach, at: Configured, near: FloatArray) -> Configured:
     return Configured(actuated, at.passive, at.distance)
 
 
-def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
+def near_joints(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -> Configured:
     """Move solved configurations towards the actuated joints `near`, (n, n_actuated), as the module docstring says."""
     n, n_joints = start.actuated.shape
-    at = start.copy()
+    at = deepcopy(start)
     linear = reach.linearise(index, at.actuated, at.passive)
     hessian, part = np.tile(np.eye(n_joints), (n, 1, 1)), np.ones(n)
     active = np.arange(n)
@@ -92,7 +93,7 @@ def nearer(reach: Reach, index: IntArray, start: Configured, near: FloatArray) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _Held(Rows):
     """What limits hold.
 
     Attributes:
@@ -104,10 +105,6 @@ class _Held:
     joints: BoolArray
     passive: BoolArray
     low: BoolArray
-
-    def subset(self, index: IntArray) -> _Held:
-        """Return what belongs to the configurations with these indices (n,)."""
-        return _Held(self.joints[index], self.passive[index], self.low[index])
 
     def rows(self, linear: Linear) -> FloatArray:
         """Return A, with the columns of held joints, (n, n_rows + n_passive, n_actuated)."""
@@ -126,7 +123,7 @@ def _step(
     """What is held, the step d (n, n_actuated), and the largest part of P w, (n,): what is left."""
     below, above = reach.room(at.passive)
     low, high = at.actuated <= reach.lower, at.actuated >= reach.upper
-    held = _Held(np.tile(reach.held, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
+    held = _Held(np.tile(reach.fixed_joints, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
     for _ in range(low.shape[1] + 1):
         inverse, projector = _inverse(held.rows(linear), held)
         back = -np.einsum("nij,nj->ni", inverse, held.gap(reach, linear, at.passive))

@@ -51,7 +51,7 @@ class Search:
         n = len(reach.goals)
         self.reach, self.home = reach, home
         self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
-        self.best = reach.stood(np.arange(n), home.subset(np.zeros(n, dtype=np.intp)))
+        self.best = reach.as_given(np.arange(n), home.subset(np.zeros(n, dtype=np.intp)))
         goal_features = _features(
             reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
         )
@@ -73,10 +73,6 @@ class Search:
         for count in _SPREAD_NEIGHBOURS:
             left = np.flatnonzero(~self.solved)
             self._improve(left, spread, min(count, _LARGEST_ROUND // max(len(left), 1)))
-
-    def keep(self, index: IntArray, solutions: Configured) -> None:
-        """Take over what was found for the goals `index`, (n,)."""
-        self.best.take(index, solutions)
 
     def _batches(self) -> Iterator[IntArray]:
         """Goals in order of their distance from home's pose, in batches that double in size."""
@@ -102,11 +98,11 @@ class Search:
             self._features[todo], k=range(1, count + 1)
         )[1]
         index = np.repeat(todo, count)
-        solutions = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
+        solutions = descend(self.reach, index, self.reach.as_given(index, starts.subset(nearest_starts.ravel())))
         misses = np.maximum(solutions.distance, self._reached).reshape(-1, count)  # of several that reach it, the first
         best = np.argmin(misses, axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(solutions.distance[best] < self.best.distance[todo])
-        self.keep(todo[better], solutions.subset(best[better]))
+        self.best.take(todo[better], solutions.subset(best[better]))
 
     def _features_at(self, at: Configured) -> FloatArray:
         position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)

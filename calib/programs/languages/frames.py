@@ -1,0 +1,61 @@
+"""Tools and frames of programs, selected or declared elsewhere, and tables of them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pinocchio as pin
+
+from calib.core.base.errors import DataError
+from calib.core.data.tables import read_table
+from calib.programs.languages.control_flow import Unknown
+from calib.programs.languages.orientations import pose_of
+from calib.programs.languages.robot_program import LeftOutError
+from calib.programs.languages.visits import Place
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A tool or frame, and where the data of the program stand that it is."""
+
+    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    places: tuple[Place, ...] = ()
+
+
+Frames = Mapping[str, Frame | Unknown]
+"""Tools and frames by name."""
+
+
+def selected(what: str, value: Hashable) -> Frame:
+    """Return a tool or frame that is selected.
+
+    Raises:
+        LeftOutError: It is not known.
+    """
+    if not isinstance(value, Frame):
+        unknown = value if isinstance(value, Unknown) else Unknown("is not known")
+        raise LeftOutError(unknown.why if unknown.whole else f"{what} {unknown.why}")
+    return value
+
+
+def read_frames(path: Path | str) -> dict[str, Frame | Unknown]:
+    """Read tools and frames that a program names and does not declare.
+
+    Columns: `name`; x, y, z [m]; rx, ry, rz [rad], about fixed axes. The pose of a tool is seen from the flange, of a
+    frame from the robot's base.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    table = read_table(path)
+    if "name" not in table.names:
+        raise DataError(f"{path}: no column 'name'; it says what the program calls each tool and frame")
+    names = [name.upper().replace(" ", "") for name in table.text("name")]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DataError(f"{path}: '{twice}' is given twice; give each tool and frame once")
+    columns = [table.column(name, "length") for name in "xyz"]
+    columns += [table.column(name, "angle") for name in ("rx", "ry", "rz")]
+    return {name: Frame(pose_of(row, "xyz")) for name, *row in zip(names, *columns, strict=True)}

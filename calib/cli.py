@@ -24,7 +24,7 @@ _COMMANDS = {
     "predict": ("calib.core.commands.predict", "Predict where the targets are."),
     "solve": ("calib.programs.commands.solve", "Find joint values that reach goals."),
     "compensate": ("calib.programs.commands.compensate", "Correct a program for the real robot."),
-    "match": ("calib.matching.command", "Agree with the poses that a controller prints."),
+    "match": ("calib.matching.command", "Make a URDF agree with its controller."),
     "verify": ("calib.core.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.exporting.command", "Write the robot in formats of other programs."),
     "qualify": ("calib.quality.command", "Prove that this installation computes rightly."),

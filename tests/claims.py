@@ -2,6 +2,8 @@
 
     python tests/claims.py FOLDER [--terms auto] [--only WORDS] [--page]
 
+It prints a line for each fit, then a table of each sort of split.
+
 FOLDER holds measurements by others, as `tests/public_data.py` reads them. Each fit gets the first part of a split, and
 is judged with the second. --page writes the table into docs/verdict.md.
 """
@@ -173,6 +175,36 @@ def fr3(folder: Path, points: int) -> tuple[calib.Robot, Measurements]:
     return robot, calib.read_measurements(where / ("train.csv" if points == 0 else "four_points_train.csv"), robot)
 
 
+_SORTS = (
+    (r"^\d+ at random(?:, full poses)?$", "at random"),
+    (r"^poses.*, 60 at random$", "at random, poses or points"),
+    (r"quarter \d of the file, judged by quarter \d", "a quarter of the file, judged by the next"),
+    (r"in a row, \d+/40 through the file, judged by", "in a row, judged by"),
+    (r"low half of \S+,", "low half of one joint,"),
+    (r"place \d", "one place"),
+    (r"(first|second) half of the file, judged by the \w+", "half of the file, judged by the other"),
+)
+
+
+def table_of_sorts(lines: list[list[str]]) -> str:
+    """Return a Markdown table with a line for each robot and sort of split, from the cells of all fits."""
+    groups: dict[tuple[str, str], list[list[str]]] = {}
+    for robot, how, *cells in lines:
+        sort = how
+        for pattern, words in _SORTS:
+            sort = re.sub(pattern, words, sort)
+        groups.setdefault((robot, sort), []).append(cells)
+    text = ["| robot | poses used; judged by | fits | unlike [%] | error / claim | PASS | CHECK | FAIL |"]
+    text.append("|---|---|---:|---:|---:|---:|---:|---:|")
+    for (robot, sort), rows in groups.items():
+        unlike, ratios = ([float(row[k]) for row in rows] for k in (0, 4))
+        grades = " | ".join(str(sum(row[5] == grade for row in rows)) for grade in ("PASS", "CHECK", "FAIL"))
+        ends = f"{min(ratios):.2f} to {max(ratios):.2f}" if len(rows) > 1 else f"{ratios[0]:.2f}"
+        far = f"{min(unlike):.0f} to {max(unlike):.0f}" if min(unlike) < max(unlike) else f"{unlike[0]:.0f}"
+        text.append(f"| {robot} | {sort} | {len(rows)} | {far} | {ends} | {grades} |")
+    return "\n".join(text)
+
+
 def _within(ratios: np.ndarray) -> str:
     return f"{np.sum((ratios >= 0.75) & (ratios <= 1.33))} of {len(ratios)}"
 
@@ -185,11 +217,7 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="WORDS", help="splits whose names contain them")
     parser.add_argument("--page", action="store_true", help="write the table into docs/verdict.md")
     options = parser.parse_args()
-    lines = [
-        "| robot | poses used; judged by | unlike [%] | before [mm] | unused [mm] | claimed [mm] | ratio | grade |"
-        " first reason |",
-        "|---|---|---:|---:|---:|---:|---:|---|---|",
-    ]
+    lines: list[str] = []
     right, n_splits, ratios, there, alike = [0, 0], [0, 0], [], [], []
     for split in splits(options.folder):
         if options.only not in f"{split.robot} {split.how}":
@@ -197,7 +225,7 @@ def main() -> None:
         try:
             fit = calib.fit(split.nominal, split.used, validation=split.unused, terms=options.terms)
         except CalibrationError as error:
-            lines.append(f"| {split.robot} | {split.how} | | | | | | refused | {error} |")
+            print(f"{split.robot}, {split.how}: refused: {error}", flush=True)
             continue
         made = claim_of(fit)
         before, after = (1e3 * fit.validation.rms(state) for state in ("before", "after"))
@@ -227,7 +255,8 @@ def main() -> None:
     )
     print(words)
     if options.page:
-        text = "\n".join([*lines, "", *textwrap.wrap(words, 120)])
+        cells = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines]
+        text = "\n".join([table_of_sorts(cells), "", *textwrap.wrap(words, 120)])
         page = PAGE.read_text(encoding="utf-8")
         PAGE.write_text(_PLACE.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page), encoding="utf-8")
 

@@ -2,7 +2,7 @@
 
     python tests/compensated_robots.py [--seeds 20] [--robots arm,delta] [--places known,unknown]
 
-prints a table, of which docs/howto/accurate_robot.md has the rows of joints. Each robot is measured at 40 random poses
+prints a table, of which docs/howto/accurate_robot.md has the ranges. Each robot is measured at 40 random poses
 with 0.02 mm of noise and calibrated; a program of 60 random poses is compensated. Robots without errors are exactly as
 described, and are judged twice: as they are, and with the verdict ignored that nothing is to be corrected. The others
 have errors drawn from what the description expects (MedRUE: those of the paper's Table I, signs drawn). Base and tool

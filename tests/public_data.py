@@ -226,7 +226,7 @@ def tables_ur10_tracker(folder):
         for terms, words in ((None, "all origins"), ("curve", "origins and a curve for each joint"), ("auto", "")):
             fit = calib.fit(robot, data[use == "train"], validation=test, terms=terms)
             if terms is None:
-                rows.append([f"base and sensor placed alone, by {what}", *_errors(fit, "before")])
+                rows.append([f"only base and sensor placed, by {what}", *_errors(fit, "before")])
             rows.append([f"{words or f'`--terms auto`: {added(fit)}'}, {what}", *_errors(fit)])
     models = markdown(["model, fitted to", "position RMS [mm]", "orientation RMS [mrad]"], rows)
     robot, data, use = ur10_tracker(folder)
@@ -258,7 +258,7 @@ def tables_motoman_right(folder):
     for terms in (None, "auto"):
         fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)
         if terms is None:
-            rows.append(["base and reflector placed alone", f"{held_out(fit, 'before')[0]:.3f}", ""])
+            rows.append(["only base and reflector placed", f"{held_out(fit, 'before')[0]:.3f}", ""])
         words = f"tracker, `--terms auto`: {added(fit)}" if terms else "tracker"
         rows.append([words, f"{held_out(fit)[0]:.3f}", fit.verdict.grade])
     for tracker, turned in ((True, False), (True, True), (False, False), (False, True)):

@@ -47,8 +47,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @click.option(
     "--free-slide",
     is_flag=True,
-    help="mjcf, drake: add a free joint for each direction that a closure"
-    " leaves free, so that a 3D constraint has nothing to absorb.",
+    help="mjcf, drake: add a free joint for each direction that a closure leaves free; exact where links are tilted.",
 )
 @click.option(
     "--meshes",

@@ -18,20 +18,22 @@ from calib.matching.result import FILES
 @click.option(
     "--tool",
     metavar="POSE",
-    help="Tool that the controller adds to the last link, as the file writes poses, such as 0,0,150,0,0,0; found if not"
-    " given.",
+    help="Tool that the controller adds to the last link, written like the poses of PAIRS, such as 0,0,150,0,0,0; found"
+    " if not given.",
 )
 @click.option(
     "--base",
     metavar="POSE",
-    help="The robot's base in the controller's, as --tool; found if not given.",
+    help="Place of the robot's base in the controller's base frame, written like --tool; found if not given.",
 )
 @click.option(
     "--no-terms",
     is_flag=True,
     help="Do not try joint terms (gravity, couplings) where joint origins explain too little.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws of rounding.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the simulated rounding."
+)
 @click.option(
     "-o",
     "--out",
@@ -50,9 +52,9 @@ def command(
     out: str | None,
     output: Output,
 ) -> None:
-    """Find joint origins with which ROBOT has the poses that its controller prints: no instrument is needed.
+    """Find the joint origins that reproduce the poses of ROBOT's controller. No instrument is needed.
 
-    PAIRS has joint values and the poses that the controller (pendant) shows with them, a row each; 30 rows in which all
+    Each row of PAIRS has joint values and the pose that the controller (pendant) shows for them; 30 rows in which all
     joints turn far are good. The columns may be those of Universal Robots (rotation vectors), ABB (quaternions), KUKA
     (A, B, C), FANUC (W, P, R), Stäubli and others; what they mean is found and printed. ROBOT is the stock URDF, a
     robot description, or a calibration of Universal Robots (YAML).

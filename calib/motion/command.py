@@ -45,7 +45,7 @@ _READINGS = "readings.csv"
 @click.option(
     "--candidates",
     metavar="FILE",
-    help="Poses (CSV) from which the next best stand in for those that cannot be visited.",
+    help="Poses (CSV) that replace those that cannot be reached, the best first.",
 )
 @click.option("--name", default="calib_route", show_default=True, help="Name of the program.")
 @click.option(
@@ -54,7 +54,7 @@ _READINGS = "readings.csv"
     default=20,
     show_default=True,
     metavar="PERCENT",
-    help="Of what the controller allows; URScript, ros2: of 143 deg/s.",
+    help="Speed in percent of what the controller allows; URScript, ros2: of 143 deg/s.",
 )
 @click.option(
     "--dwell",
@@ -62,7 +62,7 @@ _READINGS = "readings.csv"
     default=1.0,
     show_default=True,
     metavar="SECONDS",
-    help="For the arm to settle.",
+    help="Wait at each stop, for the arm to settle.",
 )
 @click.option(
     "--reading",
@@ -73,7 +73,11 @@ _READINGS = "readings.csv"
     help="How long the output is on while the instrument reads.",
 )
 @click.option(
-    "--output-number", type=click.IntRange(min=-1), default=1, show_default=True, help="Digital output; -1: none."
+    "--output-number",
+    type=click.IntRange(min=-1),
+    default=1,
+    show_default=True,
+    help="Digital output that triggers the instrument; -1: none.",
 )
 @click.option("--third-joint", type=click.Choice(THIRD_JOINT), help="FANUC: what the third joint of the URDF is.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
@@ -100,9 +104,9 @@ def command(
 ) -> None:
     """Plan a way through POSES (CSV) on which ROBOT hits neither itself nor what the description says is around it.
 
-    Poses are visited in an order of little travel. Every move is checked between the points that are looked at, too.
+    The order of the poses keeps travel short. Every move is checked along its whole length.
     DIR gets a program, a table to fill in (readings.csv), and the route for `calib view ROBOT --data DIR/route.csv`.
-    The first program run is yours: at low speed, with a hand at the stop.
+    Run the program slowly at first, with a hand at the stop.
     """
     if not re.fullmatch(r"[A-Za-z]\w{0,30}", name, flags=re.ASCII):
         raise InputError(f"--name {name}: needs a letter, then letters, digits and underscores, 31 in all")

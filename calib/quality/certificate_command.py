@@ -49,14 +49,14 @@ _COMMENTS = {".pdf": "%"}
     show_default=True,
     help="Fits of the Monte Carlo check of the budget; 0 for none.",
 )
-@click.option("--sign", "key", metavar="KEY", help="Private key (Ed25519, PEM) that signs it, in FILE.sig beside it.")
+@click.option("--sign", "key", metavar="KEY", help="Private key (Ed25519, PEM): also write the signature FILE.sig.")
 @click.option(
     "--verify",
     "public",
     metavar="KEY",
-    help="Public key (PEM): check RESULT, a certificate, by the signature beside it, and write nothing.",
+    help="Public key (PEM): only check the signature beside the certificate RESULT; nothing is written.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of these.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the Monte Carlo check.")
 @shared_options(json_output=False)
 def command(
     result: str,

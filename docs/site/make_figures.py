@@ -95,6 +95,34 @@ def errors_before_after() -> Figure:
     return figure
 
 
+def frame_of_a_program() -> Figure:
+    """A planar arm with large errors: where the nominal robot stands beside the real one."""
+    q = np.vstack([[1.1, -1.3], np.random.default_rng(3).uniform([0.4, -1.9], [1.6, -0.6], (40, 2))])
+    nominal, real = (_planar_arm(q, *links) for links in ((0.0, 0.5, 0.4), (0.12, 0.56, 0.36)))
+    centres = [arm[:, -1].mean(axis=0) for arm in (nominal, real)]
+    u, _, vt = np.linalg.svd((nominal[:, -1] - centres[0]).T @ (real[:, -1] - centres[1]))
+    fitted = (nominal - centres[0]) @ (u @ vt) + centres[1]
+    figure = Figure(figsize=(8, 3.4), layout="constrained")
+    titles = ("base known: the measurement frame", "base unknown: the nominal base, fitted")
+    for axes, placed, title in zip(figure.subplots(1, 2, sharey=True), (nominal, fitted), titles, strict=True):
+        axes.plot(*real[:, -1].T, ".", color=BLUE, alpha=0.35, label="measured poses")
+        for arm, colour, line, label in ((placed, GREY, "--", "nominal robot"), (real, BLUE, "-", "real robot")):
+            axes.plot(*arm[0].T, line + "o", color=colour, linewidth=2.5, markerfacecolor="white", label=label)
+            axes.plot(*arm[0, 0], "s", color=colour, markersize=9)
+        axes.annotate("", real[0, -1], placed[0, -1], arrowprops={"arrowstyle": "<-", "color": ORANGE, "linewidth": 2})
+        axes.annotate("what is corrected", placed[0, -1], (0.8, -1.2), textcoords="offset fontsize", color=ORANGE)
+        axes.set(aspect="equal", title=title, xticks=[], yticks=[], xlim=(-0.15, 1.15), ylim=(-0.12, 0.95))
+    figure.axes[0].legend(loc="upper right")
+    return figure
+
+
+def _planar_arm(q: FloatArray, zero: float, *lengths: float) -> FloatArray:
+    """Base, elbow and tool of a planar arm whose first joint has another zero [rad], (n, 3, 2) [m]."""
+    turned = np.cumsum(q, axis=1) + zero
+    steps = np.array(lengths)[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=2)
+    return np.concatenate([np.zeros((len(q), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+
+
 def _joint_points(robot: calib.Robot, actuated: FloatArray, passive: FloatArray) -> dict[str, FloatArray]:
     """Positions of all joints in the root link's frame [m], loops closed or not."""
     mechanism = robot.mechanism
@@ -122,6 +150,7 @@ FIGURE_MAKERS: dict[str, Callable[[], Figure]] = {
     "five_bar_cut": five_bar_cut,
     "singular_values": singular_values,
     "errors_before_after": errors_before_after,
+    "frame_of_a_program": frame_of_a_program,
 }
 
 

@@ -1,8 +1,8 @@
-"""Make docs/figures/before_after.webp: a wrong sign found, then MedRUE's errors before and after.
+"""Make docs/figures/before_after.webp: a wrong sign of a real UR10's elbow found, then its errors before and after.
 
-    python docs/site/make_moving_picture.py [--out FILE]
+    python docs/site/make_moving_picture.py FOLDER [--out FILE]
 
-It needs Chromium and the extra `browser`. The measurements ship with the project and are simulated.
+FOLDER is that of docs/site/make_poster.py. It needs Chromium and the extra `browser`.
 """
 
 from __future__ import annotations
@@ -13,20 +13,18 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from make_poster import FIGURES, fitted, poses_of
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import calib
-import medrue
-from calib.core.judging.verdict import judge
 from viz.scene import build_scene, scene_of_fit
 from viz.screenshots import chromium
 from viz.viewer_page import scene_page
 
-DATA = Path(__file__).resolve().parents[1] / "examples" / "medrue_simulated.csv"
-FIGURE = DATA.parents[1] / "figures" / "before_after.webp"
+FIGURE = FIGURES / "before_after.webp"
 _WIDTH, _HEIGHT = 720, 560  # [px]
-_WRONG = "q4"  # whose readings have the wrong sign at first
+_WRONG = "elbow_joint"  # whose readings have the wrong sign at first
 _TURN = """turned => { const { stage } = calibrationViewer, [x, y, z] = calibrationViewer.scene.view.direction;
   stage.look([x * Math.cos(turned) - y * Math.sin(turned), x * Math.sin(turned) + y * Math.cos(turned), z]); }"""
 _SAY = """text => { let node = document.getElementById("said");
@@ -39,26 +37,25 @@ _SAY = """text => { let node = document.getElementById("said");
   node.textContent = text; }"""
 
 
-def pages(folder: Path) -> list[tuple[Path, list[tuple[str, str]]]]:
+def pages(data: Path, folder: Path) -> list[tuple[Path, list[tuple[str, str]]]]:
     """Write the viewer's pages, and return each with what is shown of it: states, and the words above them."""
-    robot = calib.load(medrue.robot_file())
-    data = calib.read_measurements(DATA, robot)
-    joints = data.joints.copy()
+    robot, train, _ = poses_of(data)
+    joints = train.joints.copy()
     joints[:, robot.joint_names.index(_WRONG)] *= -1.0
+    wrong = calib.fit(robot, replace(train, joints=joints)).verdict
+    found = wrong.reasons[0].text.partition(". In the description")[0]
     nominal = scene_page(build_scene(robot), embedded=True).save(folder / "nominal.html")
-    try:
-        calib.fit(robot, replace(data, joints=joints))
-    except calib.CalibrationError as error:
-        found = str(error).rpartition("; ")[2]
-    else:
-        raise AssertionError("a robot with loops cannot be assembled with a wrong sign")
-    fit = calib.fit(robot, data, validation=0.5)
-    fitted = scene_page(scene_of_fit(fit), embedded=True).save(folder / "fitted.html")
-    table = (fit.validation or fit.identification).table()
-    first = f"Simulated measurements of MedRUE. Verdict: {judge(fit).grade}\n"
-    states = [(state, f"{first}{state} calibration: {table[state]['mean']:.2f} mm") for state in ("before", "after")]
-    wrong = f"Simulated measurements of MedRUE, with a wrong sign.\n{found}"
-    return [(nominal, [("", wrong)]), (fitted, states)]
+    fit = fitted(data)
+    page = scene_page(scene_of_fit(fit), embedded=True).save(folder / "fitted.html")
+    first = f"A real UR10, at poses that the fit has not used. Verdict: {fit.verdict.grade}\n"
+    states = [
+        (state, f"{first}{state} calibration: {1e3 * fit.validation.rms(state):.2f} mm RMS")
+        for state in ("before", "after")
+    ]
+    return [
+        (nominal, [("", f"A real UR10, its elbow counted the wrong way. Verdict: {wrong.grade}\n{found}")]),
+        (page, states),
+    ]
 
 
 def frames(shown: list[tuple[Path, list[tuple[str, str]]]]) -> list[tuple[Image.Image, int]]:
@@ -92,9 +89,11 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", metavar="FILE", type=Path, default=FIGURE, help="file to write")
-    out = parser.parse_args().out
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder with robot.urdf and grid.csv of the UR10")
+    options = parser.parse_args()
+    out = options.out
     with tempfile.TemporaryDirectory() as temporary:
-        pictures, times = zip(*frames(pages(Path(temporary))), strict=True)
+        pictures, times = zip(*frames(pages(options.folder, Path(temporary))), strict=True)
     pictures[0].save(out, save_all=True, append_images=pictures[1:], duration=list(times), loop=0, quality=70, method=4)
     print(f"{out.name}: {out.stat().st_size / 1000:.0f} kB, {len(pictures)} pictures")
 

@@ -7,7 +7,8 @@
     python docs/site/make_paper_page.py out/poses.json out/study out/experiment out/touch
 
 The page has places `<!-- begin study/table2.csv -->` ... `<!-- end -->`; what is between them is replaced. A CSV
-becomes a table, `poses.json` a table of where the poses are. Figures of the page are copied to docs/figures/paper.
+becomes a table without what `LEFT_OUT` names, `poses.json` a table of where the poses are. Figures of the page are
+copied to docs/figures/paper.
 """
 
 from __future__ import annotations
@@ -17,22 +18,37 @@ import csv
 import json
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 PAGE = DOCS / "paper.md"
 FIGURES = DOCS / "figures" / "paper"
+LEFT_OUT = {
+    "study/table1.csv": {"unit", "identified without noise", "scatter", "paper: without noise", "redundant", "yes"},
+    "study/table2.csv": {"standard error"},
+    "experiment/table3.csv": {"unit", "identified - actual", "redundant", "yes"},
+    "experiment/table4.csv": {"standard error"},
+    "experiment/table5.csv": {"both sides"},
+    "experiment/pose_count.csv": {"either side", "standard error", "RMS y", "RMS z"},
+    "experiment/extended.csv": {"q3.", "q5.", "D1.", "D2.", "beta.", "slide."},
+    "touch/world.csv": {"spread", "std"},
+    "touch/shape.csv": {"spread", "std"},
+    "touch/methods.csv": {"cannot see"},
+}
+"""Words of columns' headers, and of a row's first or last cell, that the page does without."""
 _PLACE = re.compile(r"(<!-- begin (?P<source>\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def table(path: Path) -> str:
-    """Return a CSV file as a Markdown table."""
+def table(path: Path, left_out: Collection[str] = ()) -> str:
+    """Return a CSV file as a Markdown table, without the columns and rows that have a word of `left_out`."""
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     head, *rows = list(csv.reader(lines))
-    text = [f"| {' | '.join(head)} |", "|---" + "|---:" * (len(head) - 1) + "|"]
-    text += [f"| {' | '.join(_cell(cell) for cell in row)} |" for row in rows]
+    kept = [k for k, name in enumerate(head) if not any(word in name for word in left_out)]
+    rows = [row for row in rows if not any(word in cell for word in left_out for cell in (row[0], row[-1]))]
+    text = [f"| {' | '.join(head[k] for k in kept)} |", "|---" + "|---:" * (len(kept) - 1) + "|"]
+    text += [f"| {' | '.join(_cell(row[k]) for k in kept)} |" for row in rows]
     return "\n".join(text) + "\n"
 
 
@@ -71,7 +87,7 @@ def filled(page: str, sources: dict[str, Path]) -> str:
         if study == "poses.json":
             result = workspace(json.loads(sources["poses"].read_text(encoding="utf-8")))
         else:
-            result = table(sources[study] / name)
+            result = table(sources[study] / name, LEFT_OUT.get(match["source"], ()))
         return f"{match[1]}\n{result}\n{match[3]}"
 
     return _PLACE.sub(content, page)

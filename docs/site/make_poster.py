@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.core.base.arrays import FloatArray
+from calib.core.data.measurements import Measurements
 from calib.core.data.tables import read_table
 from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
@@ -40,8 +41,8 @@ _INK = {"light": "#1f2933", "dark": "#e6e9ec"}
 _COLOURS = LinearSegmentedColormap.from_list("error", [BLUE, "#8fb8c9", "#f0b15c", ORANGE])
 
 
-def fitted(folder: Path) -> calib.Calibration:
-    """Return the fit of 300 poses, joint terms chosen by it, and judged by 1000 others."""
+def poses_of(folder: Path) -> tuple[calib.Robot, Measurements, Measurements]:
+    """Return the nominal robot, the 300 poses to fit, and the 1000 others."""
     with tempfile.TemporaryDirectory() as scratch:
         for file in (folder / "robot.urdf", DESCRIPTION):
             shutil.copy(file, scratch)
@@ -50,6 +51,12 @@ def fitted(folder: Path) -> calib.Calibration:
     use = np.array([row[table.names.index("use")] for row in table.rows])
     data = calib.read_measurements(folder / "grid.csv", robot)
     train, test = (data.subset(np.flatnonzero(use == name)) for name in ("train", "test"))
+    return robot, train, test
+
+
+def fitted(folder: Path) -> calib.Calibration:
+    """Return the fit of 300 poses, joint terms chosen by it, and judged by 1000 others."""
+    robot, train, test = poses_of(folder)
     return calib.fit(robot, train, validation=test, terms="auto")
 
 

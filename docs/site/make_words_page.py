@@ -10,21 +10,24 @@ from pathlib import Path
 from calib.core.base.other_words import tables
 
 PAGE = Path(__file__).resolve().parents[1] / "howto" / "other_words.md"
+_TYPED = "command line"  # what a shell is given: its errors stand beside what was typed
 _INTRODUCTION = """# Words of other packages
 
-For anyone who types the words of another package: at the end you know the word used here. There is one for each thing.
-`fit.params` or `calib fit ... --robust` end in an error that says what to write; this page comes from the same table.
+For anyone who knows another package: at the end you know the word used here. Search this page for your word, or type
+it: `fit.params`, `calib calibrate` and `calib fit ... --robust` end in an error that says what to write.
 """
 
 
 def page() -> str:
-    """Return the page."""
+    """Return the page: a table for each package, of its names in Python and what is written here."""
+    by_package: dict[str, dict[str, list[str]]] = {}
+    for row in (row for rows in tables().values() for row in rows if row.package != _TYPED):
+        known = by_package.setdefault(row.package, {}).setdefault(row.here, [])
+        known += [word for word in row.words if word not in known]
     parts = [_INTRODUCTION]
-    for place, rows in tables().items():
-        parts += [f"## Of {place}\n", "| where | habit | here |", "|---|---|---|"]
-        for row in rows:
-            words = ", ".join(f"`{word}`" for word in row.words if word != "another") or "another argument"
-            parts.append(f"| {row.package} | {words} | {row.here} |")
+    for package, by_meaning in sorted(by_package.items(), key=lambda item: item[0].lower()):
+        parts += [f"## {package}\n", "| word | here |", "|---|---|"]
+        parts += [f"| {', '.join(f'`{word}`' for word in words)} | {here} |" for here, words in by_meaning.items()]
         parts.append("")
     return "\n".join(parts)
 

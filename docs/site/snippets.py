@@ -13,7 +13,8 @@ checkout in it. What a fenced block does depends on its language and title:
                             and a line `...` stands for any lines
 
 A comment on the line above a block changes that: `<!-- not run: why -->`, `<!-- exit code 2 -->`, or, for a file,
-`<!-- part of docs/examples/NAME -->`: it is not written, but every line of it must be in that file.
+`<!-- part of docs/examples/NAME -->`: it is not written, but every line of it must be in that file, and Python
+of it is run only if it has a title.
 """
 
 from __future__ import annotations
@@ -139,6 +140,8 @@ class _Session:
             return ""
         if block.comment.startswith("part of "):
             _require_part(block)
+            if not block.title:
+                return ""
         elif block.title and block.title != "Output":
             target = self._folder / block.title
             target.parent.mkdir(parents=True, exist_ok=True)

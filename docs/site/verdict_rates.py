@@ -173,17 +173,28 @@ def csv_text(table: list[list[str]]) -> str:
 
 
 def markdown(table: list[list[str]]) -> str:
-    """Return the rows as a Markdown table for each kind."""
+    """Return a Markdown table for each kind: scenarios by their most frequent reason, and the total."""
     text = []
     for kind, heading in KINDS.items():
-        text += [
-            f"| {heading} | runs | {' | '.join(OUTCOMES)} | most frequent reasons |",
-            "|---|" + "---:|" * 5 + "---|",
-        ]
-        for _, name, *counts, said in (row for row in table if row[0] == kind):
-            text.append(f"| {' | '.join([name, *counts, said.replace('_', chr(92) + '_')])} |")
-        text.append("")
+        text += [f"| most frequent reason | {heading} | runs | {' | '.join(OUTCOMES)} |", "|---|---|" + "---:|" * 5]
+        by_reason: dict[str, list[list[str]]] = {}
+        *scenarios, total = [row for row in table if row[0] == kind] or [[kind, f"all {kind}", *"00000", ""]]
+        for row in scenarios:
+            by_reason.setdefault(_first_reason(row[-1]), []).append(row)
+        text += [*(_line(reason, group) for reason, group in by_reason.items()), _line("", [total]), ""]
     return "\n".join(text)
+
+
+def _first_reason(said: str) -> str:
+    """Most frequent reason of a row; none for a row without reasons."""
+    return "*not covered*" if said.startswith("a PASS names it") else said.partition(" ")[0]
+
+
+def _line(reason: str, group: list[list[str]]) -> str:
+    quiet = group[0][0] == "healthy" and len(group) > 1
+    names = f"{len(group)} scenarios without a reason" if quiet else "; ".join(row[1] for row in group)
+    counts = " | ".join(str(sum(int(row[k]) for row in group)) for k in range(2, 7))
+    return f"| {reason or '-'} | {names} | {counts} |".replace("_", "\\_")
 
 
 def main() -> None:

@@ -7,7 +7,6 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 """
 
 import argparse
-import resource
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,13 +16,11 @@ import numpy as np
 import pinocchio as pin
 import scipy
 import waiting
-import where
 import whole_commands
 from hand_written import Arm, fit
 from timing import fast, least
 
 import calib
-from calib.core.base.threads import one_blas_thread
 from calib.core.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
@@ -35,9 +32,6 @@ ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of t
 }
 SAME_COST = 1e-6
 """Relative difference of costs up to which two fits reached the same minimum."""
-
-SUBSETS = 67
-"""Subsets of each sort: 201 of each robot."""
 NUMBA = find_spec("numba") is not None
 
 
@@ -75,7 +69,7 @@ def with_loops(rounds):
 
 
 def kinematics(rounds):
-    """Rows of the table of kinematics, MedRUE's 420 poses after a step of the parameters; and page faults of a step."""
+    """Rows of the table of kinematics, MedRUE's 420 poses after a step of the parameters."""
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)
     moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))
     seed, solved = robot.assemble(q).passive, moved.assemble(q)
@@ -104,13 +98,8 @@ def kinematics(rounds):
     }
     quick = {f"{name} compiled": fast(function) for name, function in columns.items() if NUMBA}
     taken = least(rounds, loop=loop, **columns, **quick)
-    one_blas_thread(ours)()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    one_blas_thread(ours)()
-    faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
     units = {name: taken["loop"] * (len(some) / len(q) if " 84 " in name else 1.0) for name in columns}
-    rows = [[name, *(ratio(taken.get(key), units[name]) for key in (name, f"{name} compiled"))] for name in columns]
-    return rows, faults
+    return [[name, *(ratio(taken.get(key), units[name]) for key in (name, f"{name} compiled"))] for name in columns]
 
 
 def fits(problems, rounds):
@@ -169,33 +158,25 @@ the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it, a
 
 ## Kinematics through closed loops
 
-The table has the work for MedRUE at 420 poses after a small step of the parameters, and whole fits. The unit is
-Pinocchio's own loop: one call of `computeJointJacobians` from Python for each pose, with the URDF as users load it, and
-without reading the result.
+Work for each of 420 poses of MedRUE after a small step of the parameters, and of whole fits. The unit is one call of
+Pinocchio's `computeJointJacobians` from Python.
 
-With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once
-for each version. Studies of many calibrations, sampling and compensating many poses, and work on thousands of poses at
-once use it, and so does code under `with calib.core.robots.acceleration.compiled():`. Where nothing is compiled yet,
-only work that takes longer than compiling does: a study of 1700 draws of 84 poses, a fit of 35 000.
+With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once for each
+version. Studies of many calibrations and work on thousands of poses use it, and so does code under `with
+calib.core.robots.acceleration.compiled():`.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
-    rows, faults = kinematics(rounds)
-    for row in rows:
+    for row in kinematics(rounds):
         yield f"| {' | '.join(row)} |"
     yield """
-Three robots with loops, 420 poses each: the work that is called *both* above, after a smaller step of the parameters:
+The work called *both* above for three robots with loops, after a smaller step of the parameters:
 
 | robot | parameters | over Pinocchio's loop | with `fast` |
 |---|---:|---:|---:|"""
     for row in with_loops(rounds):
         yield f"| {' | '.join(map(str, row))} |"
-    yield f"""
-Half of Stewart's step without numba is Pinocchio's three sweeps and LAPACK's systems of 18 equations for each pose.
-One more step of a fit, without numba, takes no new memory (page faults: {faults}). Twists in the world serve all
-frames, and joints that move none of them, or all of them alike, are not in the model.
-"""
-    yield """\
+    yield """
 ## A fit against a hand-written one
 
 `tests/benchmarks/hand_written.py` is a fit for one serial arm: batched numpy, Gauss-Newton steps, no checks, no
@@ -214,7 +195,7 @@ A draw of [`calib.study`](howto/many_calibrations.md) is a fit that starts from 
 a single fit, in less time.
 MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
 
-| | a fit by itself takes as long as | processor time of a draw | of 10 000 draws, shared by two free cores |
+| | a single fit takes as long as | processor time of a draw | of 10 000 draws, on two cores |
 |---|---:|---:|---:|"""
     for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
         if each is not None:
@@ -222,41 +203,18 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     yield """
 ## Whole commands
 
-From one prompt to the next, with simulated measurements, modules compiled to byte code, and kinematics by numba. The
-unit is a program that only imports the libraries that a fit with pages needs; times are those of the machine that made
-this page. Commands on 100 000 rows and more, and those of `medrue`, ran once. This table alone:
+Time from prompt to prompt: simulated measurements, modules compiled to byte code, kinematics by numba. The unit is a
+program that only imports the libraries that a fit with pages needs. Commands on 100 000 rows and more, and those of
+`medrue`, ran once. This table alone:
 `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """
 ## What people wait for
 
-In a program that runs already: a fit with verdict and intervals, of few rows that are not spread, too; one more pose of
-a robot that is watched while it is measured; a fit that chooses joint terms. The times are those of the machine that
-made this page.
-This table alone: `python tests/benchmarks/waiting.py --data FOLDER`.
+In a program that is already running (this table alone: `python tests/benchmarks/waiting.py --data FOLDER`):
 """
     yield from waiting.table(folder, max(rounds // 5, 1))
-    yield """
-## Evaluations
-
-Evaluations of a fit as the stated noise shrinks from 1 mm to 1 um and the data stay the same; * would mark a fit that
-did not converge. This table alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
-"""
-    yield from evaluations.table(robots)
-    yield """
-## Rows that are not spread
-
-Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, 67 of each sort, from the same
-start, with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are
-fewer fits, rows that do not determine the robot were refused. This table alone:
-`python tests/benchmarks/evaluations.py --subsets 67 --data FOLDER`. The fit that does not converge is of 20 rows on
-which a length wants to be infinite, an arc a line: it ends early, and its verdict, FAIL, names the length. Of fits that
-take more than 20 evaluations, or more than MINPACK's, the second table says after how many the cost is within 1e-8, and
-within 1e-12, of the lowest: by the fit, and by SciPy's three solvers, within 300. Where a valley bends, none is fast;
-elsewhere MINPACK ended before it was as near.
-"""
-    yield from evaluations.subset_table(evaluations.clustered(folder), SUBSETS)
     yield """
 ## Growth
 
@@ -264,14 +222,6 @@ Slopes of processor time: 1 where twice as much takes twice as long. Without `fa
 `python tests/benchmarks/growth.py --data FOLDER`.
 """
     yield from growth.table(folder, max(rounds // 5, 1))
-    yield """
-## Where the time goes
-
-Shares of processor time, by Python's profiler, which makes small functions look slower than they are. What compiled
-code takes counts for the function that calls it; what is not named is spread over many parts. This table alone:
-`python tests/benchmarks/where.py --data FOLDER`.
-"""
-    yield from where.table(folder)
 
 
 def main():

@@ -54,23 +54,18 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
 _KEY = """\
 | column | meaning |
 |---|---|
-| code | "placed": only base and target are fitted. "auto": with `--terms auto`; "this project" without "auto" fits \
-only joint origins. "priors": with the sizes of errors that this project gets |
-| splits | on how many splits a code gave an answer. A split is one way to part the rows of a robot into those that \
-codes fit and those that no code sees. A code that answered nowhere (such as "no priors": origins without priors) has \
-no line here |
-| better, tie, worse | on how many splits a code predicts unseen rows better than this project (for arms, its \
-line `auto`), equally well, or worse. A difference counts if it is at least 1 % of the RMS, and a paired t test of \
-squared errors, row by row, gives a chance below 1 in 1000 (arms, whose rows follow each other in a file) or \
-1 in 100 (images, printers) |
-| error | RMS of unseen rows, divided by that of this project: median over the splits. Above 1, this project is better |
-| claim | the error that a code states for the calibrated robot, divided by the error in unseen rows: median and \
-range. Below 1, the claim is too small. \\*: the code states no error of new poses; this is the RMS of its own \
-residuals |
-| verdict right | PASS if the errors are at most 1.25 times those claimed and less than those of the nominal robot, \
-otherwise another grade. Counted are the splits on which an RMS error is claimed |
-| fit, command, memory | processor time of the fit and of the whole process, and its largest memory: medians over the \
-splits |
+| code | "placed": only base and target are fitted. "auto": with `--terms auto`; without it, this project fits joint \
+origins alone. "priors": with the sizes of errors that this project gets. A code that answered nowhere has no line |
+| splits | on how many splits of a robot's rows, into fitted and unseen ones, a code gave an answer |
+| better, tie, worse | than this project (for arms, its line `auto`), by the RMS of unseen rows. It counts if \
+it is at least 1 %, and a paired t test of squared errors gives a chance below 1 in 1000 (arms, whose rows follow each \
+other in a file) or 1 in 100 (images, printers) |
+| error | RMS of unseen rows over that of this project: median over the splits |
+| claim | error that a code states over the error of unseen rows: median and range. \\*: it states none of new poses; \
+this is the RMS of its residuals |
+| verdict right | PASS if errors are at most 1.25 times those claimed and less than the nominal robot's, else another \
+grade; on splits with a claim |
+| fit, command, memory | processor time of the fit and of the process, largest memory: medians |
 | lines | those that a user writes for one problem |"""
 _MARKS = "▲ marks a code that is better than this project, = a tie, bold the smallest error of a line."
 
@@ -148,7 +143,7 @@ def _summary(rows: Sequence[Row]) -> str:
 def _accuracy(rows: Sequence[Row], unit: str, scale: float) -> str:
     names = _names(rows)
     lines = [
-        f"| RMS of unseen rows [{unit}] (largest) | rows: fitted, unseen | " + " | ".join(names) + " |",
+        f"| RMS of unseen rows [{unit}] | rows: fitted, unseen | " + " | ".join(names) + " |",
         "|---|---|" + "---:|" * len(names),
     ]
     for told, own in _splits(rows):
@@ -161,7 +156,7 @@ def _accuracy(rows: Sequence[Row], unit: str, scale: float) -> str:
             row = own[name]
             number = f"{scale * row['rms']:.3f}"
             number = f"**{number}**" if row["rms"] == least else number
-            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''} ({scale * row['max']:.2f})")
+            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''}")
         words = f"{told['data']}: {told['split']}"
         lines.append(f"| {words} | {told['n_train']}, {told['n_unseen']} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -183,16 +178,17 @@ def _behind(rows: Sequence[Row], sets: Sequence[DataSet]) -> str:
 
 
 def _missing(rows: Sequence[Row]) -> str:
-    failed: dict[tuple[str, str], list[str]] = {}
+    """Codes without an answer, by the reason; reasons that differ in numbers alone count as one."""
+    failed: dict[str, list[Row]] = {}
     for row in rows:
         if "failed" in row:
-            failed.setdefault((row["code"], row["failed"].replace("|", "/").partition(" (RMS")[0][:200]), []).append(
-                row["data"]
-            )
-    lines = [
-        f"| {code} | {', '.join(dict.fromkeys(data))} ({len(data)} split{'s' * (len(data) > 1)}) | {why} |"
-        for (code, why), data in failed.items()
-    ]
+            failed.setdefault(re.sub(r"\d+", "", row["failed"]), []).append(row)
+    lines = []
+    for group in failed.values():
+        codes, data = (list(dict.fromkeys(row[key] for row in group)) for key in ("code", "data"))
+        n_splits = len({(row["data"], row["split"]) for row in group})
+        why = group[0]["failed"].replace("|", "/").partition(" (RMS")[0][:200]
+        lines.append(f"| {', '.join(codes)} | {', '.join(data)} ({n_splits} split{'s' * (n_splits > 1)}) | {why} |")
     return "\n".join(["| no answer by | on | why |", "|---|---|---|", *lines]) if lines else ""
 
 

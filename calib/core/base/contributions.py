@@ -26,55 +26,55 @@ class Contribution(Enum):
 
     NOISE = (
         "noise and priors",
-        "noise of the readings, carried to the parameters beside what is known of them beforehand",
+        "noise of the readings and spread of the priors, propagated to the parameters",
         "numerics.statistics",
         (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
     )
     OFFSETS = (
         "offsets as weights",
-        "readings of a pose that share an error weigh less, where that predicts other poses better",
+        "readings of a pose that share an offset weigh less, if that predicts other poses better",
         "fitting.solving",
         (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
     )
     SCATTER = (
         "scatter of poses",
-        "readings of a pose scatter together by more than independent ones",
+        "readings of a pose scatter together, more than independent ones would",
         "numerics.clusters",
         (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
     )
     SIZES = (
         "sizes of families",
-        "the common size of the coefficients of a curve was found from the same readings",
+        "the amplitude of a curve was estimated from the same readings",
         "numerics.prior_sizes",
         (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION, Sureness.GAIN),
     )
     REGIONS = (
         "regions left out",
-        "parameters move by more than noise explains where regions or setups are left out in turn",
+        "parameters change by more than noise explains if a region or a setup is left out",
         "fitting.regions",
         (Sureness.COVARIANCE, Sureness.INTERVAL, Sureness.POSITION),
     )
     SECOND_ORDER = (
         "second order",
-        "the model bends over the uncertainty of the parameters",
+        "the model is not linear over the uncertainty of the parameters",
         "fitting.curvature",
         (Sureness.INTERVAL,),
     )
     UNDECIDED = (
         "undecided terms",
-        "the sizes of joint terms, of those too that the data neither show nor exclude",
+        "sizes of joint terms, also of terms that the data neither show nor exclude",
         "fitting.terms.term_sizes",
         (Sureness.INTERVAL, Sureness.POSITION),
     )
     JOINT_ERRORS = (
         "unexplained joint errors",
-        "what the model leaves out, as an error of each joint that is another one at each pose",
+        "what the model leaves out, as an error of each joint that differs from pose to pose",
         "fitting.unexplained",
         (Sureness.POSITION,),
     )
     FRAME = (
         "frame",
-        "positions are told in the robot's own base, laid where positions agree best; where that is does not count",
+        "positions are in the robot's own base frame, fitted to them; the uncertainty of that fit does not count",
         "rows.told_positions",
         (Sureness.POSITION,),
     )
@@ -86,7 +86,7 @@ class Contribution(Enum):
     )
     BEFORE_AND_AFTER = (
         "before and after",
-        "errors at poses that were not used, after calibration over before, against chance",
+        "errors at poses that were not used, after calibration compared with before",
         "judging.better_or_worse",
         (Sureness.GAIN,),
     )

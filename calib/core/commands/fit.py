@@ -75,7 +75,7 @@ _FOLDER = "out/robot"  # in what is proposed next, if no folder was given
 @click.option(
     "--model",
     metavar="NAME|FILE",
-    help="What is known of the robot's model before measuring: a model such as ur5e, or a file that calib fleet wrote.",
+    help="Prior of the robot's model: a known model such as ur5e, or a file that calib fleet wrote.",
 )
 @click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; show both results.")
 @click.option("--starts", type=int, default=1, show_default=True, help="Number of starting points.")

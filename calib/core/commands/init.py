@@ -106,8 +106,8 @@ def command(
     If --target is not given, the description has the longest chain of joints with motors, but no fingers of a gripper.
     A note says what is left out. Other options start from something else and write the URDF, too. --dh: a
     Denavit-Hartenberg table, with columns theta, d, a, alpha (and beta), with units, one row for each joint.
-    --template: a robot with loops, with your --length. Others: a file of a robot's own; its measurements are also
-    written.
+    --template: a robot with loops, with your --length. --klipper, --marlin, --duet: the settings of a delta printer,
+    whose measurements are written too.
     """
     others = {name: file for name, file in given.items() if file}
     arguments = _arguments(xacro)

@@ -39,7 +39,9 @@ _DIGITS = 8  # of joint values that are the same in two files [m or rad]
 @click.option(
     "--change", metavar="NAME=SIZE", help="With --plan: how many poses show this change, such as 'joint_2.z=0.2 mm'."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the intervals.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws behind the intervals."
+)
 @click.option("--html", metavar="FILE", help="Write one page: the answer, errors of the readings, changes.")
 @shared_options(json_output=True)
 def command(

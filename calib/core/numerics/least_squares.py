@@ -79,7 +79,7 @@ When it fails. It finds the minimum in whose valley it starts; `calib.core.fitti
 directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
 
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
-noise: docs/performance.md.
+noise: tests/benchmarks/evaluations.py.
 Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); more1983 (the
 step within a ball); transtrum2012 (steps that follow a valley's bend); nist_strd.
 """

@@ -63,7 +63,11 @@ FILES = (
 @click.option(
     "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
 )
-@click.option("--robot", metavar="ROBOT", help="Robot of the joint values (YAML description or URDF), taken as it is.")
+@click.option(
+    "--robot",
+    metavar="ROBOT",
+    help="Robot (YAML description or URDF), if --poses has joint values; it is not calibrated.",
+)
 @click.option("--angles", type=click.Choice(ANGLES), help="Meaning of columns rx, ry, rz.")
 @click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
 @click.option(
@@ -94,11 +98,10 @@ def command(
 ) -> None:
     """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
 
-    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. In place of images, one table
-    may have poses of a marker in the camera (pairs of poses; without --board). --poses has the pose of the
-    tool at each image, as the teach pendant shows it: position and quaternion, or angles. With --robot, the
-    file of --poses has joint values. This command does not change the kinematics of the robot: calib fit calibrates
-    them.
+    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect; or, without --board, a table
+    of the marker's poses in the camera. --poses has the pose of the tool at each image, as the teach pendant shows it:
+    position and quaternion, or angles; with --robot, it has joint values. This command does not change the kinematics
+    of the robot: calib fit calibrates them.
     """
     named, model = _frames(frames), None if robot is None else loaded(robot, output)
     mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)

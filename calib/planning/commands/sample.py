@@ -47,10 +47,9 @@ def command(
 ) -> None:
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
-    If the robot touches something, it does so at these poses. If only cameras measure, they see their targets there.
-    At these poses the robot hits neither itself nor what the description names under `obstacles`, if its file has
-    shapes or there are obstacles; otherwise nothing is checked. Cables are not: look at the poses before you send them
-    (calib view ROBOT --data FILE).
+    An instrument that touches is in contact at these poses. If only cameras measure, they see their targets there. The
+    robot hits neither itself nor the `obstacles` of the description; without shapes and obstacles, nothing is checked.
+    Cables are never checked: look at the poses before you send them (calib view ROBOT --data FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}

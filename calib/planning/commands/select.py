@@ -55,8 +55,8 @@ _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
 @click.option(
     "--goal-mm",
     type=float,
-    help="In place of --count: as many poses as bring the predicted error of positions below this, RMS over --task [mm]"
-    " (index task). A `model` or `fleet` in the description counts.",
+    help="In place of --count: the fewest poses whose predicted RMS position error over --task is below this [mm], with"
+    " --index task.",
 )
 @click.option(
     "--instruments",

@@ -34,7 +34,7 @@ _BEGINNINGS = 8  # of a file that is there already: so many states lead to the p
 @click.option(
     "--candidates",
     metavar="FILE",
-    help="Poses (CSV) that the goal is about, and to choose the next one from; if not given,"
+    help="Poses (CSV) at which the goal counts, and from which the next one is chosen; if not given,"
     f" {CANDIDATES} over the joint limits.",
 )
 @click.option("--once", is_flag=True, help="Say what FILE shows now, and end.")

@@ -115,8 +115,9 @@ DATA = Watched(
     lenses=_lenses,
     splits=_splits,
     reasons={
-        "pixels as in the files": "the images were turned by 90 degrees against their lenses, which the verdict names:"
-        " every fit is worse than the nominal robot (0.329 mm). Joint terms explain a part of it wrongly; without"
-        " them this project leaves 1.814 mm. Both verdicts are FAIL, so no robot file is written"
+        "pixels as in the files": (
+            "the images were turned by 90 degrees against their lenses, which the verdict names: every fit is worse "
+            "than the nominal robot. Both verdicts are FAIL, so no robot file is written"
+        ),
     },
 )

@@ -45,13 +45,13 @@ DATA = Arm(
     point_sigma=0.01,
     splits=_splits,
     reasons={
-        "low half of joint U fitted": "a coupling of joints does not hold at values of joint U that were not fitted;"
-        " without joint terms this project leaves 0.106 mm. The fitted rows do not show this: if a third of them is"
-        " left out at either end of each joint's range, the coupling predicts these ends better than origins do, by"
-        " 8 % over all",
-        "second half of a file unseen": "79 rows of one region do not show what another region is like. With priors"
-        " from a third to ten times as wide, fits leave 0.062 to 0.067 mm in these rows, and 0.12 to 0.14 mm in the"
-        " others; FIGAROH's `map`, with the same priors, leaves 0.144 mm there. The fitted rows do not show which"
-        " priors are better, so they stay as stated for all data",
+        "low half of joint U fitted": (
+            "a coupling of joints does not hold at values of joint U that were not fitted, and the fitted rows do not "
+            "show it; without joint terms this project leaves 0.106 mm"
+        ),
+        "second half of a file unseen": (
+            "79 rows of one region do not show what another region is like. Priors from a third to ten times as wide "
+            "leave 0.12 to 0.14 mm in the others; the fitted rows do not show which are better"
+        ),
     },
 )

@@ -63,8 +63,10 @@ PANDA = _arm(
     },
     owners="the owners report a mean of 0.347 mm at unseen places, from each socket's own mean (a weaker measure)",
     reasons={
-        "place front unseen": "priors expect origins within 1 mm and 3 mrad, but this robot is off by 10 mm. SciPy"
-        " on the same origins is as good with these priors, and 5 % better without, which is a tie on these rows"
+        "place front unseen": (
+            "priors expect origins within 1 mm and 3 mrad, but this robot is off by 10 mm. SciPy with these priors is "
+            "as good; the difference is a tie on these rows"
+        ),
     },
 )  # fmt: skip
 KUKA = _arm(
